@@ -1,0 +1,128 @@
+"""The calibration of one vehicle: what each ground costs it. ``bumpymap calibrate`` makes it, ``map`` reads it."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from bumpymap.errors import BadInputError
+from bumpymap.types import TEXTURES
+
+__all__ = ["Calibration", "shipped_calibrations"]
+
+_FORMAT = "bumpymap-calibration"
+_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """C_r and p_fail of one vehicle over textures x z_range, and the class intervals made from them.
+
+    Tables are nested tuples ``[texture][z_range]``, textures in the order of ``textures``.
+    """
+
+    vehicle: dict[str, Any]
+    """The vehicle profile, as in its TOML file. ``ride_weight`` [m/rad] and ``slope_limit_deg`` are read by ``map``."""
+    tile_size: float
+    """Side of the patches that were driven, m."""
+    pixels: int
+    """Pixels along a side."""
+    textures: tuple[str, ...]
+    z_range: tuple[float, ...]
+    """max - min of the plane-removed patches that were driven, m, rising."""
+    c_r: tuple[tuple[float | None, ...], ...]
+    """Mean C_r over the completed drives, rad/m; None where none was completed."""
+    c_r_log_sd: tuple[tuple[float | None, ...], ...]
+    """Standard deviation of ln C_r between patches of one cell; None where fewer than two patches have one."""
+    p_fail: tuple[tuple[float, ...], ...]
+    """Share of the drives that rolled over or got stuck."""
+    drives: tuple[tuple[int, ...], ...]
+    """Number of drives, failed ones too."""
+    class_limits: tuple[float, float, float]
+    """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
+    class_c_r: tuple[float, float, float, float]
+    """Mean C_r [rad/m] of the driven patches of each class."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again."""
+
+    def __post_init__(self) -> None:
+        shape = (len(self.textures), len(self.z_range))
+        for name in ("c_r", "c_r_log_sd", "p_fail", "drives"):
+            table = getattr(self, name)
+            if len(table) != shape[0] or any(len(line) != shape[1] for line in table):
+                raise ValueError(f"table {name} is not {shape[0]} textures x {shape[1]} z ranges")
+        if self.textures != TEXTURES:
+            raise ValueError(f"textures are {self.textures}; this version knows {TEXTURES}")
+        if list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
+            raise ValueError("z_range must be positive and rise")
+        if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
+            raise ValueError("class_limits must be positive and rise")
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits that change with any number of the calibration."""
+        return hashlib.sha256(self._body().encode()).hexdigest()[:12]
+
+    def _body(self) -> str:
+        return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
+
+    def to_json(self) -> str:
+        """Return the text of the file."""
+        return json.dumps({"format": _FORMAT, "version": _VERSION, "id": self.id, **asdict(self)}, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, origin: str) -> "Calibration":
+        """Read the text of a calibration file; ``origin`` names it in messages.
+
+        Raises
+        ------
+        BadInputError
+            Not a calibration, another version, a table of the wrong shape.
+        """
+        hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
+        try:
+            record = json.loads(text)
+            if not isinstance(record, dict) or record.get("format") != _FORMAT:
+                raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
+            if record.get("version") != _VERSION:
+                raise BadInputError(
+                    f"{origin} is a calibration of version {record.get('version')}; "
+                    f"this bumpymap reads version {_VERSION}. {hint}"
+                )
+            known = {f.name: record[f.name] for f in fields(cls)}
+            return cls(**{key: _tuples(value) for key, value in known.items()})
+        except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+            raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
+
+    @classmethod
+    def load(cls, path: Path) -> "Calibration":
+        """Read a calibration file. Raises BadInputError where it is none."""
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadInputError(f"cannot read the calibration {path}: {error}") from error
+        return cls.from_json(text, str(path))
+
+    @classmethod
+    def shipped(cls, vehicle: str) -> "Calibration":
+        """Read the calibration that ships for a vehicle, such as ``warthog``."""
+        known = shipped_calibrations()
+        if vehicle not in known:
+            raise BadInputError(
+                f"no calibration for a vehicle named '{vehicle}' ships with bumpymap; there are: {', '.join(known)}. "
+                "For your own: bumpymap calibrate --vehicle FILE, then map --calibration FILE"
+            )
+        resource = files("bumpymap") / "data" / "calibrations" / f"{vehicle}.json"
+        return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
+
+
+def shipped_calibrations() -> list[str]:
+    """Names of the vehicles whose calibration is in the package."""
+    folder = files("bumpymap") / "data" / "calibrations"
+    return sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

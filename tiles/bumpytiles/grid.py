@@ -1,0 +1,94 @@
+"""The global tile grid: pure algebra between coordinates, tile indices and bounds.
+
+The grid is anchored at the CRS origin, so that two surveys of one site share tiles. Tiles are half-open,
+``[west, east) x [south, north)``. Everything is in metres; the caller turns CRS units into metres first.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Bounds", "Grid", "TileWindow"]
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-parallel box, in metres."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+
+@dataclass(frozen=True, slots=True)
+class TileWindow:
+    """A rectangle of tiles: ``cols`` x ``rows`` of them, the south-west one at ``(col, row)``."""
+
+    col: int
+    row: int
+    cols: int
+    rows: int
+
+    @classmethod
+    def around(cls, col: NDArray[np.integer], row: NDArray[np.integer]) -> "TileWindow":
+        """Smallest window that holds every given tile (at least one)."""
+        west, south = int(col.min()), int(row.min())
+        return cls(west, south, int(col.max()) - west + 1, int(row.max()) - south + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Square tiles of ``tile_size`` metres, each cut into ``pixels`` x ``pixels``."""
+
+    tile_size: float = 3.0
+    """Side of a tile, m."""
+    pixels: int = 15
+    """Pixels along a side."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.tile_size) and self.tile_size > 0):
+            raise ValueError(f"tile_size is {self.tile_size}; it must be a positive number of metres")
+        if self.pixels < 1:
+            raise ValueError(f"pixels is {self.pixels}; it must be at least 1")
+
+    @property
+    def pixel_size(self) -> float:
+        """Side of a pixel, m."""
+        return self.tile_size / self.pixels
+
+    def index(self, coordinate: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Tile index along one axis: the ``i`` with ``i * size <= coordinate < (i + 1) * size``, exactly.
+
+        The quotient may round across a border; the two comparisons put such points back where the borders say.
+
+        Parameters
+        ----------
+        coordinate : array (n,) float64
+            Easting or northing, m.
+
+        Returns
+        -------
+        array (n,) int64
+        """
+        size = self.tile_size
+        i = np.floor(coordinate / size)
+        i -= coordinate < i * size
+        i += coordinate >= (i + 1.0) * size
+        return i.astype(np.int64)
+
+    def bounds(self, col: int, row: int) -> Bounds:
+        """Bounds of one tile, m."""
+        size = self.tile_size
+        return Bounds(col * size, row * size, (col + 1) * size, (row + 1) * size)
+
+    def window_bounds(self, window: TileWindow) -> Bounds:
+        """Bounds of a window of tiles, m."""
+        size = self.tile_size
+        return Bounds(
+            window.col * size,
+            window.row * size,
+            (window.col + window.cols) * size,
+            (window.row + window.rows) * size,
+        )
