@@ -211,19 +211,19 @@ def _flat(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
 
 
 def _low_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.06 to 0.2 m)."""
-    cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.6, count)
-    return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.02, 0.06, count))
+    """Soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
+    cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
+    return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
 
 
 def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Waves over noise (wavelength 0.8 to 2.5 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
+    """Waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
     ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
-    wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.5 / 3), (count, 1, 1)))
+    wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
     phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
     along, _ = _turned_axes(count, rng, pixels, 0)
     wave: _Floats = np.sqrt(2) * np.sin(2 * np.pi * along / wavelength + phase)
-    return wave + rng.uniform(0.25, 0.65, (count, 1, 1)) * ground
+    return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
 
 
 def _high_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
