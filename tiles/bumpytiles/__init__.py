@@ -1,5 +1,7 @@
 """The tiling engine: points in, tiles out. It does not know what roughness is."""
 
 from bumpytiles.grid import Bounds, Grid, TileWindow
+from bumpytiles.run import run_blocks
+from bumpytiles.split import BLOCK_TILES, TileBuckets, TilePoints
 
-__all__ = ["Bounds", "Grid", "TileWindow"]
+__all__ = ["BLOCK_TILES", "Bounds", "Grid", "TileBuckets", "TilePoints", "TileWindow", "run_blocks"]

@@ -1,0 +1,78 @@
+"""The summary that ``map`` and ``demo`` print."""
+
+import json
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bumpymap.config import MapConfig
+from bumpymap.pipeline import MapResult
+from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
+
+__all__ = ["show"]
+
+
+def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
+    """Print what a run did: as a table, or as one JSON object."""
+    if as_json:
+        print(json.dumps(_record(result, config)))
+        return
+    console = Console(soft_wrap=True, highlight=False)
+    cost_map = result.cost_map
+    tiles = len(cost_map.klass)
+    which = "ground points (class 2)" if result.ground_only else "points"
+    console.print(
+        f"{result.points:,} points, {tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
+        f"{sum(result.seconds.values()):.1f} s"
+    )
+    table = Table(box=None, pad_edge=False)
+    for title in ("class", "tiles", "share", "c_r [rad/m]", "slope [deg]"):
+        table.add_column(title, justify="left" if title == "class" else "right")
+    for klass, name in enumerate(CLASS_NAMES):
+        _add_row(table, f"{klass} {name}", cost_map, cost_map.klass == klass)
+    _add_row(table, "unknown", cost_map, cost_map.klass == NO_CLASS)
+    for reason, count in _by_reason(cost_map).items():
+        table.add_row(f"  {reason}", f"{count:,}", f"{count / tiles:.1%}", "", "")
+    console.print(table)
+    for path, message in result.skipped.items():
+        console.print(f"skipped {path}: {message}", markup=False)
+    console.print(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}", markup=False)
+
+
+def _add_row(table: Table, name: str, cost_map: CostMap, chosen: np.ndarray) -> None:
+    count = int(np.count_nonzero(chosen))
+    c_r, slope = cost_map.c_r[chosen], cost_map.patches.slope[chosen]
+    table.add_row(
+        name,
+        f"{count:,}",
+        f"{count / len(chosen):.1%}",
+        _median(c_r, "{:.3f}"),
+        _median(slope, "{:.1f}"),
+    )
+
+
+def _median(values: np.ndarray, form: str) -> str:
+    known = values[~np.isnan(values)]
+    return form.format(np.median(known)) if len(known) else ""
+
+
+def _by_reason(cost_map: CostMap) -> dict[str, int]:
+    reasons = cost_map.patches.reason[cost_map.klass == NO_CLASS]
+    counts = np.bincount(reasons, minlength=len(Reason))
+    return {REASON_TEXT[reason]: int(counts[reason]) for reason in Reason if counts[reason]}
+
+
+def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
+    klass = result.cost_map.klass
+    return {
+        "out": str(config.out),
+        "files": [path.name for path in result.files],
+        "points": result.points,
+        "tiles": len(klass),
+        "classes": {name: int(np.count_nonzero(klass == k)) for k, name in enumerate(CLASS_NAMES)},
+        "unknown": _by_reason(result.cost_map),
+        "ground_only": result.ground_only,
+        "skipped": result.skipped,
+        "seconds": result.seconds,
+    }

@@ -1,0 +1,77 @@
+"""What the commands share: progress bars, log lines, tables."""
+
+import json
+import logging
+import sys
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+__all__ = ["BarProgress", "set_up_logging"]
+
+
+class BarProgress:
+    """A bar with ETA for each stage on a terminal; nothing where the output is piped."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        console = Console(stderr=True)
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            disable=quiet or not console.is_terminal,
+        )
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Begin a stage: a new bar."""
+        if self._bars.tasks and self._bars.tasks[-1].total is None:
+            self._bars.update(self._bars.tasks[-1].id, total=1, completed=1)
+        self._task = self._bars.add_task(stage, total=total)
+
+    def advance(self, steps: int) -> None:
+        """Go further along the bar of this stage."""
+        if self._task is not None:
+            self._bars.advance(self._task, steps)
+
+
+class _JsonFormatter(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Format a record."""
+        return json.dumps(
+            {"level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()},
+            ensure_ascii=False,
+        )
+
+
+class _PlainFormatter(logging.Formatter):
+    """``Warning: message``."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Format a record."""
+        return f"{record.levelname.capitalize()}: {record.getMessage()}"
+
+
+def set_up_logging(*, as_json: bool) -> None:
+    """Send the warnings of bumpymap to standard error, as text or as JSON lines."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_JsonFormatter() if as_json else _PlainFormatter())
+    logger = logging.getLogger("bumpymap")
+    logger.handlers = [handler]
+    logger.setLevel(logging.INFO if as_json else logging.WARNING)
+    logger.propagate = False

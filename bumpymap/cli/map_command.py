@@ -1,0 +1,56 @@
+"""``bumpymap map``: the main job."""
+
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+
+from bumpymap.cli._terminal import BarProgress, set_up_logging
+from bumpymap.config import Compat, Ground, MapConfig, ZUnit, read_settings
+
+__all__ = ["command"]
+
+_PARTLY_DONE = 4
+
+
+@click.command("map")
+@click.argument("surveys", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SURVEY...")
+@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for the layers.")
+@click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
+@click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
+@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
+@click.option("--ground", type=click.Choice(get_args(Ground)), help="Points that count [default: auto].")
+@click.option("--vehicle", metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
+@click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="Calibration of your own vehicle.")
+@click.option("--model", type=click.Path(path_type=Path), metavar="FILE", help="Texture network of your own.")
+@click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: rate by the rules of the paper.")
+@click.option("--tile-size", type=float, metavar="M", help="Side of a tile [default: 3].")
+@click.option("--pixels", type=int, metavar="N", help="Pixels along a side of a tile [default: 15].")
+@click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE", help="Settings in TOML.")
+@click.option("--workers", type=int, metavar="N", help="Threads [default: every core].")
+@click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
+@click.option("--skip-bad", is_flag=True, help="Go on without files that cannot be read (exit code 4).")
+@click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
+@click.option("--quiet", is_flag=True, help="No progress, no summary.")
+@click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")
+@click.pass_context
+def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log_json: bool, **given: Any) -> None:
+    r"""Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
+
+    \b
+    bumpymap map site.laz --out site_layers
+    bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
+    """
+    from bumpymap.cli._summary import show
+    from bumpymap.pipeline import map_surveys
+
+    set_up_logging(as_json=log_json)
+    settings = read_settings(config_file) if config_file else {}
+    settings |= {name: value for name, value in given.items() if value is not None and value is not False}
+    config = MapConfig(**settings)
+    with BarProgress(quiet=quiet or log_json) as progress:
+        result = map_surveys(config, progress)
+    if not quiet:
+        show(result, config, as_json=log_json)
+    if result.skipped:
+        ctx.exit(_PARTLY_DONE)

@@ -1,0 +1,143 @@
+"""Settings: one tree of defaults that works with no file. Unknown keys are refused; nothing changes during a run."""
+
+import os
+import tomllib
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from bumpymap.errors import UsageError
+
+__all__ = ["Compat", "FeatureSettings", "Ground", "MapConfig", "ZUnit", "read_settings"]
+
+Ground = Literal["auto", "all", "class"]
+Compat = Literal["none", "paper"]
+ZUnit = Literal["m", "ft", "us-ft"]
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureSettings:
+    """How tiles are measured and when they cannot be judged."""
+
+    min_points: int = 30
+    """Fewer points: reason 2."""
+    min_coverage: float = 0.25
+    """Smaller share of pixels with a point: reason 3."""
+    max_hole: float = 1.0
+    """A pixel farther than this from every pixel with a point: reason 3, m."""
+    ransac_threshold: float = 0.1
+    """Points within this of a plane are its inliers, m."""
+    stray_gap: float = 0.5
+    """A stray point is cut off from all others by more than this (and more than their spread), m."""
+    stray_points: int = 3
+    """At most so many strays above, and so many below, are looked for."""
+    stray_share: float = 0.01
+    """A larger share of strays among the points: reason 5, the relief cannot be told from noise."""
+
+    def __post_init__(self) -> None:
+        _at_least("min_points", self.min_points, 3)
+        _within("min_coverage", self.min_coverage, 0.0, 1.0)
+        _within("max_hole", self.max_hole, 0.0, 1e6)
+        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6)
+        _within("stray_gap", self.stray_gap, 0.0, 1e6)
+        _at_least("stray_points", self.stray_points, 0)
+        _within("stray_share", self.stray_share, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MapConfig:
+    """Everything that a ``map`` run depends on."""
+
+    surveys: tuple[Path, ...]
+    """Files and folders."""
+    out: Path
+    """Folder of the products."""
+    tile_size: float = 3.0
+    """Side of a tile, m."""
+    pixels: int = 15
+    """Pixels along a side of a tile."""
+    ground: Ground = "auto"
+    """Which points count: all, class 2 alone, or class 2 where most tiles have such points."""
+    compat: Compat = "none"
+    """``paper``: rate by the rules of the paper."""
+    vehicle: str = "warthog"
+    """A vehicle whose calibration ships."""
+    calibration: Path | None = None
+    """A calibration file; instead of ``vehicle``."""
+    model: Path | None = None
+    """A texture network; instead of the one that ships."""
+    crs: str | None = None
+    """CRS for surveys that have none (or a wrong one)."""
+    z_unit: ZUnit | None = None
+    """Unit of heights, where the survey's CRS does not say or says it wrong."""
+    local: bool = False
+    """Accept coordinates without a CRS."""
+    trust_points: bool = False
+    """Go on where a header's extent contradicts the points."""
+    skip_bad: bool = False
+    """Go on without the files that cannot be read."""
+    overwrite: bool = False
+    """Replace the products of an earlier run."""
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads."""
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+
+    def __post_init__(self) -> None:
+        _within("tile_size", self.tile_size, 0.05, 1000.0)
+        _within("pixels", self.pixels, 3, 255)
+        _at_least("workers", self.workers, 1)
+        _one_of("ground", self.ground, get_args(Ground))
+        _one_of("compat", self.compat, get_args(Compat))
+        if self.z_unit is not None:
+            _one_of("z_unit", self.z_unit, get_args(ZUnit))
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Read settings of ``MapConfig`` from a TOML file; relative paths in it start at its folder.
+
+    Raises
+    ------
+    UsageError
+        No such file, not TOML, an unknown key, a value that is out of bounds.
+    """
+    try:
+        record = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"cannot read settings from {path}: {error}") from error
+    settings = _checked(record, MapConfig, str(path))
+    for name in ("calibration", "model", "out"):
+        if name in settings:
+            settings[name] = path.parent / settings[name]
+    if "surveys" in settings:
+        settings["surveys"] = tuple(path.parent / entry for entry in settings["surveys"])
+    return settings
+
+
+def _checked(record: dict[str, Any], owner: type, origin: str) -> dict[str, Any]:
+    known = {f.name: f for f in fields(owner)}
+    unknown = sorted(set(record) - set(known))
+    if unknown:
+        raise UsageError(f"{origin}: unknown setting {', '.join(unknown)}; there are: {', '.join(known)}")
+    settings = dict(record)
+    for name, value in record.items():
+        kind = known[name].type
+        if is_dataclass(kind) and isinstance(kind, type):
+            if not isinstance(value, dict):
+                raise UsageError(f"{origin}: {name} is {value!r}; it must be a table [{name}]")
+            settings[name] = kind(**_checked(value, kind, f"{origin} [{name}]"))
+    return settings
+
+
+def _within(name: str, value: float, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
+
+
+def _at_least(name: str, value: int, low: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < low:
+        raise UsageError(f"{name} is {value!r}; it must be a whole number, at least {low}")
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

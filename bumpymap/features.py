@@ -1,0 +1,115 @@
+"""Points of tiles in, measured patches out: heightmap, spread, z-variance, RANSAC residual, slope, reason."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.config import FeatureSettings
+from bumpymap.types import PatchStack, Reason
+from bumpytiles import TilePoints
+
+__all__ = ["join_stacks", "measure", "sort_stack"]
+
+_SCALARS = 9
+
+
+def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
+    """Measure the tiles of a block.
+
+    Parameters
+    ----------
+    points : TilePoints
+        Points by tile, in canonical order; ``flag`` marks ground.
+    settings : FeatureSettings
+        Thresholds.
+    ground_only : bool
+        Measure flagged points alone; tiles without any get reason ``NO_GROUND``.
+
+    Returns
+    -------
+    PatchStack
+        One row a tile, in the order of ``points``.
+    """
+    from bumpymap.kernels import measure_tiles
+
+    grid = points.grid
+    starts = points.starts
+    easting, northing, upward = points.easting, points.northing, points.upward
+    if ground_only:
+        easting, northing, upward = easting[points.flag], northing[points.flag], upward[points.flag]
+        starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
+    tiles, px = len(points.col), grid.pixels
+    scalars = np.empty((tiles, _SCALARS))
+    maps = np.empty((tiles, 3, px, px))
+    pixel_count = np.empty((tiles, px, px), np.int32)
+    measure_tiles(
+        starts,
+        easting,
+        northing,
+        upward,
+        points.col,
+        points.row,
+        grid.tile_size,
+        settings.ransac_threshold,
+        settings.stray_gap,
+        settings.stray_points,
+        max(1, round(settings.max_hole / grid.pixel_size)),
+        scalars,
+        maps,
+        pixel_count,
+    )
+    count = np.diff(starts)
+    reason = _reasons(count, scalars, settings)
+    maps[reason != Reason.OK, 2] = np.nan
+    z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, _ = scalars.T.copy()
+    return PatchStack(
+        grid=grid,
+        col=points.col,
+        row=points.row,
+        count=count,
+        z_min=z_min,
+        z_max=z_max,
+        z_variance=z_variance,
+        ransac_residual=residual,
+        slope=slope,
+        z_range=z_range,
+        density=count / grid.tile_size**2,
+        coverage=np.nan_to_num(coverage),
+        heights=maps[:, 0].astype(np.float32),
+        spread_count=pixel_count,
+        spread_variance=maps[:, 1].astype(np.float32),
+        relief_map=maps[:, 2].astype(np.float32),
+        relief=np.where(reason == Reason.OK, relief, np.nan),
+        reason=reason,
+    )
+
+
+def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: FeatureSettings) -> NDArray[np.uint8]:
+    """Why tiles cannot be judged: the first of no ground, too few points, outlier relief, too many holes; else 0."""
+    coverage, relief, strays = scalars[:, 6], scalars[:, 7], scalars[:, 8]
+    return np.select(
+        [
+            count == 0,
+            count < settings.min_points,
+            strays > settings.stray_share * count,
+            np.isnan(relief) | (coverage < settings.min_coverage),
+        ],
+        [Reason.NO_GROUND, Reason.TOO_FEW_POINTS, Reason.OUTLIER_RELIEF, Reason.TOO_MANY_HOLES],
+        Reason.OK,
+    ).astype(np.uint8)
+
+
+def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
+    """Put stacks of one grid end to end (at least one)."""
+    columns = [f.name for f in fields(PatchStack) if f.name != "grid"]
+    joined = {name: np.concatenate([getattr(stack, name) for stack in stacks]) for name in columns}
+    return PatchStack(stacks[0].grid, **joined)
+
+
+def sort_stack(stack: PatchStack) -> PatchStack:
+    """Order the rows north to south, then west to east: the order of every file."""
+    order = np.lexsort((stack.col, -stack.row))
+    columns = [f.name for f in fields(PatchStack) if f.name != "grid"]
+    return PatchStack(stack.grid, **{name: getattr(stack, name)[order] for name in columns})

@@ -1,0 +1,42 @@
+"""Run a function over blocks on threads, in order, with few blocks in flight."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+__all__ = ["run_blocks"]
+
+Block = TypeVar("Block")
+Result = TypeVar("Result")
+
+
+def run_blocks(function: Callable[[Block], Result], blocks: Iterable[Block], workers: int) -> Iterator[Result]:
+    """Yield ``function(block)`` in the order of the blocks.
+
+    At most ``2 * workers`` blocks are in flight, so a lazy ``blocks`` stays lazy. The function should release the GIL
+    (NumPy sorts and compiled kernels do).
+
+    Parameters
+    ----------
+    function : callable
+        A pure function of one block.
+    blocks : iterable
+        Blocks; drawn as they are needed.
+    workers : int
+        Number of threads, at least 1.
+    """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}; it must be at least 1")
+    pending: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for block in blocks:
+                pending.append(pool.submit(function, block))
+                if len(pending) >= 2 * workers:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
