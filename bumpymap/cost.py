@@ -22,8 +22,8 @@ _TAIL = 0.1
 _MIN_LOG_SD = 0.05
 _FAIL = 0.5
 """A tile where at least this share of drives failed is class 3 whatever its C_r."""
-_HOLES = 0.3
-"""Compat: a larger share of empty pixels is class 3."""
+_LEAST_COVERAGE = 0.7
+"""Compat: with less than this share of the pixels filled a tile is class 3."""
 
 PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
     "flat": ((2.0, 0), (np.inf, 3)),
@@ -110,7 +110,7 @@ def rate_as_paper(
         axis=1,
     )
     klass = np.take_along_axis(by_texture, chance.argmax(axis=1)[:, None], axis=1)[:, 0]
-    judged = (patches.reason == Reason.OK) & (1.0 - patches.coverage <= _HOLES)
+    judged = (patches.reason == Reason.OK) & (patches.coverage >= _LEAST_COVERAGE)
     klass = np.where(judged, klass, 3)
     measured = patches.reason != Reason.NO_GROUND
     edges = np.array([0.0, *calibration.class_limits, np.inf])

@@ -1,0 +1,60 @@
+from pathlib import Path
+
+import pytest
+
+from bumpymap.config import FeatureSettings, MapConfig, read_settings
+from bumpymap.errors import UsageError
+
+
+def test_defaults_need_no_file():
+    config = MapConfig(surveys=(Path("a.laz"),), out=Path("out"))
+    assert (config.tile_size, config.pixels, config.features.min_points) == (3.0, 15, 30)
+    assert config.workers >= 1
+
+
+def test_settings_from_a_file(tmp_path):
+    file = tmp_path / "site.toml"
+    file.write_text('surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n[features]\nmin_points = 50\n')
+    config = MapConfig(**read_settings(file))
+    assert config.surveys == (tmp_path / "a.laz",)
+    assert config.out == tmp_path / "layers"
+    assert config.features == FeatureSettings(min_points=50)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tile_sice = 3", "unknown setting tile_sice; there are: .*tile_size"),
+        ("[features]\nholes = 2", r"\[features\]: unknown setting holes"),
+        ("features = 3", "must be a table"),
+        ("tile_size = ", "cannot read settings"),
+        ("[features]\nmin_points = 2", "min_points is 2; it must be a whole number, at least 3"),
+        ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number"),
+    ],
+)
+def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
+    file = tmp_path / "site.toml"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=message):
+        read_settings(file)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"tile_size": 0.0}, "tile_size"),
+        ({"pixels": 2}, "pixels"),
+        ({"workers": 0}, "workers"),
+        ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
+        ({"z_unit": "yard"}, "z_unit"),
+        ({"compat": "other"}, "compat"),
+    ],
+)
+def test_values_out_of_bounds_are_refused(setting, message):
+    with pytest.raises(UsageError, match=message):
+        MapConfig(surveys=(Path("a.laz"),), out=Path("out"), **setting)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="cannot read settings"):
+        read_settings(tmp_path / "none.toml")

@@ -1,0 +1,96 @@
+"""Which room may import what: HOUSE_STYLE's table, held by reading the source."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+VOCABULARY = {"types", "config", "errors", "progress"}
+ROOMS = {
+    # room: (rooms of bumpymap beside the vocabulary, heavy packages)
+    "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
+    "config": (set(), set()),
+    "errors": (set(), set()),
+    "progress": (set(), set()),
+    "calibration": (set(), set()),
+    "textures": (set(), {"numpy", "scipy"}),
+    "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
+    "readers": ({"crs"}, {"laspy", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"}),
+    "kernels": (set(), {"numpy", "numba"}),
+    "features": ({"kernels"}, {"bumpytiles", "numpy"}),
+    "classify": ({"textures"}, {"numpy", "onnxruntime"}),
+    "cost": ({"calibration"}, {"bumpytiles", "numpy", "scipy"}),
+    "products": (
+        set(),
+        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
+    ),
+    "pipeline": ({"calibration", "classify", "cost", "features", "products", "readers"}, {"bumpytiles"}),
+    "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),
+    "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "sample": (set(), {"laspy", "matplotlib", "numpy", "plyfile", "pyproj"}),
+}
+HEAVY = {
+    "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "matplotlib", "numba", "numpy",
+    "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio", "scipy",
+    "shapely", "skimage", "sklearn", "torch",
+}  # fmt: skip
+
+
+def sources(room):
+    single = ROOT / "bumpymap" / f"{room}.py"
+    return [single] if single.exists() else sorted((ROOT / "bumpymap" / room).rglob("*.py"))
+
+
+def imported(file):
+    """Dotted names that a file imports, anywhere in it."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative import"
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_what_its_row_allows(room):
+    rooms, heavy = ROOMS[room]
+    files = sources(room)
+    assert files, f"room {room} is gone: take it out of the table"
+    for file in files:
+        for name in imported(file):
+            top, _, rest = name.partition(".")
+            if top == "bumpymap" and rest:
+                other = rest.split(".")[0]
+                if other in ROOMS or other == "cli":
+                    assert other in rooms | VOCABULARY | {room}, f"{file.name} imports room {other}"
+            elif top in HEAVY:
+                assert top in heavy, f"{file.name} imports {top}"
+
+
+def test_every_room_has_a_row():
+    rooms = {path.stem for path in (ROOT / "bumpymap").glob("*.py")} | {
+        path.parent.name for path in (ROOT / "bumpymap").glob("*/__init__.py")
+    }
+    assert rooms - {"__init__", "cli"} == set(ROOMS)
+
+
+def test_the_engine_does_not_know_bumpymap():
+    for file in (ROOT / "tiles" / "bumpytiles").glob("*.py"):
+        assert not [name for name in imported(file) if name.split(".")[0] == "bumpymap"]
+
+
+def test_the_main_job_loads_no_workshop():
+    code = "import bumpymap.pipeline, bumpymap.cli.map_command, sys; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"torch", "dask", "open3d", "dartpy", "sklearn", "geopandas", "pandas", "matplotlib"} & set(loaded)
+
+
+def test_help_loads_nothing_heavy():
+    code = "import sys; from bumpymap.cli import main; main(['--help'], standalone_mode=False); print(*sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "map" in out
+    assert not HEAVY & set(out)

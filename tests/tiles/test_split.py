@@ -1,0 +1,121 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bumpytiles import Grid, TileBuckets
+
+GRID = Grid(tile_size=3.0)
+
+
+def survey(seed, n=3000, span=120.0, duplicates=0):
+    rng = np.random.default_rng(seed)
+    # Centimetre coordinates: many points on tile edges, as in real files.
+    x = np.round(rng.uniform(-span / 2, span / 2, n), 2) + 500_000
+    y = np.round(rng.uniform(-span / 2, span / 2, n), 2) + 4_000_000
+    z = np.round(rng.normal(size=n), 3)
+    flag = rng.random(n) < 0.5
+    again = rng.integers(0, n, duplicates)
+    return tuple(np.concatenate([column, column[again]]) for column in (x, y, z, flag))
+
+
+def gather(columns, order, cuts):
+    """Blocks of a survey that comes in ``order``, in chunks cut at ``cuts``."""
+    buckets = TileBuckets(GRID)
+    for part in np.split(order, cuts):
+        buckets.add(*(column[part] for column in columns))
+    return list(buckets.blocks())
+
+
+def flatten(blocks):
+    return [
+        tuple(
+            getattr(block, name).tobytes() for name in ("col", "row", "starts", "easting", "northing", "upward", "flag")
+        )
+        for block in blocks
+    ]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.lists(st.integers(0, 3000), max_size=6))
+def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
+    columns = survey(seed)
+    expected = flatten(gather(columns, np.arange(3000), []))
+    shuffled = np.random.default_rng(seed + 1).permutation(3000)
+    assert flatten(gather(columns, shuffled, sorted(cuts))) == expected
+
+
+def test_every_point_is_in_its_own_tile_and_none_is_lost():
+    columns = survey(3)
+    seen = []
+    for block in gather(columns, np.arange(3000), [1000]):
+        for t in range(len(block.col)):
+            part = slice(block.starts[t], block.starts[t + 1])
+            bounds = GRID.bounds(int(block.col[t]), int(block.row[t]))
+            assert np.all((block.easting[part] >= bounds.west) & (block.easting[part] < bounds.east))
+            assert np.all((block.northing[part] >= bounds.south) & (block.northing[part] < bounds.north))
+            assert part.stop > part.start
+        seen += zip(block.easting, block.northing, block.upward, block.flag, strict=True)
+    assert sorted(seen) == sorted(set(zip(*columns, strict=True)))
+
+
+def test_tiles_come_once():
+    blocks = gather(survey(4), np.arange(3000), [])
+    tiles = [(int(c), int(r)) for block in blocks for c, r in zip(block.col, block.row, strict=True)]
+    assert len(tiles) == len(set(tiles))
+
+
+def test_exact_duplicates_count_once_and_a_flagged_twin_wins():
+    columns = survey(5, duplicates=500)
+    distinct = set(zip(*columns[:3], strict=True))
+    blocks = gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700])
+    assert sum(len(block.easting) for block in blocks) == len(distinct)
+    x = np.full(2, 1.0)
+    for flags in ([True, False], [False, True]):
+        buckets = TileBuckets(GRID)
+        buckets.add(x, x, x, np.array(flags))
+        (block,) = buckets.blocks()
+        assert block.flag.tolist() == [True]
+
+
+def test_zero_and_minus_zero_are_one_place():
+    buckets = TileBuckets(GRID)
+    buckets.add(np.array([0.0, -0.0]), np.zeros(2), np.ones(2), np.zeros(2, bool))
+    (block,) = buckets.blocks()
+    assert block.starts.tolist() == [0, 1]
+
+
+def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
+    monkeypatch.setattr("bumpytiles.split._hash", lambda points: np.zeros(len(points.easting), np.uint64))
+    columns = survey(6, duplicates=100)
+    expected = flatten(gather(columns, np.arange(3100), []))
+    assert flatten(gather(columns, np.arange(3100)[::-1], [500])) == expected
+    assert sum(len(b.easting) for b in gather(columns, np.arange(3100), [])) == len(set(zip(*columns[:3], strict=True)))
+
+
+def test_merging_two_collections_equals_one():
+    columns = survey(7)
+    whole = flatten(gather(columns, np.arange(3000), []))
+    left, right = TileBuckets(GRID), TileBuckets(GRID)
+    left.add(*(column[:1200] for column in columns))
+    right.add(*(column[1200:] for column in columns))
+    right.merge(left)
+    assert flatten(right.blocks()) == whole
+
+
+def test_share_of_flagged_tiles():
+    buckets = TileBuckets(GRID)
+    assert buckets.flagged_share() == 0.0
+    buckets.add(np.array([0.5, 1.0, 3.5, 100.0]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
+    assert buckets.flagged_share() == 2 / 3
+
+
+def test_the_order_is_a_fair_sample():
+    # The first tenth of a tile's points must spread like all of them; a sort by coordinate would not.
+    rng = np.random.default_rng(8)
+    x, y = rng.uniform(0, 3, 20_000), rng.uniform(0, 3, 20_000)
+    buckets = TileBuckets(GRID)
+    buckets.add(x, y, x * 0.0, np.zeros(20_000, bool))
+    (block,) = buckets.blocks()
+    first = slice(0, 2000)
+    assert abs(block.easting[first].mean() - 1.5) < 4 * 0.866 / 2000**0.5
+    assert abs(block.northing[first].mean() - 1.5) < 4 * 0.866 / 2000**0.5
