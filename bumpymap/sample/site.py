@@ -122,14 +122,16 @@ class QuarrySite:
             np.arange(np.floor(box.west / size), np.ceil(box.east / size)),
             np.arange(np.floor(box.south / size), np.ceil(box.north / size)),
         )
-        inner = np.linspace(0.0, size, 31) * (1.0 - 1e-9)
-        easting = (col.ravel() * size)[:, None, None] + inner[None, None, :]
-        northing = (row.ravel() * size)[:, None, None] + inner[None, :, None]
-        easting, northing = np.broadcast_arrays(easting, northing)
-        within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
-        easting, northing = easting[within], northing[within]
-        clear = np.all(crown_over(self.trees, easting, northing)[2] < 0, axis=(1, 2))
-        return col.ravel()[within][clear].astype(np.int64), row.ravel()[within][clear].astype(np.int64)
+        west, south = col.ravel() * size, row.ravel() * size
+        for places in (3, 31):  # a coarse look first: most tiles are elsewhere
+            inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
+            easting, northing = np.broadcast_arrays(
+                west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
+            )
+            within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
+            west, south = west[within], south[within]
+        clear = np.all(crown_over(self.trees, easting[within], northing[within])[2] < 0, axis=(1, 2))
+        return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
 
 
 def _local(easting: Floats, northing: Floats) -> tuple[Floats, Floats]:
