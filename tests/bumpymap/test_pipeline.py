@@ -1,0 +1,258 @@
+"""The main job as a user meets it: the command line on files, good and bad."""
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from click.testing import CliRunner
+from pyproj import CRS
+
+from bumpymap.cli import main
+from bumpymap.products import PRODUCT_NAMES
+
+QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def write_las(path, x, y, z, *, crs="EPSG:32614", classification=None, offset=(500_000, 4_000_000, 0)):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
+    if crs:
+        header.add_crs(CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = x, y, z
+    if classification is not None:
+        las.classification = classification
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def site():
+    """Points of a 30 m x 30 m site: the west half smooth, the east half rubble."""
+    rng = np.random.default_rng(0)
+    n = 60_000
+    x, y = rng.uniform(0, 30, n), rng.uniform(0, 30, n)
+    bumps = 0.25 * np.sin(9 * x) * np.sin(8 * y)
+    z = 100 + 0.02 * x + np.where(x > 15, bumps, 0.0) + 0.004 * rng.normal(size=n)
+    return np.round(x, 3) + 500_001, np.round(y, 3) + 4_000_002, np.round(z, 3)
+
+
+@pytest.fixture(scope="module")
+def survey(site, tmp_path_factory):
+    return write_las(tmp_path_factory.mktemp("survey") / "site.laz", *site)
+
+
+@pytest.fixture(scope="module")
+def layers(survey):
+    out = survey.parent / "layers"
+    result = run("map", survey, "--out", out)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_every_product_is_there_and_nothing_else(layers):
+    assert sorted(path.name for path in layers.iterdir()) == sorted(PRODUCT_NAMES)
+
+
+def test_the_smooth_half_is_smoother_than_the_rubble(layers):
+    with rasterio.open(layers / "roughness.tif") as raster:
+        c_r = raster.read(raster.descriptions.index("c_r") + 1)
+        assert c_r.shape == (10, 10)
+        assert raster.bounds == (500_001, 4_000_002, 500_031, 4_000_032)
+    with rasterio.open(layers / "class.tif") as raster:
+        klass = raster.read(1)
+    assert np.median(c_r[:, 6:]) > 5 * np.median(c_r[:, :4])
+    assert klass[:, 6:].min() > klass[:, :4].max()
+
+
+def test_run_json_tells_what_made_the_layers(layers, survey):
+    record = json.loads((layers / "run.json").read_text())
+    text = json.dumps(record)
+    assert survey.name in text
+    assert record["points"] == 60_000
+    assert record["calibration"]["vehicle"] == "warthog"
+
+
+def product_bytes(folder):
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def test_splitting_order_format_offset_and_threads_change_no_bit(layers, site, tmp_path):
+    x, y, z = site
+    order = np.random.default_rng(1).permutation(len(x))
+    half = np.zeros(len(x), bool)
+    half[order[: len(x) // 3]] = True
+    write_las(tmp_path / "b.las", x[half], y[half], z[half], offset=(0, 0, 0))
+    # The second file repeats a part of the first: those points count once.
+    rest = ~half | (x < 500_004)
+    write_las(tmp_path / "a.laz", x[rest][::-1], y[rest][::-1], z[rest][::-1], offset=(499_000, 3_999_000, 50))
+    out = tmp_path / "layers"
+    result = run("map", tmp_path / "b.las", tmp_path / "a.laz", "--out", out, "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert product_bytes(out) == product_bytes(layers)
+
+
+def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp_path):
+    x, y, z = site
+    foot = 0.3048
+    metres = write_las(tmp_path / "m.laz", x, y, z, crs="EPSG:2956", offset=(0, 0, 0))
+    feet_crs = CRS.from_user_input("EPSG:2225")  # US survey feet
+    us_foot = 1200 / 3937
+    feet = write_las(tmp_path / "ft.laz", x / us_foot, y / us_foot, z / us_foot, crs=feet_crs, offset=(0, 0, 0))
+    mixed = write_las(tmp_path / "mixed.laz", x / us_foot, y / us_foot, z, crs=feet_crs, offset=(0, 0, 0))
+    assert abs(foot - us_foot) < 1e-6
+    for file, extra in ((metres, ()), (feet, ()), (mixed, ("--z-unit", "m"))):
+        result = run("map", file, "--out", tmp_path / file.stem, *extra)
+        assert result.exit_code == 0, result.output
+    read = {}
+    for name in ("m", "ft", "mixed"):
+        with rasterio.open(tmp_path / name / "roughness.tif") as raster:
+            read[name] = raster.read()
+            unit = us_foot if name != "m" else 1.0
+            assert raster.transform.a == pytest.approx(3 / unit)
+            assert raster.transform.c * unit == pytest.approx(500_001, abs=1e-4)
+    # A point within a millimetre of a tile's or pixel's edge may change sides: compare in the median.
+    for name in ("ft", "mixed"):
+        for k in range(len(read["m"])):
+            np.testing.assert_allclose(np.nanmedian(read[name][k]), np.nanmedian(read["m"][k]), rtol=0.02, atol=1e-6)
+
+
+def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
+    x, y, z = site
+    tree = (np.hypot(x - 500_008, y - 4_000_010) < 3) & (np.arange(len(x)) % 2 == 0)
+    z = z + np.where(tree, 5.0 + np.sin(40 * x), 0.0)
+    file = write_las(tmp_path / "trees.laz", x, y, z, classification=np.where(tree, 5, 2).astype(np.uint8))
+    for ground in ("auto", "class", "all"):
+        assert run("map", file, "--out", tmp_path / ground, "--ground", ground).exit_code == 0
+    under = {}
+    for ground in ("auto", "class", "all"):
+        with rasterio.open(tmp_path / ground / "class.tif") as raster:
+            under[ground] = raster.read(1)[7, 2]
+    assert under["auto"] == under["class"] < under["all"] == 3
+    assert product_bytes(tmp_path / "auto") == product_bytes(tmp_path / "class")
+
+
+def test_the_papers_rules_can_be_asked_for(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "paper", "--compat", "paper")
+    assert result.exit_code == 0, result.output
+    with rasterio.open(tmp_path / "paper" / "class.tif") as raster:
+        assert set(np.unique(raster.read(1))) <= {0, 1, 2, 3}
+
+
+def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):
+    before = product_bytes(layers)
+    refused = run("map", survey, "--out", layers)
+    assert refused.exit_code == 3
+    assert "--overwrite" in refused.output
+    assert product_bytes(layers) == before
+    assert run("map", survey, "--out", layers, "--overwrite").exit_code == 0
+    assert product_bytes(layers) == before
+
+
+def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
+    file = write_las(tmp_path / "nowhere.laz", *site, crs=None)
+    refused = run("map", file, "--out", tmp_path / "layers")
+    assert refused.exit_code == 3
+    assert "--crs" in refused.output
+    assert "--local" in refused.output
+    assert list((tmp_path / "layers").glob("*")) == []
+    assert run("map", file, "--out", tmp_path / "local", "--local").exit_code == 0
+    with rasterio.open(tmp_path / "local" / "class.tif") as raster:
+        assert raster.crs is None
+    assert run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614").exit_code == 0
+    assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
+
+
+def bad_files(folder, survey):
+    good = survey.read_bytes()
+    files = {
+        "picture.laz": b"\x89PNG\r\n\x1a\n" + bytes(500),
+        "empty.laz": b"",
+        "notes.ply": b"not a point cloud\n",
+        "cut.laz": good[: len(good) // 2],
+        "header_only.las": good[:375],
+        "format.las": good[:104] + bytes([99]) + good[105:],
+        "missing.laz": None,
+    }
+    for name, content in files.items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+    write_las(folder / "no_points.las", [], [], [])
+    write_las(folder / "degrees.laz", [-99.1, -99.2], [19.1, 19.2], [1.0, 2.0], crs="EPSG:4326", offset=(0, 0, 0))
+    for value, name in ((np.nan, "nan.ply"), (np.inf, "infinite.ply")):
+        points = np.zeros((50, 3), "<f8")
+        points[7, 2] = value
+        head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty double x\nproperty double y\n"
+        (folder / name).write_bytes(head + b"property double z\nend_header\n" + points.tobytes())
+    lying = bytearray(
+        write_las(folder / "lying.las", [500_001.0] * 50, [4_000_002.0] * 50, np.arange(50.0)).read_bytes()
+    )
+    lying[179:187] = np.float64(4e9).tobytes()  # max x
+    (folder / "lying.las").write_bytes(lying)
+    return [*files, "no_points.las", "degrees.laz", "nan.ply", "infinite.ply", "lying.las"]
+
+
+def test_bad_input_gives_one_clear_message_and_leaves_nothing(survey, tmp_path):
+    for name in bad_files(tmp_path, survey):
+        out = tmp_path / "layers" / name
+        extra = ["--local"] if name.endswith(".ply") else []
+        result = run("map", tmp_path / name, "--out", out, *extra)
+        assert result.exit_code == 3, (name, result.output)
+        assert name in result.output, result.output
+        assert "Traceback" not in result.output
+        assert result.output.startswith("Error: "), result.output
+        assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_bad_files_among_good_ones(survey, layers, tmp_path):
+    for name in bad_files(tmp_path, survey):
+        if name.endswith(("missing.laz", "degrees.laz")):
+            (tmp_path / name).unlink(missing_ok=True)
+    (tmp_path / "good.laz").write_bytes(survey.read_bytes())
+    refused = run("map", tmp_path, "--out", tmp_path / "out")
+    assert refused.exit_code == 3
+    result = run("map", tmp_path, "--out", tmp_path / "out", "--skip-bad")
+    assert result.exit_code == 4, result.output
+    assert "cut.laz" in result.output
+    assert product_bytes(tmp_path / "out") == product_bytes(layers)
+    assert len(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == 10
+
+
+def test_an_unwritable_place_is_refused_before_the_work(survey, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    result = run("map", survey, "--out", tmp_path / "file" / "layers")
+    assert result.exit_code == 3
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["map"], ["map", "x.laz"], ["map", "x.laz", "--out", "o", "--ground", "some"], ["mop"],
+     ["map", "x.laz", "--out", "o", "--tile-size", "-3"], ["map", "x.laz", "--out", "o", "--config", "none.toml"]],
+)  # fmt: skip
+def test_wrong_usage_is_exit_two(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+
+
+def test_other_tiles_than_the_calibrations_are_refused(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "layers", "--tile-size", 1.5, "--pixels", 30)
+    assert result.exit_code == 2
+    assert "1.5" in result.output
+    assert list((tmp_path / "layers").glob("*")) == []
+
+
+def test_machines_get_one_json_object(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "layers", "--log-json")
+    record = json.loads(result.stdout.strip().splitlines()[-1])
+    assert record["points"] == 60_000
+    assert record["tiles"] == 100
