@@ -1,0 +1,63 @@
+"""Columns of a PLY or PCD table as points in metres, and what float32 does to large coordinates."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bumpymap.readers.checks import RawPoints
+from bumpymap.types import Georeference
+
+__all__ = ["CLASS_COLUMNS", "metres", "precision_note"]
+
+CLASS_COLUMNS = ("classification", "scalar_classification", "class")
+"""Names, in lower case, of a column that holds LAS class codes."""
+_LARGE = 1e5
+"""Coordinates from here on are spaced 1 cm or more apart in float32, in the file's unit."""
+
+
+def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, place: Georeference) -> RawPoints:
+    """Turn a block of rows into points.
+
+    Parameters
+    ----------
+    rows : structured array (n,)
+    columns : (str, str, str)
+        Names of x, y and z.
+    class_column : str or None
+    place : Georeference
+        Gives the units.
+
+    Returns
+    -------
+    RawPoints
+    """
+    units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+    x, y, z = (np.multiply(rows[name], unit, dtype=np.float64) for name, unit in zip(columns, units, strict=True))
+    return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
+
+
+def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any]) -> tuple[str, ...]:
+    """Say so where float32 cannot hold the coordinates: a survey in UTM loses centimetres to half a metre.
+
+    Parameters
+    ----------
+    first : (float, float, float) or None
+        The first point, in the file's unit.
+    types : sequence of 3 dtypes
+        Of x, y and z.
+    """
+    if first is None:
+        return ()
+    lost = [
+        float(np.spacing(np.float32(abs(value))))
+        for value, kind in zip(first, types, strict=True)
+        if np.dtype(kind) == np.dtype(np.float32) and abs(value) > _LARGE
+    ]
+    if not lost:
+        return ()
+    note = (
+        f"its coordinates are stored as float32 and are so large that they lie on steps of {max(lost):g} units: fine "
+        "relief is lost. Export it with double coordinates, or as LAS"
+    )
+    return (note,)

@@ -1,0 +1,105 @@
+"""Which reader a file needs, by its content: an ending proves nothing."""
+
+from pathlib import Path
+from typing import Literal
+
+from bumpymap.errors import BadInputError
+from bumpymap.readers.protocol import ReadOptions, SurveyReader
+
+__all__ = ["detect_format", "open_survey"]
+
+Kind = Literal["las", "ply", "pcd"]
+_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD"
+_HEAD = 1024
+
+_FOREIGN = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the data itself. Fetch the data with: git lfs pull"),
+    (b"ASTM-E57", "an E57 file. Convert it with: pdal translate --reader readers.e57 IN OUT.laz"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"II*\0", "a TIFF picture; a raster holds no points"),
+    (b"MM\0*", "a TIFF picture; a raster holds no points"),
+    (b"PK\x03\x04", "a ZIP archive. Unpack it first"),
+    (b"\x1f\x8b", "a gzip archive. Unpack it first"),
+    (b"7z\xbc\xaf", "a 7z archive. Unpack it first"),
+    (b"%PDF", "a PDF document"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"<", "an XML or HTML page; did a download give an error page?"),
+    (b"{", "a JSON text"),
+)
+"""How files begin that are taken for point clouds now and then."""
+
+
+def open_survey(path: Path, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
+    """Open a point cloud and check what its header says; points are read later.
+
+    Parameters
+    ----------
+    path : Path
+    options : ReadOptions
+
+    Returns
+    -------
+    SurveyReader
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, is not a point cloud, holds no points, promises more than it can hold, or is not in
+        a projected CRS.
+    UsageError
+        ``options.crs`` is no CRS.
+    """
+    kind = detect_format(path)
+    if kind == "las":
+        from bumpymap.readers.las import LasSurvey
+
+        return LasSurvey(path, options)
+    if kind == "ply":
+        from bumpymap.readers.ply import PlySurvey
+
+        return PlySurvey(path, options)
+    from bumpymap.readers.pcd import PcdSurvey
+
+    return PcdSurvey(path, options)
+
+
+def detect_format(path: Path) -> Kind:
+    """Tell the format by the first bytes.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, is empty, or is something else; says what it looks like.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
+    except OSError as error:
+        raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not head:
+        raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
+    if head.startswith(b"LASF"):
+        return "las"
+    if head.split(None, 1)[:1] == [b"ply"]:
+        return "ply"
+    if _is_pcd(head):
+        return "pcd"
+    raise BadInputError(f"{path} is not a point cloud: it is {_describe(head)}. {_READABLE}")
+
+
+def _is_pcd(head: bytes) -> bool:
+    words = [line.split()[:1] for line in head.splitlines() if not line.startswith(b"#")]
+    return head.startswith(b"# .PCD") or [b"VERSION"] in words[:2] or [b"FIELDS"] in words[:2]
+
+
+def _describe(head: bytes) -> str:
+    for start, what in _FOREIGN:
+        if head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(start):
+            return what
+    if not head.strip(b"\0"):
+        return "nothing but zero bytes: an interrupted copy?"
+    if all(byte >= 32 or byte in b"\r\n\t" for byte in head):
+        return "a text file. Convert a list of x y z with: pdal translate IN.txt OUT.laz"
+    return f"of an unknown kind (first bytes {head[:8].hex(' ')})"
