@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 from bumpymap.errors import UsageError
 from bumpymap.types import TEXTURES, Texture
 
-__all__ = ["make_textures", "normalise", "perlin", "remove_plane"]
+__all__ = ["FEATURE_VERSION", "make_textures", "normalise", "perlin", "remove_plane"]
+
+FEATURE_VERSION = 1
+"""Version of what the network sees: plane-removed, hole-filled, min-max scaled relief. A change asks for training."""
 
 _CHUNK = 1024
 _Floats = NDArray[np.float64]

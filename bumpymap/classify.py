@@ -1,0 +1,152 @@
+"""Which texture each tile has: the only room that imports ONNX Runtime.
+
+The answer for a tile must not depend on which tiles stand beside it in a stack. Patches therefore go through the
+network in batches of one fixed size, the last one padded, on one thread, through a graph that treats each patch by
+itself.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.errors import BadInputError, UsageError
+from bumpymap.textures import FEATURE_VERSION, normalise
+from bumpymap.types import TEXTURES, PatchStack, Reason, TextureMap
+
+__all__ = ["FLAT_RELIEF", "TextureModel", "classify"]
+
+FLAT_RELIEF = 1e-3
+"""A patch with no more relief than this is ``flat`` with probability 1, whatever its texture would be after scaling:
+it shows the rounding of the survey's coordinates, not ground, m."""
+
+_BATCH = 256
+_FORMAT = "bumpymap-textures"
+_REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
+
+
+@dataclass(frozen=True, slots=True)
+class TextureModel:
+    """A texture network, as plain data that travels between processes."""
+
+    content: bytes
+    """The ONNX file."""
+    metadata: dict[str, str]
+    """Its ``metadata_props``: seed, command, accuracies."""
+    tile_size: float
+    """Side of the tiles it was trained for, m."""
+    pixels: int
+    """Pixels along a side."""
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits that change with any byte of the file."""
+        return hashlib.sha256(self.content).hexdigest()[:12]
+
+    @classmethod
+    def shipped(cls) -> "TextureModel":
+        """Read the network that ships with bumpymap."""
+        resource = files("bumpymap") / "data" / "models" / "textures.onnx"
+        return cls._from_bytes(resource.read_bytes(), "the texture network in the package")
+
+    @classmethod
+    def load(cls, path: Path) -> "TextureModel":
+        """Read a network that ``bumpymap train`` wrote. Raises BadInputError where it is none."""
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise BadInputError(f"cannot read the texture network {path}: {error}. {_REMEDY}") from error
+        return cls._from_bytes(content, str(path))
+
+    @classmethod
+    def _from_bytes(cls, content: bytes, origin: str) -> "TextureModel":
+        try:
+            metadata = dict(_session(content).get_modelmeta().custom_metadata_map)
+        except Exception as error:  # ONNX Runtime has its own family of exceptions, without a public base
+            raise BadInputError(f"{origin} is not an ONNX model: {error}. {_REMEDY}") from error
+        if metadata.get("format") != _FORMAT:
+            raise BadInputError(f"{origin} is an ONNX model, but not a texture network of bumpymap. {_REMEDY}")
+        try:
+            classes, version = tuple(json.loads(metadata["classes"])), int(metadata["feature_version"])
+            tile_size, pixels = float(metadata["tile_size"]), int(metadata["pixels"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise BadInputError(f"{origin} is a damaged texture network: {error!r}. {_REMEDY}") from error
+        if (classes, version) != (TEXTURES, FEATURE_VERSION):
+            raise BadInputError(
+                f"{origin} tells {', '.join(classes)} apart from patches of version {version}; this bumpymap needs "
+                f"{', '.join(TEXTURES)} from patches of version {FEATURE_VERSION}. {_REMEDY}"
+            )
+        return cls(content, metadata, tile_size, pixels)
+
+
+def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
+    """Tell the texture of each tile.
+
+    Parameters
+    ----------
+    patches : PatchStack
+        n tiles; ``relief_map``, ``reason`` and ``grid`` are used.
+    model : TextureModel
+        Trained for tiles of that grid.
+
+    Returns
+    -------
+    TextureMap
+        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat for certain.
+
+    Raises
+    ------
+    UsageError
+        The network was trained for tiles of another size or another number of pixels.
+    """
+    _check_grid(model, patches)
+    known = np.flatnonzero(patches.reason == Reason.OK)
+    relief = patches.relief_map[known]
+    if not np.isfinite(relief).all():
+        raise ValueError("a tile that can be judged has holes in its relief_map")
+    probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
+    level = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
+    probability[known[level]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
+    probability[known[~level]] = _infer(model, normalise(relief[~level]))
+    return TextureMap(probability)
+
+
+def _check_grid(model: TextureModel, patches: PatchStack) -> None:
+    grid = patches.grid
+    if (grid.tile_size, grid.pixels) != (model.tile_size, model.pixels):
+        raise UsageError(
+            f"tiles are {grid.tile_size:g} m with {grid.pixels} pixels; the texture network {model.id} was trained for "
+            f"{model.tile_size:g} m with {model.pixels}. Use --tile-size {model.tile_size:g} --pixels {model.pixels}, "
+            f"or train one: bumpymap train --tile-size {grid.tile_size:g} --pixels {grid.pixels} --out MODEL.onnx"
+        )
+
+
+def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; returns (n, 4)."""
+    session = _session(model.content)
+    name = session.get_inputs()[0].name
+    probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
+    batch = np.zeros((_BATCH, 1, model.pixels, model.pixels), np.float32)
+    for start in range(0, len(scaled), _BATCH):
+        part = scaled[start : start + _BATCH]
+        batch[: len(part), 0] = part
+        batch[len(part) :] = 0.0
+        probability[start : start + len(part)] = session.run(None, {name: batch})[0][: len(part)]
+    return probability
+
+
+@lru_cache(maxsize=4)
+def _session(content: bytes) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

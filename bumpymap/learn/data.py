@@ -1,0 +1,59 @@
+"""Patches to learn from and patches to be judged by. Everything follows from one seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.learn.alter import ALL, LEARNING, NONE, Alterations, alter
+from bumpymap.textures import make_textures
+from bumpymap.types import TEXTURES
+
+__all__ = ["Samples", "altered_copies", "epoch_samples", "training_patches", "unseen_patches"]
+
+# Second word of every generator's seed: no two uses ever share random numbers.
+_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER = range(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Patches and what they are."""
+
+    patches: NDArray[np.float32]
+    """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
+    labels: NDArray[np.int64]
+    """(n,) index into ``TEXTURES``."""
+
+
+def training_patches(seed: int, patches_per_texture: int, pixels: int) -> Samples:
+    """Make the patches that the network learns from, textures in order."""
+    return _textures(seed, _TRAINING, patches_per_texture, pixels)
+
+
+def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
+    """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones."""
+    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(training.labels))
+    altered = alter(training.patches[order], LEARNING, np.random.default_rng([seed, _EPOCH, epoch]))
+    return Samples(altered, training.labels[order])
+
+
+def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> Samples:
+    """Make patches from seeds that training never uses, then alter them."""
+    fresh = _textures(seed, _UNSEEN, patches_per_texture, pixels)
+    if alterations == NONE:
+        return fresh
+    rng = np.random.default_rng([seed, _UNSEEN_ALTERED])
+    return Samples(alter(fresh.patches, alterations, rng), fresh.labels)
+
+
+def altered_copies(training: Samples, seed: int) -> Samples:
+    """Alter the training patches themselves: what the paper validated on. The alterations are none of the epochs'."""
+    return Samples(alter(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
+
+
+def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> Samples:
+    made = [
+        make_textures(texture, patches_per_texture, np.random.default_rng([seed, purpose, index]), pixels)
+        for index, texture in enumerate(TEXTURES)
+    ]
+    return Samples(np.concatenate(made), np.repeat(np.arange(len(TEXTURES)), patches_per_texture))

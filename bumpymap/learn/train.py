@@ -1,0 +1,200 @@
+"""The trainer: seeded, on the CPU, restartable from its last whole epoch."""
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from bumpymap.errors import OutputError, UsageError
+from bumpymap.learn.data import Samples, epoch_samples, training_patches
+from bumpymap.learn.model import NetworkSettings, TextureNet
+from bumpymap.textures import FEATURE_VERSION
+
+__all__ = ["EpochReport", "TrainSettings", "train"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainSettings:
+    """Everything that a training depends on."""
+
+    seed: int = 1
+    epochs: int = 30
+    patches_per_texture: int = 6534
+    """As in the paper: 26,136 patches in all."""
+    batch: int = 128
+    learning_rate: float = 4e-3
+    """Peak, after the warm-up."""
+    weight_decay: float = 1e-2
+    tile_size: float = 3.0
+    """Side of the tiles the network is for, m. Textures are shares of a side, so only the label changes."""
+    threads: int = 1
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "patches_per_texture", "batch", "threads"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        if self.seed < 0:
+            raise UsageError(f"seed is {self.seed}; it must be 0 or more")
+        if not (math.isfinite(self.tile_size) and self.tile_size > 0):
+            raise UsageError(f"tile_size is {self.tile_size}; it must be a positive number of metres")
+        if self.network.pixels < 9:
+            raise UsageError(f"pixels is {self.network.pixels}; the network needs at least 9")
+
+    @property
+    def command(self) -> str:
+        """The command line of this training, all but where to write."""
+        options = {
+            "seed": self.seed,
+            "epochs": self.epochs,
+            "patches-per-texture": self.patches_per_texture,
+            "tile-size": f"{self.tile_size:g}",
+            "pixels": self.network.pixels,
+            "threads": self.threads,
+        }
+        return "bumpymap train " + " ".join(f"--{name} {value}" for name, value in options.items())
+
+
+@dataclass(frozen=True, slots=True)
+class EpochReport:
+    """How one epoch went."""
+
+    epoch: int
+    """From 1."""
+    epochs: int
+    loss: float
+    """Mean cross-entropy, nats."""
+    accuracy: float
+    """On the altered training patches of this epoch, while learning."""
+    seconds: float
+
+
+def train(
+    settings: TrainSettings, checkpoint: Path | None = None, told: Callable[[EpochReport], None] | None = None
+) -> TextureNet:
+    """Train a network.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+        The same settings give the same bits on the same machine and libraries.
+    checkpoint : Path, optional
+        Rewritten after every epoch; where it exists already, training goes on from it.
+    told : callable, optional
+        Gets a report after every epoch.
+
+    Returns
+    -------
+    TextureNet
+        In evaluation mode.
+
+    Raises
+    ------
+    UsageError
+        The checkpoint belongs to a training with other settings.
+    OutputError
+        The checkpoint cannot be written.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(settings.threads)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            net = TextureNet(settings.network)
+        optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=settings.weight_decay)
+        done = _restore(checkpoint, settings, net, optimizer) if checkpoint and checkpoint.exists() else 0
+        training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
+        for epoch in range(done, settings.epochs):
+            report = _run_epoch(net, optimizer, epoch_samples(training, settings.seed, epoch), settings, epoch)
+            _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
+            if checkpoint:
+                _save(checkpoint, settings, net, optimizer, epoch + 1)
+            if told:
+                told(report)
+    finally:
+        torch.set_num_threads(threads)
+    return net.eval()
+
+
+def _run_epoch(
+    net: TextureNet, optimizer: torch.optim.Optimizer, samples: Samples, settings: TrainSettings, epoch: int
+) -> EpochReport:
+    start = time.perf_counter()
+    net.train()
+    patches, labels = torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.labels)
+    batches = math.ceil(len(labels) / settings.batch)
+    loss_sum, hits = 0.0, 0
+    for number in range(batches):
+        rows = slice(number * settings.batch, (number + 1) * settings.batch)
+        rate = _learning_rate((epoch + number / batches) / settings.epochs, settings.learning_rate)
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        logits = net(patches[rows])
+        loss = nn.functional.cross_entropy(logits, labels[rows])
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        loss_sum += loss.item() * len(logits)
+        hits += int((logits.argmax(1) == labels[rows]).sum())
+    seconds = time.perf_counter() - start
+    return EpochReport(epoch + 1, settings.epochs, loss_sum / len(labels), hits / len(labels), seconds)
+
+
+def _learning_rate(progress: float, peak: float) -> float:
+    """Rise linearly over the first tenth, then fall along half a cosine to zero; ``progress`` runs from 0 to 1."""
+    if progress < 0.1:
+        return peak * (progress + 0.01) / 0.11
+    return peak * 0.5 * (1 + math.cos(math.pi * (progress - 0.1) / 0.9))
+
+
+def _record(settings: TrainSettings) -> dict[str, Any]:
+    record = asdict(settings)
+    record["network"] = {key: list(v) if isinstance(v, tuple) else v for key, v in record["network"].items()}
+    return {**record, "feature_version": FEATURE_VERSION}
+
+
+def _save(
+    checkpoint: Path, settings: TrainSettings, net: TextureNet, optimizer: torch.optim.Optimizer, epochs_done: int
+) -> None:
+    state = {
+        "settings": _record(settings),
+        "classes": list(settings.network.classes),
+        "feature_version": FEATURE_VERSION,
+        "epochs_done": epochs_done,
+        "network": net.state_dict(),
+        "optimizer": optimizer.state_dict(),
+    }
+    part = checkpoint.with_name(checkpoint.name + ".part")
+    try:
+        torch.save(state, part)
+        part.replace(checkpoint)
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"cannot write the checkpoint {checkpoint}: {error}. Choose another --out") from error
+
+
+def _restore(checkpoint: Path, settings: TrainSettings, net: TextureNet, optimizer: torch.optim.Optimizer) -> int:
+    """Load a checkpoint; returns the number of epochs that are done."""
+    remedy = "Delete it, or choose another --out"
+    try:
+        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        found, done = state["settings"], int(state["epochs_done"])
+    except Exception as error:  # torch raises many kinds for a file that is not its own
+        raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
+    wanted = _record(settings)
+    if found != wanted:
+        different = ", ".join(
+            f"{key} {found.get(key)} (now {wanted[key]})" for key in wanted if found.get(key) != wanted[key]
+        )
+        raise UsageError(f"{checkpoint} is of a training with other settings: {different}. {remedy}")
+    net.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    _log.info("going on from epoch %d in %s", done, checkpoint)
+    return done
