@@ -1,0 +1,192 @@
+"""The calibration as a whole, with few and short drives."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bumpymap.calibration import Calibration
+from bumpymap.errors import BumpymapError, OutputError, UsageError
+from bumpymap.types import TEXTURES
+from bumpymap.vehicle import calibrate as calibrate_module
+from bumpymap.vehicle.calibrate import calibrate
+from bumpymap.vehicle.drive import DriveSettings
+from bumpymap.vehicle.journal import Journal
+from bumpymap.vehicle.plan import CalibrationSettings, Job, PatchDrives, log_spaced, run_job
+from bumpymap.vehicle.profile import load_profile
+
+pytest.importorskip("dartpy")
+SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
+SETTINGS = CalibrationSettings(load_profile("warthog"), seed=4, patches=2, starts=1, z_range=(0.05, 0.4), drive=SHORT)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(SETTINGS)
+
+
+@pytest.fixture
+def fake_drives(monkeypatch):
+    """Jobs that cost nothing; returns the list of those that ran."""
+    ran = []
+
+    def run(settings, job):
+        ran.append(job)
+        c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
+        return PatchDrives(("completed",) * settings.starts, (c_r,) * settings.starts)
+
+    monkeypatch.setattr(calibrate_module, "run_job", run)
+    return ran
+
+
+def test_default_covers_the_papers_drives_from_two_centimetres_to_two_and_a_half_metres():
+    settings = CalibrationSettings(load_profile("warthog"))
+    assert settings.total_drives >= 2478
+    assert (settings.z_range[0], settings.z_range[-1]) == (0.02, 2.5)
+    assert len(list(settings.jobs())) * settings.starts == settings.total_drives
+
+
+def test_log_spaced_values_have_equal_ratios():
+    values = log_spaced(0.02, 2.5, 14)
+    np.testing.assert_allclose(np.diff(np.log(values)), np.log(125) / 13, rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"patches": 1}, "patches is 1; it must be 2"),
+        ({"starts": 0}, "starts is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"tile_size": 0.0}, "tile size is 0.0"),
+        ({"z_range": (0.2, 0.1)}, "rise"),
+        ({"z_range": ()}, "rise"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_refused(change, words):
+    with pytest.raises(UsageError, match=words):
+        replace(SETTINGS, **change)
+
+
+def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
+    assert all(low < high for low, high in calibration.c_r)
+    assert calibration.drives == ((2, 2),) * 4
+    assert Calibration.from_json(calibration.to_json(), "x") == calibration
+
+
+def test_number_of_workers_changes_nothing(calibration):
+    assert calibrate(SETTINGS, workers=2) == calibration
+
+
+def test_interruption_changes_nothing_and_finished_cells_are_not_driven_again(calibration, tmp_path, monkeypatch):
+    path = tmp_path / "out.json.progress.jsonl"
+
+    def stop(done, _total):
+        if done >= 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
+    assert len(path.read_text().splitlines()) == 1 + 2
+    ran = []
+    monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
+    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
+    assert len(ran) == 16 - 4
+
+
+def test_job_depends_on_nothing_but_the_settings(calibration):
+    job = Job(texture=3, z=1, patch=1)
+    more = replace(SETTINGS, patches=5, starts=2)
+    assert run_job(more, job).c_r[:1] == run_job(SETTINGS, job).c_r
+    assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, job).c_r[0]
+
+
+def test_jobs_differ_in_patch_and_in_start():
+    jobs = [run_job(replace(SETTINGS, starts=2), Job(3, 1, patch)) for patch in (0, 1)]
+    values = [value for job in jobs for value in job.c_r]
+    assert len(set(values)) == 4
+
+
+def test_progress_counts_drives(fake_drives):
+    seen = []
+    calibrate(replace(SETTINGS, starts=3), lambda done, total: seen.append((done, total)))
+    assert seen[0] == (0, 48)
+    assert seen[-1] == (48, 48)
+    assert [done for done, _ in seen] == list(range(0, 49, 3))
+
+
+def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
+    path = tmp_path / "progress"
+    whole = calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
+    fake_drives.clear()
+    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
+    assert len(fake_drives) == 16 - 3 * 2
+    assert "damaged line" in caplog.text
+    assert path.read_text().splitlines() == lines
+
+
+def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
+    path = tmp_path / "progress"
+    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    other = replace(SETTINGS, seed=5)
+    with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
+        calibrate(other, journal=Journal(path, other.to_dict()))
+    fake_drives.clear()
+    calibrate(other, journal=Journal(path, other.to_dict()), discard_other=True)
+    assert len(fake_drives) == 16
+    assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
+
+
+def test_progress_file_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "progress"
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(OutputError, match="cannot use the progress file"):
+        Journal(path, {}).resume(discard_other=False)
+
+
+def test_dead_worker_is_reported_with_what_to_do(monkeypatch):
+    from concurrent.futures.process import BrokenProcessPool
+
+    class DeadPool:
+        def __init__(self, *_args, **_kwargs):
+            pass
+
+        def map(self, *_args):
+            raise BrokenProcessPool("gone")
+
+        def shutdown(self, **_kwargs):
+            pass
+
+    monkeypatch.setattr(calibrate_module, "ProcessPoolExecutor", DeadPool)
+    with pytest.raises(BumpymapError, match="run the same command again"):
+        calibrate(SETTINGS, workers=2)
+
+
+def test_shipped_calibration_is_what_this_code_makes():
+    shipped = Calibration.shipped("warthog")
+    made = shipped.settings
+    profile = load_profile("warthog")
+    assert shipped.vehicle == profile.to_dict()
+    settings = CalibrationSettings(
+        profile, made["seed"], made["patches"], made["starts"], shipped.z_range, shipped.tile_size, shipped.pixels
+    )
+    assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {
+        k: v for k, v in settings.to_dict().items() if k not in ("versions", "vehicle")
+    }
+    for texture, z in ((0, 5), (1, 3), (2, 4), (3, 2)):
+        assert run_job(settings, Job(texture, z, 0)).mean_c_r == pytest.approx(
+            made["patch_c_r"][texture][z][0], rel=0.01
+        )
+
+
+def test_shipped_calibration_holds_together():
+    shipped = Calibration.shipped("warthog")
+    assert shipped.textures == TEXTURES
+    assert sum(map(sum, shipped.drives)) >= 2478
+    c_r = np.array([[np.nan if c is None else c for c in line] for line in shipped.c_r])
+    driven = np.array(shipped.p_fail) < 0.05
+    steps = np.diff(np.where(driven, c_r, np.nan), axis=1)
+    assert (steps[np.isfinite(steps)] > 0).all()
+    assert (c_r[0][driven.all(axis=0)] < c_r[3][driven.all(axis=0)]).all()

@@ -1,0 +1,96 @@
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bumpymap.errors import BumpymapError
+from bumpymap.types import TEXTURES
+from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
+from bumpymap.vehicle.profile import load_profile
+from bumpymap.vehicle.summary import natural_breaks, summarise
+
+SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0))
+
+
+def drives(*c_r):
+    return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
+
+
+@pytest.fixture
+def cells():
+    """C_r grows by texture and z range; patches differ by the factors 0.8, 1 and 1.2."""
+    return {
+        (t, z): [
+            drives(0.02 * 2**t * (1 + 4 * z) * f * 0.9, 0.02 * 2**t * (1 + 4 * z) * f * 1.1) for f in (0.8, 1, 1.2)
+        ]
+        for t in range(4)
+        for z in range(2)
+    }
+
+
+def spread(groups):
+    return sum(((g - g.mean()) ** 2).sum() for g in groups)
+
+
+@given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
+def test_natural_breaks_are_the_best_of_all_splits(values):
+    x = np.sort(values)
+    limits = natural_breaks(np.array(values), 4)
+    found = spread(np.split(x, np.searchsorted(x, limits)))
+    best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
+    assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
+
+
+def test_natural_breaks_find_clear_groups():
+    limits = natural_breaks(np.array([1.0, 1.1, 5.0, 20.0, 0.9, 40.0, 5.2, 21.0]), 4)
+    assert limits == pytest.approx([3.05, 12.8, 30.25])
+
+
+def test_too_few_patches_for_four_classes_is_said():
+    with pytest.raises(BumpymapError, match="2 patches with a completed drive"):
+        natural_breaks(np.array([0.1, 0.2, 0.2]), 4)
+
+
+def test_cell_is_the_mean_over_patches_of_patch_means(cells):
+    calibration = summarise(SETTINGS, cells, "how")
+    assert calibration.textures == TEXTURES
+    np.testing.assert_allclose(calibration.c_r, [[0.02 * 2**t, 0.1 * 2**t] for t in range(4)], rtol=1e-12)
+    sd = np.std(np.log([0.8, 1.0, 1.2]), ddof=1)
+    np.testing.assert_allclose(calibration.c_r_log_sd, np.full((4, 2), sd), rtol=1e-9)
+    assert calibration.drives == ((6, 6),) * 4
+    assert calibration.p_fail == ((0.0, 0.0),) * 4
+    assert calibration.settings["command"] == "how"
+    assert calibration.settings["seed"] == 1
+    assert calibration.vehicle["name"] == "warthog"
+
+
+def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
+    cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
+    calibration = summarise(SETTINGS, cells)
+    assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
+    assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
+    assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
+
+
+def test_cell_without_a_completed_drive_has_no_c_r(cells):
+    cells[2, 1] = [drives(None, None)] * 3
+    calibration = summarise(SETTINGS, cells)
+    assert calibration.c_r[2][1] is None
+    assert calibration.c_r_log_sd[2][1] is None
+    assert calibration.p_fail[2][1] == 1.0
+
+
+def test_class_means_lie_between_their_limits(cells):
+    calibration = summarise(SETTINGS, cells)
+    low, middle, high = calibration.class_limits
+    a, b, c, d = calibration.class_c_r
+    assert 0 < a < low <= b < middle <= c < high <= d
+
+
+def test_limits_too_close_together_are_refused():
+    cells = {(t, z): [drives(1e-5 * (1 + t + z + i), None) for i in range(3)] for t in range(4) for z in range(2)}
+    with pytest.raises(BumpymapError, match="too close together"):
+        summarise(SETTINGS, cells)
