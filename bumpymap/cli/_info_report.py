@@ -1,0 +1,202 @@
+"""What ``bumpymap info`` says about one survey: facts as records, and what a run would need."""
+
+import math
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.filesize import decimal
+
+from bumpymap.config import FeatureSettings
+from bumpymap.crs import unit_name
+from bumpymap.readers import PointSummary, SurveyInfo, enough_points
+from bumpymap.reproject import describe_crs
+from bumpytiles import Bounds, Grid
+
+__all__ = ["Report", "as_record", "as_rows"]
+
+_MOST = 0.5
+_FAR_APART = 100_000.0
+"""No drone or tile of an airborne survey is longer, m."""
+_CLASSIFIED = 0.5
+"""As ``--ground auto``: class 2 is used where more than this share of the tiles has such points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One file: what its header says, what its points say, or why it cannot be read."""
+
+    path: Path
+    grid: Grid
+    info: SurveyInfo | None = None
+    summary: PointSummary | None = None
+    """None with ``--quick``, and where no point counts."""
+    dropped: dict[str, int] | None = None
+    """None with ``--quick``."""
+    error: str = ""
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """Of the points where they were read, else of the header, m."""
+        if self.summary is not None:
+            return self.summary.bounds
+        return self.info.bounds if self.info else None
+
+    @property
+    def density(self) -> float | None:
+        """Points per square metre: of the median tile, or of the header's count over its box."""
+        if self.summary is not None:
+            return self.summary.density
+        bounds = self.bounds
+        area = (bounds.east - bounds.west) * (bounds.north - bounds.south) if bounds else 0.0
+        return self.info.point_count / area if self.info and area > 0 else None
+
+    def needs(self) -> list[str]:
+        """Say what ``bumpymap map`` would need or make of it; one sentence each."""
+        if self.info is None:
+            return [self.error]
+        said: list[str] = []
+        if self.info.georeference.crs is None:
+            said.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
+        if self.dropped is not None and self.summary is None:
+            said.append("no point counts (all withheld, noise or without return): nothing to map")
+        said += self._spread() + self._sparse()
+        if self.summary and 0 < self.summary.ground_tile_share <= _CLASSIFIED:
+            share = self.summary.ground_tile_share
+            said.append(f"ground points (class 2) in {share:.0%} of the tiles only: --ground auto will use all points")
+        return said or [f"ready: bumpymap map {shlex.quote(str(self.path))} --out DIR"]
+
+    def _sparse(self) -> list[str]:
+        if self.density is None:
+            return []
+        settings = FeatureSettings()
+        per_tile = self.density * self.grid.tile_size**2
+        enough = enough_points(self.grid, settings.min_points, settings.min_coverage)
+        judged = self.summary.enough_share if self.summary else float(per_tile >= enough)
+        if judged >= _MOST:
+            return []
+        # A larger tile with the same number of pixels holds more points in each.
+        size = math.ceil(math.sqrt(enough / self.density))
+        sentence = (
+            f"{self.density:.1f} pts/m2 is sparse for {self.grid.tile_size:g} m tiles: most would be unknown "
+            f"(about {enough} points a tile are needed, here are {per_tile:.0f}). Tiles of {size} m or more would do, "
+            "with a calibration made for them"
+        )
+        return [sentence]
+
+    def _spread(self) -> list[str]:
+        bounds = self.bounds
+        side = max(bounds.east - bounds.west, bounds.north - bounds.south) if bounds else 0.0
+        if side <= _FAR_APART:
+            return []
+        return [f"its points are spread over {side / 1000:,.0f} km: are there stray coordinates, or is the CRS wrong?"]
+
+
+def as_record(report: Report) -> dict[str, Any]:
+    """Everything about one file, for ``--json``."""
+    info, summary = report.info, report.summary
+    if info is None:
+        return {"path": str(report.path), "error": report.error}
+    place = info.georeference
+    record: dict[str, Any] = {
+        "path": str(report.path),
+        "format": info.format,
+        "size_bytes": info.size_bytes,
+        "points_promised": info.point_count,
+        "crs": place.crs.name if place.crs else None,
+        "epsg": place.crs.to_epsg() if place.crs else None,
+        "metres_per_unit": place.metres_per_unit,
+        "metres_per_unit_z": place.metres_per_unit_z,
+        "bounds_m": _sides(report.bounds, 1.0),
+        "bounds_crs_units": _sides(report.bounds, place.metres_per_unit),
+        "density_per_m2": report.density,
+        "has_classes": _has_classes(report),
+        "notes": list(info.notes),
+        "needs": report.needs(),
+    }
+    if summary is not None:
+        record |= {
+            "points": summary.points,
+            "z_m": [summary.z_min, summary.z_max],
+            "tile_size_m": report.grid.tile_size,
+            "tiles": summary.tiles,
+            "points_per_tile": summary.points_per_tile,
+            "tiles_dense_enough": summary.enough_share,
+            "ground_points": summary.ground_share,
+            "ground_tiles": summary.ground_tile_share,
+        }
+    return record if report.dropped is None else record | {"dropped": report.dropped}
+
+
+def as_rows(report: Report) -> list[tuple[str, str]]:
+    """Name the facts about one file for people; none where it cannot be read."""
+    info, summary = report.info, report.summary
+    if info is None:
+        return []
+    place, bounds = info.georeference, report.bounds
+    units = unit_name(place.metres_per_unit)
+    if place.metres_per_unit_z != place.metres_per_unit:
+        units += f", heights in {unit_name(place.metres_per_unit_z)}"
+    rows = [
+        ("format", f"{info.format}; {decimal(info.size_bytes)}"),
+        ("points", _points(report)),
+        ("CRS", describe_crs(place.crs) if place.crs else "none"),
+        ("units", units),
+    ]
+    if bounds is not None:
+        if place.metres_per_unit != 1.0:
+            rows.append(("extent, CRS units", _extent(bounds, place.metres_per_unit)))
+        rows.append(("extent, m", _extent(bounds, 1.0)))
+        rows.append(("size", _size(bounds, summary)))
+    if report.density is not None:
+        rows.append(("density", _density(report, report.density)))
+    if report.dropped is not None or info.has_classes is False:
+        rows.append(("classified", _classified(report)))
+    return rows + [("note", note) for note in info.notes]
+
+
+def _points(report: Report) -> str:
+    if report.info is None or report.dropped is None:
+        return f"{report.info.point_count if report.info else 0:,} promised by the header"
+    left_out = [f"{count:,} {reason.replace('_', ' ')}" for reason, count in report.dropped.items() if count]
+    counted = report.summary.points if report.summary else 0
+    return f"{counted:,}" + (f" that count; left out: {', '.join(left_out)}" if left_out else "")
+
+
+def _extent(bounds: Bounds, unit: float) -> str:
+    west, south, east, north = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
+    return f"easting {west:,.2f} to {east:,.2f}, northing {south:,.2f} to {north:,.2f}"
+
+
+def _size(bounds: Bounds, summary: PointSummary | None) -> str:
+    sides = f"{bounds.east - bounds.west:,.1f} m x {bounds.north - bounds.south:,.1f} m"
+    return sides + (f", heights {summary.z_min:,.2f} to {summary.z_max:,.2f} m" if summary else "")
+
+
+def _density(report: Report, density: float) -> str:
+    tile = f"{report.grid.tile_size:g} m tile"
+    if report.summary is None:
+        return f"{density:.1f} pts/m2 over the header's box: {density * report.grid.tile_size**2:.0f} per {tile}"
+    summary = report.summary
+    return f"{density:.1f} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"
+
+
+def _has_classes(report: Report) -> bool | None:
+    if report.summary is not None and report.summary.ground_share > 0:
+        return True
+    return report.info.has_classes if report.info else None
+
+
+def _classified(report: Report) -> str:
+    if report.info is not None and report.info.has_classes is False:
+        return "no: the file has no classes"
+    if report.summary is None or report.summary.ground_share == 0:
+        return "no: no point has class 2 (ground)"
+    return f"yes: {report.summary.ground_share:.0%} of the points are ground (class 2)"
+
+
+def _sides(bounds: Bounds | None, unit: float) -> tuple[float, float, float, float] | None:
+    if bounds is None:
+        return None
+    return bounds.west / unit, bounds.south / unit, bounds.east / unit, bounds.north / unit

@@ -1,0 +1,130 @@
+"""``bumpymap info``: what is in a survey, and what a run would need."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import click
+
+from bumpymap.cli._terminal import BarProgress
+from bumpymap.config import ZUnit
+
+if TYPE_CHECKING:
+    from bumpymap.cli._info_report import Report
+    from bumpymap.readers import ReadOptions
+    from bumpytiles import Grid
+
+__all__ = ["command"]
+
+_BAD_INPUT = 3
+
+
+@click.command("info")
+@click.argument("surveys", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SURVEY...")
+@click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
+@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
+@click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
+@click.option(
+    "--tile-size", type=click.FloatRange(0.05, 1000), default=3.0, metavar="M", help="Tile side [default: 3]."
+)
+@click.option("--pixels", type=click.IntRange(3, 255), default=15, metavar="N", help="Pixels a side [default: 15].")
+@click.option("--quick", is_flag=True, help="Look at headers alone, read no points.")
+@click.option("--json", "as_json", is_flag=True, help="JSON, for machines.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    surveys: tuple[Path, ...],
+    crs: str | None,
+    z_unit: ZUnit | None,
+    tile_size: float,
+    pixels: int,
+    *,
+    trust_points: bool,
+    quick: bool,
+    as_json: bool,
+) -> None:
+    """Tell what is in SURVEY files or folders, and what `bumpymap map` would need.
+
+    Reads every point once; the exit code is 3 where a file cannot be read.
+
+    \b
+    bumpymap info site.laz
+    bumpymap info flights/ --quick
+    """  # noqa: D301 (click wants the character)
+    from bumpymap.readers import ReadOptions, find_surveys
+    from bumpytiles import Grid
+
+    options = ReadOptions(crs, z_unit, trust_points)
+    grid = Grid(tile_size, pixels)
+    paths = find_surveys(surveys)
+    with BarProgress(quiet=as_json) as progress:
+        reports = [_look(path, options, grid, progress, quick=quick) for path in paths]
+    together = _together(reports)
+    if as_json:
+        from bumpymap.cli._info_report import as_record
+
+        click.echo(json.dumps({"files": [as_record(report) for report in reports], "together": together}, indent=1))
+    else:
+        _show(reports, together)
+    if any(report.error for report in reports):
+        ctx.exit(_BAD_INPUT)
+
+
+def _look(path: Path, options: "ReadOptions", grid: "Grid", progress: BarProgress, *, quick: bool) -> "Report":
+    """Open a file and, unless in a hurry, read it; what is wrong with it becomes part of the report."""
+    from bumpymap.cli._info_report import Report
+    from bumpymap.config import FeatureSettings
+    from bumpymap.errors import BadInputError
+    from bumpymap.readers import enough_points, open_survey, summarise
+
+    settings = FeatureSettings()
+    try:
+        reader = open_survey(path, options)
+        if quick:
+            return Report(path, grid, reader.info)
+        progress.start(f"reading {path.name}", reader.info.point_count)
+        enough = enough_points(grid, settings.min_points, settings.min_coverage)
+        summary = summarise(reader, grid, enough, progress.advance)
+        return Report(path, grid, reader.info, summary, reader.dropped)
+    except BadInputError as error:
+        return Report(path, grid, error=str(error))
+
+
+def _together(reports: "list[Report]") -> str:
+    """Why the files cannot be mapped in one run; empty where they can."""
+    from bumpymap.crs import common_georeference
+    from bumpymap.errors import BadInputError
+
+    infos = [report.info for report in reports if report.info is not None]
+    try:
+        if infos:
+            common_georeference(infos)
+    except BadInputError as error:
+        return str(error)
+    return ""
+
+
+def _show(reports: "list[Report]", together: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from bumpymap.cli._info_report import as_rows
+
+    console = Console(highlight=False)
+    for report in reports:
+        console.print(Text(str(report.path), style="bold"), soft_wrap=True)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(style="cyan", no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in as_rows(report):
+            table.add_row(Text(f"  {name}"), Text(value))
+        console.print(table)
+        # Not in the table: commands must come out in one line, to be copied.
+        for need in report.needs():
+            label = "cannot be read" if report.error else "to map it"
+            console.print(Text(f"  {label}: ", style="yellow").append(need, style="default"), soft_wrap=True)
+        console.print()
+    if together:
+        console.print(Text(f"together: {together}", style="bold"), soft_wrap=True)
