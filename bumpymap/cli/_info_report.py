@@ -9,9 +9,8 @@ from typing import Any
 from rich.filesize import decimal
 
 from bumpymap.config import FeatureSettings
-from bumpymap.crs import unit_name
+from bumpymap.crs import describe_crs, unit_name
 from bumpymap.readers import PointSummary, SurveyInfo, enough_points
-from bumpymap.reproject import describe_crs
 from bumpytiles import Bounds, Grid
 
 __all__ = ["Report", "as_record", "as_rows"]

@@ -10,7 +10,7 @@ import numpy as np
 from laspy import DecompressionSelection, LazBackend
 from numpy.typing import NDArray
 
-from bumpymap.crs import CrsStatement, georeference
+from bumpymap.crs import CrsStatement, Place, georeference
 from bumpymap.errors import BadInputError
 from bumpymap.readers.base import Survey
 from bumpymap.readers.checks import RawPoints, decoding, refuse_header_bounds
@@ -18,7 +18,6 @@ from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, geokeys_of, read_raw_header, text_of
 from bumpymap.readers.laz_table import check_laz
 from bumpymap.readers.protocol import ReadOptions, SurveyInfo
-from bumpymap.reproject import Place
 from bumpymap.types import Georeference
 from bumpytiles import Bounds
 

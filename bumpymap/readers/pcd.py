@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
-from bumpymap.crs import CrsStatement, georeference
+from bumpymap.crs import CrsStatement, Place, georeference
 from bumpymap.errors import BadInputError
 from bumpymap.readers.base import Survey
 from bumpymap.readers.checks import RawPoints, decoding, refuse_count
 from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note
 from bumpymap.readers.protocol import ReadOptions, SurveyInfo
-from bumpymap.reproject import Place
 
 __all__ = ["PcdSurvey"]
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from plyfile import PlyData
 
-from bumpymap.crs import CrsStatement, georeference
+from bumpymap.crs import CrsStatement, Place, georeference
 from bumpymap.readers.base import Survey
 from bumpymap.readers.checks import RawPoints, decoding, refuse_count
 from bumpymap.readers.columns import metres, precision_note
 from bumpymap.readers.ply_header import PlyHeader, read_ply_header
 from bumpymap.readers.protocol import ReadOptions, SurveyInfo
-from bumpymap.reproject import Place
 
 __all__ = ["PlySurvey"]
 

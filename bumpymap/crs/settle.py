@@ -1,4 +1,4 @@
-"""Coordinate reference systems and units: what a file and its user say, made into one ``Georeference``.
+"""Settle the CRS and units of a file, and of the files of a run.
 
 A file's own statement is a ``CrsStatement``. ``--crs`` wins over it; ``--z-unit`` wins over every unit of height. The
 result keeps only the horizontal CRS, since every height that bumpymap writes is in metres. Degrees and Earth-centred
@@ -15,8 +15,8 @@ from typing import Protocol
 from pyproj import CRS, Proj, get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
+from bumpymap.crs.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
 from bumpymap.errors import BadInputError, UsageError
-from bumpymap.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
 from bumpymap.types import Georeference
 
 __all__ = [
