@@ -1,0 +1,38 @@
+"""Training and validation sets: labels, sizes, and that nothing leaks between them."""
+
+import numpy as np
+from numpy.testing import assert_array_equal
+
+from bumpymap.learn.alter import NONE
+from bumpymap.learn.data import altered_copies, epoch_samples, training_patches, unseen_patches
+
+
+def test_labels_go_with_patches():
+    samples = training_patches(1, 40, 15)
+    assert_array_equal(samples.labels, np.repeat(range(4), 40))
+    rough = np.abs(np.diff(samples.patches, axis=2)).mean(axis=(1, 2)).reshape(4, 40).mean(axis=1)
+    assert rough[0] < rough[1] < rough[2] < rough[3]
+
+
+def test_epochs_shuffle_and_alter_anew_but_repeatably():
+    training = training_patches(1, 40, 15)
+    first, again, second = epoch_samples(training, 1, 0), epoch_samples(training, 1, 0), epoch_samples(training, 1, 1)
+    assert_array_equal(first.patches, again.patches)
+    assert_array_equal(first.labels, again.labels)
+    assert (first.labels != training.labels).any()
+    assert_array_equal(np.sort(first.labels), training.labels)
+    assert np.abs(first.patches - second.patches).mean() > 0.05
+
+
+def test_unseen_patches_share_none_with_training():
+    training, unseen = training_patches(1, 60, 15), unseen_patches(1, 60, 15, NONE)
+    flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
+    assert len(np.unique(flat, axis=0)) == 480
+    assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05
+
+
+def test_altered_copies_are_like_their_originals():
+    training = training_patches(1, 50, 15)
+    copies = altered_copies(training, 1)
+    assert_array_equal(copies.labels, training.labels)
+    assert np.abs(copies.patches - training.patches).max(axis=(1, 2)).min() > 1e-3
