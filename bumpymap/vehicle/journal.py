@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,12 @@ class Journal:
         return cells
 
     def add(self, cell: Cell, drives: list[PatchDrives]) -> None:
-        """Note a finished cell; it is on the disk when this returns to the caller."""
+        """Note a finished cell; it is on the disk when this returns."""
         try:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(_line(cell, drives) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
         except OSError as error:
             raise OutputError(f"cannot write the progress file {self._path}: {error}") from error
 

@@ -10,11 +10,12 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import UsageError
+from bumpymap.errors import OutputError, UsageError
 from bumpymap.vehicle.profile import VehicleProfile
 from bumpymap.vehicle.terrain import Ground, Strip, strip_triangles
 
@@ -26,6 +27,7 @@ _URDF = (
     '<robot name="ground"><link name="ground"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
     "</robot>"
 )
+_OTHER_FOLDER = "set TMPDIR to a folder with room and a plain name"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,17 +137,22 @@ class DartVehicle:
 
     def _load_ground(self, triangles: NDArray[np.float32], physics: Physics) -> Any:
         """Give the engine a mesh: written, parsed and unlinked."""
-        with tempfile.TemporaryDirectory(prefix="bumpymap-") as folder:
-            path = Path(folder) / "ground.stl"
-            path.write_bytes(stl_bytes(triangles))
-            options = self._dart.utils.DartLoaderOptions()
-            options.mDefaultRootJointType = self._dart.utils.DartLoaderRootJointType.FIXED
-            loader = self._dart.utils.DartLoader()
-            loader.setOptions(options)
-            urdf = _URDF.format(path.as_uri())
-            skeleton = loader.parseSkeletonString(urdf, self._dart.common.Uri(""))
-        body = skeleton.getBodyNode(0)
-        self._set_surface(body.getShapeNode(0), physics)
+        options = self._dart.utils.DartLoaderOptions()
+        options.mDefaultRootJointType = self._dart.utils.DartLoaderRootJointType.FIXED
+        loader = self._dart.utils.DartLoader()
+        loader.setOptions(options)
+        try:
+            with tempfile.TemporaryDirectory(prefix="bumpymap-") as folder:
+                path = Path(folder) / "ground.stl"
+                path.write_bytes(stl_bytes(triangles))
+                # Not as_uri(): DART does not decode %20.
+                urdf = _URDF.format(escape("file://" + path.as_posix(), {'"': "&quot;"}))
+                skeleton = loader.parseSkeletonString(urdf, self._dart.common.Uri(""))
+        except OSError as error:
+            raise OutputError(f"cannot write the ground to a temporary file: {error}; {_OTHER_FOLDER}") from error
+        if skeleton is None:
+            raise OutputError(f"the physics engine cannot read {path}; {_OTHER_FOLDER}")
+        self._set_surface(skeleton.getBodyNode(0).getShapeNode(0), physics)
         return skeleton
 
     def _build(self, robot: Any, profile: VehicleProfile, physics: Physics) -> Any:

@@ -82,10 +82,16 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
             f"{len(np.unique(x))} patches with a completed drive; classes need at least {groups}. "
             "Drive more patches, lower z ranges, or slower"
         )
+    edges = _best_edges(x - x.mean(), groups)
+    centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
+    return [(a + b) / 2 for a, b in pairwise(centre)]
+
+
+def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
+    """Where the groups of sorted numbers begin, and the end: groups + 1 indices."""
     n = len(x)
-    shifted = x - x.mean()
-    total = np.concatenate([[0.0], np.cumsum(shifted)])
-    square = np.concatenate([[0.0], np.cumsum(shifted**2)])
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    square = np.concatenate([[0.0], np.cumsum(x**2)])
     best = np.full(n + 1, np.inf)
     best[0] = 0.0
     cut = np.zeros((groups, n + 1), dtype=np.int64)
@@ -101,9 +107,7 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     edges = [n]
     for group in reversed(range(groups)):
         edges.append(int(cut[group, edges[-1]]))
-    edges.reverse()
-    centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
-    return [(a + b) / 2 for a, b in pairwise(centre)]
+    return edges[::-1]
 
 
 def _rounded_limits(limits: list[float]) -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from bumpymap.errors import UsageError
+from bumpymap.errors import OutputError, UsageError
 from bumpymap.textures import make_textures
 from bumpymap.vehicle import model
 from bumpymap.vehicle.drive import DriveSettings, Start, drive, drive_from
@@ -77,6 +77,22 @@ def test_no_file_is_left_behind(tmp_path, monkeypatch):
     DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
     assert made == [1]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_temporary_folder_may_have_an_odd_name(tmp_path, monkeypatch):
+    odd = tmp_path / "a b&c%20<ä"
+    odd.mkdir()
+    monkeypatch.setattr(model.tempfile, "tempdir", str(odd))
+    vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
+    vehicle.advance(500)
+    assert vehicle.pose().tilt < 0.01
+    assert vehicle._chassis.getWorldTransform().matrix()[2, 3] > 0.3
+
+
+def test_temporary_folder_that_is_gone_is_reported_with_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(model.tempfile, "tempdir", str(tmp_path / "gone"))
+    with pytest.raises(OutputError, match="TMPDIR"):
+        DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])
