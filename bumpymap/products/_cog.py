@@ -1,0 +1,181 @@
+"""Cloud-optimised GeoTIFF: a sparse scratch raster, then GDAL's COG driver, which adds overviews and statistics.
+
+The scratch raster is filled chunk by chunk, so that neither a large survey nor a large gap needs memory.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from numpy.typing import NDArray
+from pyproj import CRS
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from bumpymap.products.atomic import atomic
+from bumpymap.products.placement import Chunk, Placement
+
+__all__ = ["Layer", "Sheet", "write_cog"]
+
+_FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError)  # noqa: SLF001 (no public name)
+_CACHE_MB = 256
+_EXTRA_SAMPLES = 338
+"""TIFF tag: what samples beyond the photometric ones mean; 0 is "unspecified", 2 is "unassociated alpha"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One band."""
+
+    name: str
+    unit: str = ""
+    text: str = ""
+    """What it is, in words."""
+    categories: tuple[str, ...] = ()
+    """Names of the values 0, 1, 2, ..."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A raster to write: everything but its pixels."""
+
+    layers: Sequence[Layer]
+    dtype: str
+    nodata: float
+    pixels: int
+    """Pixels along the side of a tile."""
+    crs: CRS | None
+    overviews: str
+    """How overviews are made, as GDAL names it."""
+    block: int
+    """Side of a block of the file, pixels."""
+    colours: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
+    """Colour table of band 1."""
+    about: dict[str, str] = field(default_factory=dict)
+    """Metadata of the file."""
+    everywhere: bool = False
+    """Paint chunks without any tile too."""
+    level: int = 6
+    """How hard DEFLATE tries, 1 to 9."""
+
+
+def write_cog(
+    path: Path, placement: Placement, sheet: Sheet, paint: Callable[[Chunk], NDArray[np.generic]], side: int
+) -> None:
+    """Write a COG, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    placement : Placement
+        Where the tiles lie.
+    sheet : Sheet
+        Bands, type, overviews.
+    paint : callable
+        Gives the pixels of a chunk, (bands, lines * pixels, columns * pixels), north up.
+    side : int
+        Side of a chunk in tiles; a multiple of 16.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    """
+    with atomic(path, _FAILURES) as temporary, rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+        scratch = temporary.with_name(f"{temporary.stem}.scratch.tif")
+        _write_scratch(scratch, placement, sheet, paint, side)
+        virtual = temporary.with_name(f"{temporary.stem}.vrt")
+        rasterio.shutil.copy(scratch, virtual, driver="VRT")
+        _name_categories(virtual, sheet.layers)
+        options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
+        options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
+        options["SPARSE_OK"] = "NO" if sheet.everywhere else "YES"
+        rasterio.shutil.copy(virtual, temporary, driver="COG", **options)
+        if sheet.colours:
+            _extra_band_is_no_alpha(temporary)
+        _check_whole(temporary)
+
+
+def _write_scratch(
+    scratch: Path, placement: Placement, sheet: Sheet, paint: Callable[[Chunk], NDArray[np.generic]], side: int
+) -> None:
+    pixels = sheet.pixels
+    with rasterio.open(
+        scratch,
+        "w",
+        driver="GTiff",
+        width=placement.window.cols * pixels,
+        height=placement.window.rows * pixels,
+        count=len(sheet.layers),
+        dtype=sheet.dtype,
+        nodata=sheet.nodata,
+        crs=None if sheet.crs is None else rasterio.crs.CRS.from_wkt(sheet.crs.to_wkt()),
+        transform=placement.transform(pixels),
+        tiled=True,
+        blockxsize=side * pixels,
+        blockysize=side * pixels,
+        sparse_ok=True,
+        bigtiff="IF_SAFER",
+        photometric="MINISBLACK",
+        alpha="NO",
+    ) as file:
+        file.update_tags(**sheet.about)
+        for number, layer in enumerate(sheet.layers, start=1):
+            file.set_band_description(number, layer.name)
+            file.set_band_unit(number, layer.unit)
+            file.update_tags(number, **({"long_name": layer.text} if layer.text else {}))
+        if sheet.colours:
+            file.write_colormap(1, sheet.colours)
+        for chunk in placement.chunks(side, everywhere=sheet.everywhere):
+            place = Window(chunk.column * pixels, chunk.line * pixels, chunk.columns * pixels, chunk.lines * pixels)
+            file.write(paint(chunk), window=place)
+
+
+def _name_categories(virtual: Path, layers: Sequence[Layer]) -> None:
+    # rasterio cannot set category names; GDAL takes them from a virtual raster, and the COG driver passes them on.
+    if not any(layer.categories for layer in layers):
+        return
+    tree = ET.parse(virtual)  # noqa: S314 (GDAL has just written it)
+    for band, layer in zip(tree.getroot().iter("VRTRasterBand"), layers, strict=True):
+        names = ET.SubElement(band, "CategoryNames")
+        for category in layer.categories:
+            ET.SubElement(names, "Category").text = category
+    tree.write(virtual, encoding="utf-8")
+
+
+def _extra_band_is_no_alpha(path: Path) -> None:
+    """Say in every directory of the file that the band after the colour-mapped one is no transparency.
+
+    GDAL takes the second band of a colour-mapped TIFF for alpha whenever it copies one, without an option to say
+    otherwise (seen in 3.6, 3.10), and viewers would fade the classes by the reason code. The tag's value is two
+    bytes in place, so the layout stays that of a COG. Layout: TIFF 6.0 section 2, BigTIFF with 8-byte offsets.
+    """
+    with path.open("rb+") as file:
+        head = file.read(16)
+        if head[:2] != b"II" or head[2] not in {42, 43}:
+            raise RasterioError(f"{path} is not a little-endian TIFF")
+        count, entry, link = ("<H", 12, "<I") if head[2] == 42 else ("<Q", 20, "<Q")
+        (offset,) = struct.unpack_from(link, head, 4 if head[2] == 42 else 8)
+        while offset:
+            file.seek(offset)
+            (entries,) = struct.unpack(count, file.read(struct.calcsize(count)))
+            start = file.tell()
+            table = file.read(entries * entry + struct.calcsize(link))
+            for at in range(0, entries * entry, entry):
+                if struct.unpack_from("<H", table, at)[0] == _EXTRA_SAMPLES:
+                    file.seek(start + at + entry - struct.calcsize(link))
+                    file.write(struct.pack("<H", 0))
+            (offset,) = struct.unpack_from(link, table, entries * entry)
+
+
+def _check_whole(path: Path) -> None:
+    # libtiff may run out of disk while it closes the file, without an error that reaches us: read the last block.
+    with rasterio.open(path) as file:
+        window = Window(file.width - 1, file.height - 1, 1, 1)
+        file.read(1, window=window)

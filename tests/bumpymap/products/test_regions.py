@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bumpymap.products import dissolve
+from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Reason
+
+
+def key_of(klass, reason):
+    return int(klass) if klass != NO_CLASS else -int(reason)
+
+
+def check_against_boxes(cost_map, regions):
+    """Regions are the unions of the boxes of their tiles, found apart from the package."""
+    patches = cost_map.patches
+    tiles = {
+        (int(c), int(r)): key_of(k, why)
+        for c, r, k, why in zip(patches.col, patches.row, cost_map.klass, patches.reason, strict=True)
+    }
+    left, found = dict(tiles), []
+    while left:
+        start, key = next(iter(left.items()))
+        todo, members = [start], []
+        while todo:
+            c, r = todo.pop()
+            if left.get((c, r)) != key:
+                continue
+            del left[c, r]
+            members.append((c, r))
+            todo += [(c + 1, r), (c - 1, r), (c, r + 1), (c, r - 1)]
+        found.append((key, shapely.union_all([shapely.box(c, r, c + 1, r + 1) for c, r in members])))
+    assert len(found) == len(regions.outlines)
+    got = list(zip(map(key_of, regions.klass, regions.reason), regions.outlines, strict=True))
+    for key, area in found:
+        assert sum(key == k and shapely.equals(area, outline) for k, outline in got) == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_regions_are_unions_of_touching_tiles(make_field, seed):
+    cost_map = make_field(14, 11, seed=seed)
+    check_against_boxes(cost_map, dissolve(cost_map))
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), cols=st.integers(1, 6), rows=st.integers(1, 6))
+def test_any_small_map_gives_valid_right_hand_regions(make_map, data, cols, rows):
+    cells = data.draw(
+        st.lists(st.sampled_from([None, 0, 1, NO_CLASS]), min_size=cols * rows, max_size=cols * rows).filter(
+            lambda cells: any(cell is not None for cell in cells)
+        )
+    )
+    present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
+    col, row, klass = zip(*present, strict=True)
+    cost_map = make_map(col, row, klass, [3 if cell == NO_CLASS else 0 for cell in klass])
+    regions = dissolve(cost_map)
+    check_against_boxes(cost_map, regions)
+    assert shapely.is_valid(regions.outlines).all()
+    for outline in regions.outlines:
+        assert outline.exterior.is_ccw
+        assert not any(hole.is_ccw for hole in outline.interiors)
+
+
+def test_numbers_are_means_over_the_tiles(make_map):
+    cost_map = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
+    regions = dissolve(cost_map)
+    # North first: the lonely tile, then the two unknown ones (for different reasons), then the pair.
+    assert regions.tiles.tolist() == [1, 1, 1, 2]
+    assert regions.klass.tolist() == [2, NO_CLASS, NO_CLASS, 2]
+    assert regions.reason.tolist() == [0, 3, 4, 0]
+    assert regions.class_name.tolist() == [CLASS_NAMES[2], "unknown", "unknown", CLASS_NAMES[2]]
+    assert regions.reason_text[1] == REASON_TEXT[Reason.TOO_MANY_HOLES]
+    assert regions.area_m2.tolist() == [9.0, 9.0, 9.0, 18.0]
+    for name in ("c_r", "c_r_low", "c_r_high", "p_fail"):
+        values = getattr(cost_map, name).astype(float)
+        assert getattr(regions, name) == pytest.approx([values[4], np.nan, np.nan, values[:2].mean()], nan_ok=True)
+    assert regions.cost[3] == pytest.approx(1 + 2.5 * cost_map.c_r[:2].astype(float).mean())
+    assert np.isnan(regions.cost[1:3]).all()
+
+
+def test_area_of_all_regions_is_that_of_all_tiles(cost_map):
+    regions = dissolve(cost_map)
+    assert regions.tiles.sum() == len(cost_map.klass)
+    assert regions.area_m2.sum() == 9.0 * len(cost_map.klass)
+    np.testing.assert_array_equal(shapely.area(regions.outlines), regions.tiles)
