@@ -27,7 +27,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         f"{sum(result.seconds.values()):.1f} s"
     )
     table = Table(box=None, pad_edge=False)
-    for title in ("class", "tiles", "share", "c_r [rad/m]", "slope [deg]"):
+    for title in ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)"):
         table.add_column(title, justify="left" if title == "class" else "right")
     for klass, name in enumerate(CLASS_NAMES):
         _add_row(table, f"{klass} {name}", cost_map, cost_map.klass == klass)

@@ -27,7 +27,7 @@ def command(out: Path, survey: Path | None) -> None:
     if survey is None:
         from bumpymap.sample import make_quarry_survey
 
-        survey = make_quarry_survey(out / "survey")[0]
+        survey = make_quarry_survey(out / "survey").survey
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
     with BarProgress() as progress:
         result = map_surveys(config, progress)

@@ -18,19 +18,19 @@ ROOMS = {
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
-    "readers": ({"crs"}, {"laspy", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"}),
+    "readers": ({"crs"}, {"bumpytiles", "laspy", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"}),
     "kernels": (set(), {"numpy", "numba"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),
     "cost": ({"calibration"}, {"bumpytiles", "numpy", "scipy"}),
     "products": (
         set(),
-        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
+        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "scipy", "shapely"},
     ),
     "pipeline": ({"calibration", "classify", "cost", "features", "products", "readers"}, {"bumpytiles"}),
     "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
-    "sample": (set(), {"laspy", "matplotlib", "numpy", "plyfile", "pyproj"}),
+    "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "matplotlib", "numba", "numpy",
