@@ -167,8 +167,14 @@ def same_crs(first: CRS, second: CRS) -> bool:
     """Whether two horizontal CRS are one, however they are spelled."""
     if first == second or first.equals(second, ignore_axis_order=True):
         return True
-    code = first.to_epsg()
-    return code is not None and code == second.to_epsg()
+    stated, matched = _code(first), first.to_epsg()
+    return (stated != "" and stated == _code(second)) or (matched is not None and matched == second.to_epsg())
+
+
+def _code(crs: CRS) -> str:
+    """Return the code that a CRS itself states, not one that PROJ finds like it; empty where it states none."""
+    stated = crs.to_json_dict().get("id", {})
+    return f"{stated['authority']}:{stated['code']}" if stated else ""
 
 
 def _exact(factor: float) -> float:
@@ -184,7 +190,8 @@ def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:
     """Find the unit of height that the file states; it stands under ``--crs`` unless that denies its other unit."""
     own = statement.metres_per_unit or _unit(statement.crs)
     denied = own is not None and not math.isclose(own, unit, rel_tol=1e-5)
-    return None if denied else statement.metres_per_unit_z or _vertical_unit(statement.crs)
+    stated = None if statement.metres_per_unit_z is None else _exact(statement.metres_per_unit_z)
+    return None if denied else stated or _vertical_unit(statement.crs)
 
 
 def _vertical_unit(crs: CRS | None) -> float | None:
@@ -197,6 +204,9 @@ def _horizontal(crs: CRS) -> CRS | None:
     """Easting and northing alone; None for a local (engineering) CRS."""
     if crs.is_compound:
         return _horizontal(crs.sub_crs_list[0])
+    if crs.is_bound and crs.source_crs is not None and _code(crs.source_crs):
+        # A TOWGS84 clause around a CRS with a code: PROJ knows better ways to WGS 84.
+        return _horizontal(crs.source_crs)
     if not crs.is_projected:
         return None
     return crs if len(crs.axis_info) == 2 else crs.to_2d()

@@ -1,5 +1,6 @@
 """Which reader a file needs, by its content: an ending proves nothing."""
 
+from codecs import getincrementaldecoder
 from pathlib import Path
 from typing import Literal
 
@@ -100,6 +101,15 @@ def _describe(head: bytes) -> str:
             return what
     if not head.strip(b"\0"):
         return "nothing but zero bytes: an interrupted copy?"
-    if all(byte >= 32 or byte in b"\r\n\t" for byte in head):
+    if _is_text(head):
         return "a text file. Convert a list of x y z with: pdal translate IN.txt OUT.laz"
     return f"of an unknown kind (first bytes {head[:8].hex(' ')})"
+
+
+def _is_text(head: bytes) -> bool:
+    try:
+        # Incremental: the last character may be cut.
+        text = getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
+    return all(letter.isprintable() or letter in "\r\n\t" for letter in text)

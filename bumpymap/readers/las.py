@@ -95,8 +95,9 @@ class LasSurvey(Survey):
 
 
 def _coordinate(integer: NDArray[np.int32], scale: float, offset: float, unit: float) -> NDArray[np.float64]:
-    value: NDArray[np.float64] = integer * np.float64(scale)
+    # What overflows becomes infinite, and is refused for it.
     with np.errstate(over="ignore", invalid="ignore"):
+        value: NDArray[np.float64] = integer * np.float64(scale)
         value += offset
         np.round(value, _DECIMALS, out=value)
         if unit != 1.0:

@@ -55,8 +55,6 @@ def check_laz(stream: BinaryIO, path: Path, header: RawHeader) -> None:
 
 def _check_table(stream: BinaryIO, path: Path, header: RawHeader, vlr: Any) -> None:
     """Hold the chunk table against the file and the number of points that the header promises."""
-    if vlr.chunk_size() == 0:
-        raise BadInputError(f"{path} is cut into LAZ chunks of 0 points: the file is damaged")
     table_at = _table_place(stream, path, header)
     stream.seek(header.offset_to_points)
     with decoding(path, "the LAZ chunk table"):

@@ -114,7 +114,10 @@ def _read_with_plyfile(path: Path, header: PlyHeader) -> NDArray[np.void]:
     with path.open("rb") as stream:
         stream.seek(header.data_at)
         data = io.BytesIO(b"\n".join(header.lines) + b"\n" + stream.read())
-    rows: NDArray[np.void] = PlyData.read(data, mmap=False)[header.vertex.name].data
+    with warnings.catch_warnings():
+        # plyfile has an empty list of a text file warned about.
+        warnings.simplefilter("ignore", UserWarning)
+        rows: NDArray[np.void] = PlyData.read(data, mmap=False)[header.vertex.name].data
     return rows
 
 

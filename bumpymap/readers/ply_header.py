@@ -77,9 +77,10 @@ def read_ply_header(path: Path) -> PlyHeader:
     names = {prop.name.lower(): prop for prop in reversed(vertex.element.properties)}
     missing = [axis for axis in "xyz" if axis not in names or isinstance(names[axis], PlyListProperty)]
     if missing:
+        held = ", ".join(prop.name for prop in vertex.element.properties) or "no properties"
         raise BadInputError(
-            f"the vertices of {path} have no {', '.join(missing)}; they have {', '.join(names) or 'no properties'}. "
-            "bumpymap needs the properties x, y and z"
+            f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
+            "x, y and z"
         )
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")

@@ -1,0 +1,142 @@
+import json
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+
+
+def write(path, points, crs=None, classes=None):
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), np.array([500000.0, 4000000.0, 0.0])
+    if crs:
+        import pyproj
+
+        header.add_crs(pyproj.CRS(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    if classes is not None:
+        las.classification = classes
+    las.write(path)
+    return path
+
+
+def dense(side=6.0, step=0.2):
+    x, y = np.meshgrid(np.arange(step / 2, side, step), np.arange(step / 2, side, step))
+    # 500001 and 4000002 are multiples of 3: tiles are full.
+    return np.column_stack([500001 + x.ravel(), 4000002 + y.ravel(), np.full(x.size, 10.0)])
+
+
+@pytest.fixture
+def info(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*words):
+        return CliRunner().invoke(main, ["info", *map(str, words)])
+
+    return run
+
+
+def test_a_good_survey(info, tmp_path):
+    path = write(tmp_path / "a.laz", dense(), "EPSG:32614", np.full(900, 2, np.uint8))
+    result = info(path)
+    assert result.exit_code == 0, result.output
+    for words in (
+        "LAZ 1.4, point format 6",
+        "900",
+        "WGS 84 / UTM zone 14N (EPSG:32614)",
+        "metre",
+        "500,001.10 to 500,006.90",
+        "5.8 m x 5.8 m",
+        "25.0 pts/m2: 225 points per 3 m tile (median of 4 tiles)",
+        "100% of the points are ground",
+        f"ready: bumpymap map {path} --out DIR",
+    ):
+        assert words in result.output, words
+
+
+def test_what_is_missing_is_said(info, tmp_path):
+    path = write(tmp_path / "a.las", dense()[::20])
+    result = info(path)
+    assert result.exit_code == 0
+    assert "no CRS: pass --crs EPSG:CODE, or --local" in result.output
+    assert "is sparse for 3 m tiles: most would be unknown" in result.output
+    assert "ready" not in result.output
+
+
+def test_a_given_crs_and_unit(info, tmp_path):
+    path = write(tmp_path / "a.las", dense())
+    result = info(path, "--crs", "EPSG:2992", "--z-unit", "m", "--json")
+    (record,) = json.loads(result.stdout)["files"]
+    assert record["epsg"] == 2992
+    assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
+    assert record["bounds_crs_units"][0] == pytest.approx(500001.1)
+    assert record["bounds_m"][0] == pytest.approx(500001.1 * 0.3048)
+
+
+def test_json_holds_the_facts(info, tmp_path):
+    classes = np.full(900, 1, np.uint8)
+    classes[:3] = 7
+    path = write(tmp_path / "a.laz", dense(), "EPSG:32614", classes)
+    result = info(path, "--json")
+    (record,) = json.loads(result.stdout)["files"]
+    assert record["points_promised"] == 900
+    assert record["points"] == 897
+    assert record["dropped"] == {"withheld": 0, "noise": 3, "not_a_number": 0}
+    assert record["tiles"] == 4
+    assert record["tiles_dense_enough"] == 1.0
+    assert record["needs"] == [f"ready: bumpymap map {path} --out DIR"]
+
+
+def test_quick_reads_no_points(info, tmp_path, monkeypatch):
+    path = write(tmp_path / "a.laz", dense(), "EPSG:32614")
+    monkeypatch.setattr(laspy.LasReader, "read_points", None)
+    result = info(path, "--quick")
+    assert result.exit_code == 0, result.output
+    assert "900 promised by the header" in result.output
+    assert "26.8 pts/m2 over the header's box" in result.output  # 900 / 5.8**2
+
+
+def test_one_bad_file_among_good_ones(info, tmp_path):
+    good = write(tmp_path / "a.laz", dense(), "EPSG:32614")
+    bad = tmp_path / "b.laz"
+    bad.write_bytes(good.read_bytes()[:-50])
+    result = info(tmp_path)
+    assert result.exit_code == 3
+    assert f"ready: bumpymap map {good}" in result.output
+    assert "cannot be read: " in result.output
+    assert str(bad) in result.output
+    record = json.loads(info(tmp_path, "--json").stdout)["files"][1]
+    assert record["path"] == str(bad)
+    assert "truncated" in record["error"]
+
+
+def test_files_that_do_not_go_together(info, tmp_path):
+    write(tmp_path / "a.laz", dense(), "EPSG:32614")
+    write(tmp_path / "b.laz", dense(), "EPSG:32613")
+    result = info(tmp_path)
+    assert result.exit_code == 0
+    assert "together: the files are not in one CRS" in result.output
+
+
+def test_stray_coordinates_are_pointed_at(info, tmp_path):
+    points = np.vstack([dense(), [[900000.0, 4000000.0, 0.0]]])
+    assert "spread over 400 km" in info(write(tmp_path / "a.las", points, "EPSG:32614")).output
+
+
+def test_only_noise(info, tmp_path):
+    path = write(tmp_path / "a.las", dense(), "EPSG:32614", np.full(900, 18, np.uint8))
+    result = info(path)
+    assert result.exit_code == 0
+    assert "no point counts" in result.output
+
+
+def test_nothing_to_look_at(info, tmp_path):
+    assert info(tmp_path).exit_code == 3
+    assert info(tmp_path / "nowhere.las").exit_code == 3
+    assert info().exit_code == 2
+    result = info(write(tmp_path / "a.las", dense()), "--crs", "EPSG:1")
+    assert result.exit_code == 2
+    assert "EPSG:1" in result.output

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from pypcd4 import Encoding, PointCloud
+
+from bumpymap.errors import BadInputError
+from bumpymap.readers import ReadOptions, open_survey
+
+POINTS = np.array([[1.5, 2.25, 3.0], [0.0, 0.0, 0.0], [-4.0, 5.5, -6.25], [7.0, 8.0, 9.5]])
+ENCODINGS = [Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED]
+
+
+def write(path, points=POINTS, encoding=Encoding.BINARY, dtype=np.float32, **more):
+    fields = [*"xyz", *more]
+    table = [points[:, i].astype(dtype) for i in range(3)] + list(more.values())
+    cloud = PointCloud.from_points(table, fields, [column.dtype for column in table])
+    cloud.save(str(path), encoding)
+    return path
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 100])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_encoding_and_precision(tmp_path, read, encoding, dtype, chunk):
+    path = write(tmp_path / "a.pcd", encoding=encoding, dtype=dtype, ring=np.arange(4, dtype=np.uint16))
+    reader = open_survey(path)
+    points, ground = read(reader, chunk)
+    assert np.array_equal(points, POINTS)  # a point at the origin is a point
+    assert not ground.any()
+    assert reader.info.point_count == 4
+    assert encoding.value in reader.info.format
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_one_point(tmp_path, read, encoding):
+    points, _ = read(open_survey(write(tmp_path / "a.pcd", POINTS[:1], encoding)))
+    assert np.array_equal(points, POINTS[:1])
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 100])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_rows_of_nan_are_beams_without_return(tmp_path, read, encoding, chunk):
+    points = POINTS.copy()
+    points[0] = points[3, 1] = np.nan
+    reader = open_survey(write(tmp_path / "a.pcd", points, encoding))
+    got, _ = read(reader, chunk)
+    assert np.array_equal(got, POINTS[1:3])
+    assert reader.dropped == {"withheld": 0, "noise": 0, "not_a_number": 2}
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_infinite_coordinates_are_refused(tmp_path, encoding):
+    points = POINTS.copy()
+    points[1], points[2, 0] = np.nan, np.inf
+    with pytest.raises(BadInputError, match=r"holds 1 points.*first is point 2 "):
+        list(open_survey(write(tmp_path / "a.pcd", points, encoding)).chunks())
+
+
+def test_classes(tmp_path, read):
+    reader = open_survey(write(tmp_path / "a.pcd", classification=np.array([2, 7, 1, 2], np.uint8)))
+    points, ground = read(reader)
+    assert np.array_equal(points, POINTS[[0, 2, 3]])
+    assert ground.tolist() == [True, False, True]
+    assert reader.info.has_classes is True
+
+
+def test_count_line_may_be_left_out_and_blanks_may_abound(tmp_path, read):
+    path = tmp_path / "a.pcd"
+    path.write_text(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\n"
+        "HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n1 2 3 \n4  5 6\n"
+    )
+    assert read(open_survey(path))[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_the_pose_of_the_sensor_is_noted(tmp_path):
+    path = write(tmp_path / "a.pcd")
+    path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0", b"VIEWPOINT 9.0 0.0 0.0"))
+    assert any("VIEWPOINT" in note for note in open_survey(path).info.notes)
+
+
+def test_units_come_from_the_options(tmp_path, read):
+    path = write(tmp_path / "a.pcd")
+    points, _ = read(open_survey(path, ReadOptions(crs="EPSG:32614", z_unit="ft")))
+    assert np.allclose(points, POINTS * [1, 1, 0.3048], rtol=1e-15)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("promised", [5, 10**6, 2**62])
+def test_more_points_promised_than_there_are(tmp_path, encoding, promised):
+    path = write(tmp_path / "a.pcd", encoding=encoding)
+    path.write_bytes(path.read_bytes().replace(b"POINTS 4", b"POINTS %d" % promised))
+    with pytest.raises(BadInputError, match=f"promises {promised:,} points and holds"):
+        list(open_survey(path).chunks())
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_file_cut_anywhere(tmp_path, encoding):
+    path = write(tmp_path / "a.pcd", encoding=encoding)
+    data = path.read_bytes()
+    # Without its last digits, or its line end, a text still looks whole.
+    last_line = data.rstrip().rindex(b"\n") + 1
+    for length in range(12, last_line if encoding is Encoding.ASCII else len(data), 3):
+        path.write_bytes(data[:length])
+        with pytest.raises(BadInputError):
+            list(open_survey(path).chunks())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"POINTS 4", b"POINTS 0", "holds no points"),
+        (b"FIELDS x y z", b"FIELDS x y w", "have no z"),
+        (b"SIZE 4 4 4", b"SIZE 4 4", "different length"),
+        (b"DATA binary", b"DATA zipped", "header"),
+        (b"TYPE F F F", b"TYPE Q F F", "header"),
+    ],
+)
+def test_headers_that_are_none(tmp_path, old, new, says):
+    path = write(tmp_path / "a.pcd")
+    assert old in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(BadInputError, match=says):
+        open_survey(path)
