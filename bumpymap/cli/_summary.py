@@ -12,6 +12,9 @@ from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
 
 __all__ = ["show"]
 
+_MOST = 0.5
+"""With a larger share of unknown tiles the summary says what to do."""
+
 
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     """Print what a run did: as a table, or as one JSON object."""
@@ -35,6 +38,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     for reason, count in _by_reason(cost_map).items():
         table.add_row(f"  {reason}", f"{count:,}", f"{count / tiles:.1%}", "", "")
     console.print(table)
+    if advice := _advice(result, config):
+        console.print(advice, markup=False)
     for path, message in result.skipped.items():
         console.print(f"skipped {path}: {message}", markup=False)
     console.print(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}", markup=False)
@@ -63,6 +68,26 @@ def _by_reason(cost_map: CostMap) -> dict[str, int]:
     return {REASON_TEXT[reason]: int(counts[reason]) for reason in Reason if counts[reason]}
 
 
+def _advice(result: MapResult, config: MapConfig) -> str:
+    """Say what to do where most tiles are unknown; nothing elsewhere."""
+    reasons = _by_reason(result.cost_map)
+    tiles = len(result.cost_map.klass)
+    if sum(reasons.values()) <= _MOST * tiles:
+        return ""
+    most = max(reasons, key=lambda reason: reasons[reason])
+    which = "ground points (class 2)" if result.ground_only else "points"
+    way_out = (
+        "--ground all measures every point, vegetation too."
+        if result.ground_only
+        else "Larger tiles need a calibration and a network made for them: bumpymap calibrate and train, --tile-size."
+    )
+    return (
+        f"{reasons[most] / tiles:.0%} of the tiles are unknown: {most}. They hold "
+        f"{np.median(result.cost_map.patches.count):.0f} {which} in the median; at least {config.features.min_points}, "
+        f"spread over the tile, are needed. {way_out}"
+    )
+
+
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
     klass = result.cost_map.klass
     return {
@@ -72,6 +97,7 @@ def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "tiles": len(klass),
         "classes": {name: int(np.count_nonzero(klass == k)) for k, name in enumerate(CLASS_NAMES)},
         "unknown": _by_reason(result.cost_map),
+        "advice": _advice(result, config),
         "ground_only": result.ground_only,
         "skipped": result.skipped,
         "seconds": result.seconds,

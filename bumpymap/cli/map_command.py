@@ -35,12 +35,12 @@ _PARTLY_DONE = 4
 @click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")
 @click.pass_context
 def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log_json: bool, **given: Any) -> None:
-    r"""Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
+    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
 
     \b
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
-    """
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli._summary import show
     from bumpymap.pipeline import map_surveys
 

@@ -255,3 +255,14 @@ def test_machines_get_one_json_object(survey, tmp_path):
     record = json.loads(result.stdout.strip().splitlines()[-1])
     assert record["points"] == 60_000
     assert record["tiles"] == 100
+
+
+def test_a_map_without_classes_says_what_to_do(site, tmp_path):
+    x, y, z = (axis[::100] for axis in site)
+    sparse = write_las(tmp_path / "sparse.laz", x, y, z)
+    result = run("map", sparse, "--out", tmp_path / "sparse")
+    assert result.exit_code == 0
+    assert "of the tiles are unknown: too few points. They hold 6 points" in result.output
+    few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
+    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
+    assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
