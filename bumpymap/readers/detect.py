@@ -102,7 +102,7 @@ def _describe(head: bytes) -> str:
     if not head.strip(b"\0"):
         return "nothing but zero bytes: an interrupted copy?"
     if _is_text(head):
-        return "a text file. Convert a list of x y z with: pdal translate IN.txt OUT.laz"
+        return "a text file. A list of points under a first line 'X Y Z' is converted by: pdal translate IN.txt OUT.laz"
     return f"of an unknown kind (first bytes {head[:8].hex(' ')})"
 
 
