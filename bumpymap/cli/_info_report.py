@@ -16,6 +16,8 @@ from bumpytiles import Bounds, Grid
 __all__ = ["Report", "as_record", "as_rows"]
 
 _MOST = 0.5
+_LARGEST_TILE = 20
+"""Tiles beyond this say little about what a wheel meets, m."""
 _FAR_APART = 100_000.0
 """No drone or tile of an airborne survey is longer, m."""
 _CLASSIFIED = 0.5
@@ -75,14 +77,14 @@ class Report:
         judged = self.summary.enough_share if self.summary else float(per_tile >= enough)
         if judged >= _MOST:
             return []
+        sentence = (
+            f"{_short(self.density)} pts/m2 is sparse for {self.grid.tile_size:g} m tiles: most would be unknown "
+            f"(about {enough} points a tile are needed, here are {per_tile:.0f})"
+        )
         # A larger tile with the same number of pixels holds more points in each.
         size = math.ceil(math.sqrt(enough / self.density))
-        sentence = (
-            f"{self.density:.1f} pts/m2 is sparse for {self.grid.tile_size:g} m tiles: most would be unknown "
-            f"(about {enough} points a tile are needed, here are {per_tile:.0f}). Tiles of {size} m or more would do, "
-            "with a calibration made for them"
-        )
-        return [sentence]
+        larger = f". Tiles of {size} m or more would do, with a calibration made for them"
+        return [sentence + (larger if size <= _LARGEST_TILE else "")]
 
     def _spread(self) -> list[str]:
         bounds = self.bounds
@@ -176,9 +178,11 @@ def _size(bounds: Bounds, summary: PointSummary | None) -> str:
 def _density(report: Report, density: float) -> str:
     tile = f"{report.grid.tile_size:g} m tile"
     if report.summary is None:
-        return f"{density:.1f} pts/m2 over the header's box: {density * report.grid.tile_size**2:.0f} per {tile}"
+        return f"{_short(density)} pts/m2 over the header's box: {density * report.grid.tile_size**2:.0f} per {tile}"
     summary = report.summary
-    return f"{density:.1f} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"
+    return (
+        f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"
+    )
 
 
 def _has_classes(report: Report) -> bool | None:
@@ -199,3 +203,7 @@ def _sides(bounds: Bounds | None, unit: float) -> tuple[float, float, float, flo
     if bounds is None:
         return None
     return bounds.west / unit, bounds.south / unit, bounds.east / unit, bounds.north / unit
+
+
+def _short(density: float) -> str:
+    return f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"

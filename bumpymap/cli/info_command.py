@@ -1,6 +1,7 @@
 """``bumpymap info``: what is in a survey, and what a run would need."""
 
 import json
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -55,6 +56,8 @@ def command(
     from bumpymap.readers import ReadOptions, find_surveys
     from bumpytiles import Grid
 
+    # What the readers would warn about stands in the report.
+    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
     options = ReadOptions(crs, z_unit, trust_points)
     grid = Grid(tile_size, pixels)
     paths = find_surveys(surveys)

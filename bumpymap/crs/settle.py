@@ -5,7 +5,6 @@ result keeps only the horizontal CRS, since every height that bumpymap writes is
 coordinates are refused with the command that reprojects the file.
 """
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,8 +30,6 @@ __all__ = [
     "statement_from_wkt",
     "unit_name",
 ]
-
-_log = logging.getLogger(__name__)
 
 _US_FOOT = 1200 / 3937
 _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
@@ -134,7 +131,7 @@ def georeference(
     user = None if user_crs is None else parse_crs(user_crs)
     if user is None and statement.trouble:
         raise BadInputError(f"the CRS of {place.path} is unclear: {statement.trouble}. {SAY_CRS}")
-    notes = list(statement.notes) if user is None else _conflict(place.path, user, statement)
+    notes = list(statement.notes) if user is None else _conflict(user, statement)
     crs = user or statement.crs
     if crs is not None:
         refuse_unprojected(place, crs, from_user=user is not None)
@@ -150,7 +147,7 @@ def georeference(
     return Georeference(horizontal, unit, unit_z), tuple(notes)
 
 
-def _conflict(path: Path, user: CRS, statement: CrsStatement) -> list[str]:
+def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
     if statement.trouble:
         return [f"its own CRS was set aside for --crs: {statement.trouble}"]
     if statement.crs is None:
@@ -158,9 +155,7 @@ def _conflict(path: Path, user: CRS, statement: CrsStatement) -> list[str]:
     ours, theirs = _horizontal(user), _horizontal(statement.crs)
     if ours is not None and theirs is not None and same_crs(ours, theirs):
         return []
-    message = f"the file says its CRS is {describe_crs(statement.crs)}; --crs says {describe_crs(user)}, and wins"
-    _log.warning("%s: %s", path, message)
-    return [message]
+    return [f"the file says its CRS is {describe_crs(statement.crs)}; --crs says {describe_crs(user)}, and wins"]
 
 
 def same_crs(first: CRS, second: CRS) -> bool:

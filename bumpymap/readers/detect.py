@@ -1,5 +1,6 @@
 """Which reader a file needs, by its content: an ending proves nothing."""
 
+import logging
 from codecs import getincrementaldecoder
 from pathlib import Path
 from typing import Literal
@@ -8,6 +9,8 @@ from bumpymap.errors import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 
 __all__ = ["detect_format", "open_survey"]
+
+_log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
 _READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD"
@@ -33,7 +36,7 @@ _FOREIGN = (
 
 
 def open_survey(path: Path, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
-    """Open a point cloud and check what its header says; points are read later.
+    """Open a point cloud and check what its header says; points are read later. Its notes are logged as warnings.
 
     Parameters
     ----------
@@ -52,6 +55,13 @@ def open_survey(path: Path, options: ReadOptions = ReadOptions()) -> SurveyReade
     UsageError
         ``options.crs`` is no CRS.
     """
+    reader = _reader(path, options)
+    for note in reader.info.notes:
+        _log.warning("%s: %s", path, note)
+    return reader
+
+
+def _reader(path: Path, options: ReadOptions) -> SurveyReader:
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey

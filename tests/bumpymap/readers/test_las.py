@@ -179,6 +179,7 @@ def test_given_crs_fills_in_and_wins(las, read, caplog):
     silent = las.write("a.las")
     assert open_survey(silent, ReadOptions(crs="EPSG:2276")).info.georeference.metres_per_unit == US_FOOT
     loud = las.write("b.las", epsg=32614)
+    caplog.clear()
     with caplog.at_level("WARNING"):
         same = open_survey(loud, ReadOptions(crs="EPSG:32614"))
         assert not caplog.records

@@ -128,8 +128,9 @@ def test_text_keeps_more_digits_than_a_float(tmp_path, read):
     assert reader.info.notes == ()
 
 
-def test_large_coordinates_in_float32_are_noted(tmp_path):
+def test_large_coordinates_in_float32_are_noted(tmp_path, caplog):
     (note,) = open_survey(write(tmp_path / "a.ply", columns(np.float32))).info.notes
+    assert note in caplog.text
     assert "0.0625" in note  # the spacing of float32 between 2**19 and 2**20
     assert open_survey(write(tmp_path / "b.ply", columns(np.float64))).info.notes == ()
     small = columns(np.float32, POINTS - POINTS[0])
