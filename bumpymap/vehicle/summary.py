@@ -1,11 +1,13 @@
 """From the drives of all cells to the tables, class limits and class means of a calibration.
 
-The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of the C_r of all driven
-patches. The planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error
-of C_r least are the ones that cost a planner least when it knows no more than the class.
+The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of patch C_r. The
+planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error of C_r least
+are those that cost a planner least when it knows no more than the class. They are taken over ground that the vehicle
+can cross: beyond it C_r is that of the survivors, and p_fail speaks for the ground.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -18,12 +20,16 @@ from bumpymap.types import CLASS_NAMES, TEXTURES
 from bumpymap.vehicle.journal import Cell
 from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
 
-__all__ = ["natural_breaks", "summarise"]
+__all__ = ["class_limits", "natural_breaks", "summarise"]
+
+PatchMeans = Sequence[Sequence[Sequence[float | None]]]
 
 _RULE = (
-    "natural breaks (exact one-dimensional k-means, 4 groups) of the patch-mean C_r of all patches with a completed "
-    "drive; terrain mix: the four textures alike, z range uniform in its logarithm; limits rounded to 0.001 rad/m"
+    "natural breaks (exact one-dimensional k-means, 4 groups) of the patch-mean C_r; terrain mix: the four textures "
+    "alike, z range uniform in its logarithm from the lowest to the highest at which, and below which, at least 95 % of the "
+    "drives over every texture were completed; limits rounded to 0.001 rad/m"
 )
+_CROSSABLE_P_FAIL = 0.05
 
 
 def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]], command: str = "") -> Calibration:
@@ -39,9 +45,8 @@ def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]
     """
     table = [[cells[texture, z] for z in range(len(settings.z_range))] for texture in range(len(TEXTURES))]
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
-    known = np.array([c for line in means for cell in line for c in cell if c is not None], dtype=np.float64)
-    limits = _rounded_limits(natural_breaks(known, len(CLASS_NAMES)))
-    klass = np.searchsorted(limits, known, side="right")
+    p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
+    limits = class_limits(means, p_fail)
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
     return Calibration(
         vehicle=record.pop("vehicle"),
@@ -51,12 +56,39 @@ def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]
         z_range=settings.z_range,
         c_r=tuple(tuple(_mean(cell) for cell in line) for line in means),
         c_r_log_sd=tuple(tuple(_log_sd(cell) for cell in line) for line in means),
-        p_fail=tuple(tuple(_failed(cell) for cell in line) for line in table),
+        p_fail=p_fail,
         drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
         class_limits=limits,
-        class_c_r=_class_means(known, klass),
+        class_c_r=_class_means(_known(means), limits),
         settings=record,
     )
+
+
+def class_limits(means: PatchMeans, p_fail: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """C_r between the classes, rad/m.
+
+    Parameters
+    ----------
+    means : nested sequence [texture][z_range][patch]
+        C_r, rad/m; None where no drive over the patch was completed.
+    p_fail : nested sequence [texture][z_range]
+    """
+    worst = np.max(p_fail, axis=0)
+    crossable = int(np.argmax(worst > _CROSSABLE_P_FAIL)) if worst.max() > _CROSSABLE_P_FAIL else len(worst)
+    if crossable == 0:
+        raise BumpymapError(
+            f"{100 * worst[0]:.0f} % of the drives fail at the lowest z range; this vehicle can cross none of the "
+            "simulated ground. Look for a wrong number in its profile: bumpymap calibrate --check"
+        )
+    low, middle, high = (
+        round(limit, 3) for limit in natural_breaks(_known([line[:crossable] for line in means]), len(CLASS_NAMES))
+    )
+    if not 0 < low < middle < high:
+        raise BumpymapError(
+            f"the class limits come out as {low}, {middle}, {high} rad/m, too close together for four classes; "
+            "the vehicle hardly pitches on these z ranges"
+        )
+    return low, middle, high
 
 
 def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
@@ -110,17 +142,13 @@ def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
     return edges[::-1]
 
 
-def _rounded_limits(limits: list[float]) -> tuple[float, float, float]:
-    low, middle, high = (round(limit, 3) for limit in limits)
-    if not 0 < low < middle < high:
-        raise BumpymapError(
-            f"the class limits come out as {low}, {middle}, {high} rad/m, too close together for four classes; "
-            "the vehicle hardly pitches on these z ranges"
-        )
-    return low, middle, high
+def _known(means: PatchMeans) -> NDArray[np.float64]:
+    """C_r of all patches that have one."""
+    return np.array([c for line in means for cell in line for c in cell if c is not None], dtype=np.float64)
 
 
-def _class_means(known: NDArray[np.float64], klass: NDArray[np.intp]) -> tuple[float, float, float, float]:
+def _class_means(known: NDArray[np.float64], limits: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    klass = np.searchsorted(limits, known, side="right")
     a, b, c, d = (float(known[klass == k].mean()) for k in range(len(CLASS_NAMES)))
     return a, b, c, d
 

@@ -21,7 +21,11 @@ def fake_drives(monkeypatch):
 
     def run(settings, job):
         c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
-        return PatchDrives(("completed", "rolled"), (c_r, None))
+        return (
+            PatchDrives(("completed", "rolled"), (c_r, None))
+            if job.z == 2
+            else PatchDrives(("completed",) * 2, (c_r,) * 2)
+        )
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
 
@@ -40,7 +44,7 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
         "bumpymap calibrate --vehicle warthog --out warthog.json --seed 9 --patches 3 --starts 2 "
         "--tile-size 3 --pixels 15 --quick"
     )
-    assert "72 drives, 36 failed" in result.output
+    assert "72 drives, 12 failed" in result.output
     assert "class 3 very rough" in result.output
     assert calibration.id in result.output
     assert [path.name for path in out.parent.iterdir()] == ["warthog.json"]

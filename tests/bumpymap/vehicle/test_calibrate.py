@@ -15,6 +15,7 @@ from bumpymap.vehicle.drive import DriveSettings
 from bumpymap.vehicle.journal import Journal
 from bumpymap.vehicle.plan import CalibrationSettings, Job, PatchDrives, log_spaced, run_job
 from bumpymap.vehicle.profile import load_profile
+from bumpymap.vehicle.summary import class_limits
 
 pytest.importorskip("dartpy")
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
@@ -179,6 +180,15 @@ def test_shipped_calibration_is_what_this_code_makes():
         assert run_job(settings, Job(texture, z, 0)).mean_c_r == pytest.approx(
             made["patch_c_r"][texture][z][0], rel=0.01
         )
+
+
+def test_shipped_class_limits_follow_from_the_shipped_drives():
+    shipped = Calibration.shipped("warthog")
+    assert shipped.class_limits == class_limits(shipped.settings["patch_c_r"], shipped.p_fail)
+    means = [
+        [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
+    ]
+    np.testing.assert_allclose(np.array(shipped.c_r, dtype=float), means, rtol=1e-12)
 
 
 def test_shipped_calibration_holds_together():

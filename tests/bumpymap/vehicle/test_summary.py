@@ -10,7 +10,7 @@ from bumpymap.errors import BumpymapError
 from bumpymap.types import TEXTURES
 from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
 from bumpymap.vehicle.profile import load_profile
-from bumpymap.vehicle.summary import natural_breaks, summarise
+from bumpymap.vehicle.summary import class_limits, natural_breaks, summarise
 
 SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0))
 
@@ -90,7 +90,20 @@ def test_class_means_lie_between_their_limits(cells):
     assert 0 < a < low <= b < middle <= c < high <= d
 
 
+def test_ground_that_cannot_be_crossed_does_not_move_the_limits(cells):
+    # At the upper z range the last texture fails in 1 of 6 drives: the limits come from the lower one alone.
+    cells[3, 1] = [drives(5.0, None), drives(5.0, 5.0), drives(5.0, 5.0)]
+    limits = summarise(SETTINGS, cells).class_limits
+    lower = np.array([patch.mean_c_r for (_, z), cell in cells.items() if z == 0 for patch in cell])
+    assert limits == pytest.approx(natural_breaks(lower, 4), abs=0.0006)
+
+
+def test_vehicle_that_fails_everywhere_is_said():
+    with pytest.raises(BumpymapError, match="20 % of the drives fail at the lowest z range"):
+        class_limits([[[0.1, 0.2]]] * 4, [[0.0], [0.2], [0.0], [0.0]])
+
+
 def test_limits_too_close_together_are_refused():
-    cells = {(t, z): [drives(1e-5 * (1 + t + z + i), None) for i in range(3)] for t in range(4) for z in range(2)}
+    cells = {(t, z): [drives(1e-5 * (1 + t + z + i)) for i in range(3)] for t in range(4) for z in range(2)}
     with pytest.raises(BumpymapError, match="too close together"):
         summarise(SETTINGS, cells)
