@@ -38,7 +38,7 @@ class LasSurvey(Survey):
     A coordinate is ``integer * scale + offset``, rounded to 1e-8 of the file's unit, then turned into metres. The
     rounding takes off the last bits of the float sum, which depend on the offset that a writer chose: a survey split
     into files with other offsets then gives the same bits. 1e-8 is far below a LAS grid (1e-3 or so) and above the
-    spacing of float64 up to 9e7 units, so millimetres at 4,000,000 m stay what they are.
+    spacing of float64 up to 6.7e7 units, so millimetres at 4,000,000 m stay what they are.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
