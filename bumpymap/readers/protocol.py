@@ -3,15 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
+from bumpymap.config import ZUnit
 from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
-__all__ = ["DROPPED", "ReadOptions", "SurveyInfo", "SurveyReader", "ZUnit"]
-
-ZUnit = Literal["m", "ft", "us-ft"]
-"""Units of height that a user can name."""
+__all__ = ["DROPPED", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
 DROPPED = ("withheld", "noise", "not_a_number")
 """Keys of ``SurveyReader.dropped``: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
