@@ -24,6 +24,57 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     console = Console(soft_wrap=True, highlight=False)
     cost_map = result.cost_map
     tiles = len(cost_map.klass)
+    which = "ground points (class 2)" if result.ground_only else "points"
+    console.print(
+        f"{result.points:,} points, {tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
+        f"{sum(result.seconds.values()):.1f} s"
+    )
+    table = Table(box=None, pad_edge=False)
+    for title in ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)"):
+        table.add_column(title, justify="left" if title == "class" else "right")
+    for klass, name in enumerate(CLASS_NAMES):
+        _add_row(table, f"{klass} {name}", cost_map, cost_map.klass == klass)
+    _add_row(table, "unknown", cost_map, cost_map.klass == NO_CLASS)
+    for reason, count in _by_reason(cost_map).items():
+        table.add_row(f"  {reason}", f"{count:,}", f"{count / tiles:.1%}", "", "")
+    console.print(table)
+    if advice := _advice(result, config):
+        console.print(advice, markup=False)
+    for path, message in result.skipped.items():
+        console.print(f"skipped {path}: {message}", markup=False)
+    console.print(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}", markup=False)
+
+
+def _add_row(table: Table, name: str, cost_map: CostMap, chosen: np.ndarray) -> None:
+    count = int(np.count_nonzero(chosen))
+    c_r, slope = cost_map.c_r[chosen], cost_map.patches.slope[chosen]
+    table.add_row(
+        name,
+        f"{count:,}",
+        f"{count / len(chosen):.1%}",
+        _median(c_r, "{:.3f}"),
+        _median(slope, "{:.1f}"),
+    )
+
+
+def _median(values: np.ndarray, form: str) -> str:
+    known = values[~np.isnan(values)]
+    return form.format(np.median(known)) if len(known) else ""
+
+
+def _by_reason(cost_map: CostMap) -> dict[str, int]:
+    reasons = cost_map.patches.reason[cost_map.klass == NO_CLASS]
+    counts = np.bincount(reasons, minlength=len(Reason))
+    return {REASON_TEXT[reason]: int(counts[reason]) for reason in Reason if counts[reason]}
+
+
+def _advice(result: MapResult, config: MapConfig) -> str:
+    """Say what to do where most tiles are unknown; nothing elsewhere."""
+    reasons = _by_reason(result.cost_map)
+    tiles = len(result.cost_map.klass)
+    if sum(reasons.values()) <= _MOST * tiles:
+        return ""
+    most = max(reasons, key=lambda reason: reasons[reason])
     head = f"{reasons[most] / tiles:.0%} of the tiles are unknown: {most}."
     if most != REASON_TEXT[Reason.TOO_FEW_POINTS]:
         return head
