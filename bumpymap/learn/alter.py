@@ -56,7 +56,7 @@ class Alterations:
 KINDS = ("brightness", "rotation", "blur", "noise", "holes")
 ALL = Alterations()
 """Every alteration to every patch: what networks are judged by."""
-LEARNING = Alterations(chance=0.7)
+LEARNING = Alterations(chance=0.85)
 """What networks learn from: one that only ever saw altered patches takes the grain of an untouched one for rubble."""
 NONE = Alterations(0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -1,6 +1,6 @@
 """The model card: what a texture network is for, how it was made and how good it is, in Markdown."""
 
-from bumpymap.learn.alter import ALL
+from bumpymap.learn.alter import ALL, LEARNING
 from bumpymap.learn.evaluate import Evaluation, Score
 from bumpymap.learn.train import TrainSettings
 from bumpymap.textures import FEATURE_VERSION
@@ -37,7 +37,7 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     single = "\n".join(f"| {text} | {_percent(evaluation.single[key])} |" for key, text in _ALTERATIONS.items())
     return f"""# Texture network
 
-Tells the four terrain forms of the BumpyPatch paper ({_names()}) apart in the heightmap of one tile.
+Tells the four terrain forms of the BumpyPatch paper apart in the heightmap of one tile: {_names()}.
 
 - **Use**: `bumpymap map`. The texture, with the z range, decides what a tile costs a vehicle.
 - **Input**: `patches` (batch, 1, {network.pixels}, {network.pixels}) float32. The heights of a tile of
@@ -50,8 +50,8 @@ Tells the four terrain forms of the BumpyPatch paper ({_names()}) apart in the h
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} a texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.textures`. No survey was used. Every epoch alters every patch anew: brightness,
-rotation, blur, noise, holes. Unseen patches come from other seeds: none of them, altered or not, was learned from.
+waves and Gaussian blur by `bumpymap.textures`. No survey was used. Every epoch alters the patches anew: brightness,
+rotation, blur, noise and holes, each with probability {LEARNING.chance:g}. Unseen patches come from other seeds: none of them, altered or not, was learned from.
 
 ## Accuracy
 
@@ -60,7 +60,7 @@ On {evaluation.unseen.count:,} **patches from unseen seeds with all alterations:
 {_table(evaluation.unseen)}
 
 On {evaluation.altered_copies.count:,} **altered copies of the training patches: {_percent(evaluation.altered_copies)}**
-(the paper's way of validating, which flatters; the paper reports 92.42 % for its own patches and alterations)
+(the paper's way of validating; it reports 92.42 % for its own patches and alterations, which are not these)
 
 {_table(evaluation.altered_copies)}
 
