@@ -51,7 +51,8 @@ Tells the four terrain forms of the BumpyPatch paper apart in the heightmap of o
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} a texture, made from Perlin noise, sine
 waves and Gaussian blur by `bumpymap.textures`. No survey was used. Every epoch alters the patches anew: brightness,
-rotation, blur, noise and holes, each with probability {LEARNING.chance:g}. Unseen patches come from other seeds: none of them, altered or not, was learned from.
+rotation, blur, noise and holes, each with probability {LEARNING.chance:g}. Unseen patches come from other seeds:
+none of them, altered or not, was learned from.
 
 ## Accuracy
 

@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -203,3 +204,13 @@ def test_a_truncated_network_is_refused(model, tmp_path):
 def test_onnxruntime_is_loaded_only_when_used():
     program = "import sys, bumpymap.classify; assert not {'onnxruntime', 'torch', 'onnx'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True, env=dict(os.environ))
+
+
+def test_documentation_states_the_measured_accuracies(model):
+    root = Path(__file__).resolve().parents[2]
+    pages = [root / "docs/pages/texture-network.md", root / "bumpymap/data/models/textures.md"]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        for name in ("accuracy_unseen", "accuracy_altered_copies"):
+            assert f"{100 * float(model.metadata[name]):.2f} %" in text, page
+        assert model.metadata["command"] in text
