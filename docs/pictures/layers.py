@@ -1,6 +1,6 @@
 """Draw the layers of a run side by side: hillshade, class, C_r, reasons.
 
-    python docs/pictures/layers.py RUN_FOLDER PICTURE.png
+python docs/pictures/layers.py RUN_FOLDER PICTURE.png
 """
 
 import sys
@@ -49,7 +49,9 @@ def draw(folder: Path, picture: Path) -> None:
     figure.colorbar(image, ax=cost, shrink=0.8)
     palette = plt.get_cmap("tab10")
     shown = [r for r in Reason if r != Reason.OK and np.any(reason == r)]
-    why.imshow(np.ma.masked_equal(reason, Reason.OK), cmap=palette, vmin=0, vmax=9, extent=extent, interpolation="nearest")
+    why.imshow(
+        np.ma.masked_equal(reason, Reason.OK), cmap=palette, vmin=0, vmax=9, extent=extent, interpolation="nearest"
+    )
     why.set_title("class.tif, reason of unknown tiles")
     if shown:
         why.legend(

@@ -207,7 +207,7 @@ def test_bad_input_gives_one_clear_message_and_leaves_nothing(survey, tmp_path):
         assert result.exit_code == 3, (name, result.output)
         assert name in result.output, result.output
         assert "Traceback" not in result.output
-        assert result.output.startswith("Error: "), result.output
+        assert result.output.count("Error: ") == 1, result.output
         assert not out.exists() or list(out.iterdir()) == []
 
 
