@@ -12,8 +12,8 @@ from bumpymap.products.regions import Regions
 __all__ = ["bounding_box", "outlines_in_crs", "outlines_on_globe"]
 
 _SEGMENT = 32
-"""Longest straight piece of an outline, tiles. A side of 96 m bends by less than 1 mm between its ends on the way to
-longitude and latitude (up to 80 degrees north or south), which is under the 7 decimals that are kept."""
+"""Longest straight piece of an outline, tiles. The middle of a 96 m side moves by at most 1.2 mm on the way to
+longitude and latitude (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
 
 
 def outlines_in_crs(regions: Regions) -> NDArray[np.object_]:

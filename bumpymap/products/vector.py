@@ -86,7 +86,7 @@ def write_flatgeobuf(regions: Regions, path: Path) -> None:
     """
     # pyogrio loads pandas and geopandas where they are installed, which takes a while: only when it is needed.
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
-    from pyogrio.raw import write
+    from pyogrio.raw import read, write
 
     failures = (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError)
     crs = regions.placement.horizontal_crs
@@ -106,6 +106,9 @@ def write_flatgeobuf(regions: Regions, path: Path) -> None:
             geometry_type="Polygon",
             crs=None if crs is None else crs.to_wkt(),
         )
+        # GDAL does not notice when the disk fills up in the last few bytes (seen in 3.8 and 3.12): read it back.
+        if len(read(str(temporary), columns=[])[2]) != len(regions.tiles):
+            raise DataSourceError("the file on disk lacks some of its regions")
 
 
 def _columns(regions: Regions) -> dict[str, list[Any]]:

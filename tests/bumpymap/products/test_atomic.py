@@ -5,7 +5,15 @@ from contextlib import contextmanager
 import pytest
 
 from bumpymap.errors import OutputError
-from bumpymap.products import dissolve, write_flatgeobuf, write_geojson, write_heightmap, write_tiles
+from bumpymap.products import (
+    dissolve,
+    write_classes,
+    write_flatgeobuf,
+    write_geojson,
+    write_heightmap,
+    write_roughness,
+    write_tiles,
+)
 from bumpymap.products.atomic import atomic
 
 
@@ -71,19 +79,26 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
     assert names(tmp_path) == ["a.tif", "a.tif.aux.xml"]
 
 
+WRITERS = {
+    "roughness.tif": write_roughness,
+    "class.tif": write_classes,
+    "heightmap.tif": write_heightmap,
+    "tiles.parquet": write_tiles,
+    "cost.geojson": lambda cost_map, path: write_geojson(dissolve(cost_map), path, local=False),
+    "cost.fgb": lambda cost_map, path: write_flatgeobuf(dissolve(cost_map), path),
+}
+
+
 @pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
-@pytest.mark.parametrize("size", [1_000, 60_000])
-@pytest.mark.parametrize("product", ["heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb"])
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, cost_map, product, size):
-    regions, path = dissolve(cost_map), tmp_path / product
-    write = {
-        "heightmap.tif": lambda: write_heightmap(cost_map, path),
-        "tiles.parquet": lambda: write_tiles(cost_map, path),
-        "cost.geojson": lambda: write_geojson(regions, path, local=False),
-        "cost.fgb": lambda: write_flatgeobuf(regions, path),
-    }[product]
+@pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
+@pytest.mark.parametrize("product", WRITERS)
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, product, missing):
+    cost_map, path = make_field(20, 15), tmp_path / product
+    WRITERS[product](cost_map, path)
+    whole = path.stat().st_size
+    for file in tmp_path.iterdir():
+        file.unlink()
+    size = {"all but 1 kB": 1000, "half": whole // 2, "100 bytes": whole - 100, "1 byte": whole - 1}[missing]
     with pytest.raises(OutputError, match="cannot write"), largest_file(size):
-        write()
+        WRITERS[product](cost_map, path)
     assert names(tmp_path) == []
-    write()
-    assert names(tmp_path) == [product]

@@ -113,7 +113,7 @@ def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
         x, y = centres(cost_map)
         seen = np.zeros(pixels.shape, bool)
         for tile in range(len(heights)):
-            line, column = index(x[tile] - 1.4, y[tile] + 1.4)  # north-west pixel of the tile
+            line, column = map(int, index(x[tile] - 1.4, y[tile] + 1.4))  # north-west pixel of the tile
             part = np.s_[line : line + 15, column : column + 15]
             np.testing.assert_array_equal(pixels[part], heights[tile])
             seen[part] = True
