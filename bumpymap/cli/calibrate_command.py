@@ -188,5 +188,8 @@ def _check(profile: "VehicleProfile", seed: int) -> None:
         )
         failed += not result.ok
     if failed:
-        click.echo(f"{failed} checks failed: do not trust calibrations of this vehicle made here", err=True)
+        click.echo(
+            f"{failed} checks failed: do not trust its calibrations; look for a wrong number in the profile",
+            err=True,
+        )
         sys.exit(1)

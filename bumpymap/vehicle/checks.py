@@ -16,6 +16,7 @@ from bumpymap.vehicle.terrain import PatchGround, PlaneGround, SineGround
 __all__ = ["CheckResult", "all_checks", "check_plane", "check_repeat", "check_sine", "check_step", "sine_c_r"]
 
 _SINE_AMPLITUDE_M = 0.02
+_SINE_SPEED_MPS = 1.0
 _ROUGH_Z_RANGE_M = 0.3
 
 
@@ -30,15 +31,16 @@ class CheckResult:
 
 
 def all_checks(profile: VehicleProfile, seed: int = 1) -> Iterator[CheckResult]:
-    """Every check in full, one at a time as they finish."""
-    for degrees in (0.0, 10.0, 20.0, 30.0):
-        for heading in (0.0, 45.0, 90.0):
-            if degrees > 0 or heading == 0:
-                yield check_plane(profile, degrees, heading)
-    way = profile.speed_mps * DriveSettings().measure_s
-    shortest = 2 * profile.wheelbase_m
-    for wavelength in sorted({way / waves for waves in (1, 2, 3, 4, 5) if way / waves > shortest}):
-        yield check_sine(profile, wavelength)
+    """Every check in full, one at a time as they finish; planes up to 30 degrees or what the vehicle is meant for."""
+    yield check_plane(profile, 0.0)
+    for degrees in (10.0, 20.0, 30.0):
+        if degrees <= profile.slope_limit_deg:
+            yield from (check_plane(profile, degrees, heading) for heading in (0.0, 45.0, 90.0))
+    way = _sine_speed(profile) * DriveSettings().measure_s
+    # Whole and half numbers of waves: a part of a wave does not pitch like its mean.
+    for wavelength in (way / waves for waves in (5, 4, 3, 2, 1.5, 1)):
+        if wavelength > 2 * profile.wheelbase_m:
+            yield check_sine(profile, wavelength)
     yield check_step(profile, patches=24, seed=seed)
     yield check_repeat(profile, seed)
 
@@ -64,10 +66,18 @@ def sine_c_r(profile: VehicleProfile, amplitude: float, wavelength: float) -> fl
 
 
 def check_sine(profile: VehicleProfile, wavelength: float, settings: DriveSettings | None = None) -> CheckResult:
-    """Waves longer than twice the wheelbase: within 5 % of the closed form."""
-    result = drive_from(profile, SineGround(_SINE_AMPLITUDE_M, wavelength), Start(0.0, 0.0, 0.0), 0, settings)
+    """Waves longer than twice the wheelbase: within 5 % of the closed form.
+
+    Driven at 1 m/s at most: the closed form knows no springs, and a fast vehicle on soft ones swings further, rightly.
+    """
+    slow = replace(profile, speed_mps=_sine_speed(profile))
+    result = drive_from(slow, SineGround(_SINE_AMPLITUDE_M, wavelength), Start(0.0, 0.0, 0.0), 0, settings)
     error = 100 * (result.c_r / sine_c_r(profile, _SINE_AMPLITUDE_M, wavelength) - 1)
     return CheckResult(f"sine of 2 cm, L = {wavelength:.3g} m: error [%]", error, "+-5", abs(error) <= 5)
+
+
+def _sine_speed(profile: VehicleProfile) -> float:
+    return min(profile.speed_mps, _SINE_SPEED_MPS)
 
 
 def check_step(
@@ -77,14 +87,15 @@ def check_step(
     settings = settings or DriveSettings()
     finer = replace(settings, physics=replace(settings.physics, time_step=settings.physics.time_step / 2))
     textures = make_textures("high_noise", patches, np.random.default_rng(seed)).astype(np.float64)
-    means = []
-    for chosen in (settings, finer):
-        drives = [
-            drive(profile, PatchGround.from_heights(patch * _ROUGH_Z_RANGE_M, 3.0), seed + i, chosen)
-            for i, patch in enumerate(textures)
+    grounds = [PatchGround.from_heights(patch * _ROUGH_Z_RANGE_M, 3.0) for patch in textures]
+    c_r = np.array(
+        [
+            [drive(profile, ground, seed + i, chosen).c_r for chosen in (settings, finer)]
+            for i, ground in enumerate(grounds)
         ]
-        means.append(float(np.mean([d.c_r for d in drives])))
-    change = 100 * (means[1] / means[0] - 1)
+    )
+    coarse, fine = c_r[np.isfinite(c_r).all(axis=1)].sum(axis=0)  # patches that both steps crossed
+    change = 100 * (fine / coarse - 1) if coarse > 0 else math.nan
     return CheckResult(f"half the time step, {patches} rough patches: change [%]", change, "+-3", abs(change) < 3)
 
 

@@ -26,8 +26,8 @@ PatchMeans = Sequence[Sequence[Sequence[float | None]]]
 
 _RULE = (
     "natural breaks (exact one-dimensional k-means, 4 groups) of the patch-mean C_r; terrain mix: the four textures "
-    "alike, z range uniform in its logarithm from the lowest to the highest at which, and below which, at least 95 % of the "
-    "drives over every texture were completed; limits rounded to 0.001 rad/m"
+    "alike, z range uniform in its logarithm from the lowest to the highest at which, and below which, at least 95 % "
+    "of the drives over every texture were completed; limits rounded to 0.001 rad/m"
 )
 _CROSSABLE_P_FAIL = 0.05
 

@@ -30,11 +30,10 @@ def main() -> None:
         upper.fill_between(z_range, c_r / spread, c_r * spread, color=colour, alpha=0.15, linewidth=0)
         upper.plot(z_range, c_r, "o-", color=colour, markersize=4, label=texture)
         lower.plot(z_range, failed, "o-", color=colour, markersize=4)
-    edges = [2e-3, *calibration.class_limits, 3.0]
+    edges = [4e-3, *calibration.class_limits, 2.5]
     for klass, name in enumerate(CLASS_NAMES):
-        upper.text(
-            2.9, np.sqrt(edges[klass] * edges[klass + 1]), f"{klass} {name}", ha="right", va="center", color="0.35"
-        )
+        middle = np.sqrt(edges[klass] * edges[klass + 1])
+        upper.text(1.01, middle, f"{klass} {name}", transform=upper.get_yaxis_transform(), va="center", color="0.35")
     for limit in calibration.class_limits:
         upper.axhline(limit, color="0.5", linewidth=0.8, linestyle="--")
     upper.set(xscale="log", yscale="log", ylim=(edges[0], edges[-1]), ylabel="C_r [rad/m]")
