@@ -181,10 +181,10 @@ def _check(profile: "VehicleProfile", seed: int) -> None:
     from bumpymap.vehicle.checks import all_checks
 
     failed = 0
-    click.echo(f"{'check':44s} {'measured':>12s} {'allowed':>12s}")
+    click.echo(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")
     for result in all_checks(profile, seed):
         click.echo(
-            f"{result.name:44s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}"
+            f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}"
         )
         failed += not result.ok
     if failed:

@@ -6,12 +6,15 @@ random streams, so neither the number of workers nor an interruption changes a b
 
 import logging
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing.connection import wait
 
 from bumpymap.calibration import Calibration
 from bumpymap.errors import BumpymapError
@@ -98,7 +101,7 @@ def _runner(settings: CalibrationSettings, workers: int) -> Iterator[Callable[[I
         return
     # Spawned, not forked: a fork of a process with threads (progress bars, numerical libraries) can hang.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
     try:
         yield lambda jobs: pool.map(task, jobs)
     except BrokenProcessPool as error:
@@ -110,6 +113,14 @@ def _runner(settings: CalibrationSettings, workers: int) -> Iterator[Callable[[I
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupt() -> None:
-    """Leave Ctrl-C to the main process."""
+def _prepare_worker() -> None:
+    """Leave Ctrl-C to the main process, and end when it does: a worker waits for jobs for ever once that was killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

@@ -1,6 +1,8 @@
 """The calibration as a whole, with few and short drives."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -163,6 +165,24 @@ def test_dead_worker_is_reported_with_what_to_do(monkeypatch):
     monkeypatch.setattr(calibrate_module, "ProcessPoolExecutor", DeadPool)
     with pytest.raises(BumpymapError, match="run the same command again"):
         calibrate(SETTINGS, workers=2)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
+def test_workers_end_with_a_main_process_that_was_killed():
+    code = (
+        "import multiprocessing, os, time\n"
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from bumpymap.vehicle.calibrate import _prepare_worker\n"
+        "context = multiprocessing.get_context('spawn')\n"
+        "pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare_worker)\n"
+        "print(pool.submit(os.getpid).result(), flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    main = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert int(main.stdout.readline()) != main.pid
+    main.kill()
+    # The worker holds the pipe too: its end is reached only when both are gone.
+    assert main.communicate(timeout=30)[0] == ""
 
 
 def test_shipped_calibration_is_what_this_code_makes():
