@@ -1,7 +1,4 @@
-"""Draw the contact sheet of the four textures: a row each, heights as colour from low to high.
-
-python docs/pictures/textures.py docs/pages/img/textures.png
-"""
+"""Draw docs/pages/img/textures.png, the file that is given: ten patches of each texture. Needs matplotlib."""  # noqa: INP001
 
 import sys
 from pathlib import Path
