@@ -24,6 +24,11 @@ __all__ = ["Layer", "Sheet", "write_cog"]
 
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError)  # noqa: SLF001 (no public name)
 _CACHE_MB = 256
+_SCRATCH_BLOCK = 256
+"""Side of a scratch block, pixels. 11 bands of 2560 x 2560 pixels become a COG in 13 s of CPU time; with scratch blocks
+of 512, or bands mixed pixel by pixel, it was measured to take up to 3 times as long."""
+_THREADS = "ALL_CPUS"
+"""Blocks are packed in parallel and written in order: the bytes do not depend on it."""
 _EXTRA_SAMPLES = 338
 """TIFF tag: what samples beyond the photometric ones mean; 0 is "unspecified", 2 is "unassociated alpha"."""
 
@@ -80,7 +85,7 @@ def write_cog(
     paint : callable
         Gives the pixels of a chunk, (bands, lines * pixels, columns * pixels), north up.
     side : int
-        Side of a chunk in tiles; a multiple of 16.
+        Side of a chunk, tiles.
 
     Raises
     ------
@@ -95,6 +100,7 @@ def write_cog(
         _name_categories(virtual, sheet.layers)
         options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
         options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
+        options["NUM_THREADS"] = _THREADS
         options["SPARSE_OK"] = "NO" if sheet.everywhere else "YES"
         rasterio.shutil.copy(virtual, temporary, driver="COG", **options)
         if sheet.colours:
@@ -117,8 +123,9 @@ def _write_scratch(
         crs=None if sheet.crs is None else rasterio.crs.CRS.from_wkt(sheet.crs.to_wkt()),
         transform=placement.transform(pixels),
         tiled=True,
-        blockxsize=side * pixels,
-        blockysize=side * pixels,
+        interleave="band",
+        blockxsize=_SCRATCH_BLOCK,
+        blockysize=_SCRATCH_BLOCK,
         sparse_ok=True,
         bigtiff="IF_SAFER",
         photometric="MINISBLACK",

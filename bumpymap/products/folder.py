@@ -1,6 +1,7 @@
 """The folder of a run: checked before the long work, filled after it, the manifest last."""
 
 import logging
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,6 +35,8 @@ _log = logging.getLogger(__name__)
 def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Make sure that the products of a run can be written to a folder; create it where it is missing.
 
+    What a killed run left half-written there goes away.
+
     Raises
     ------
     OutputError
@@ -44,6 +47,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         probe = folder / f".bumpymap-{uuid4().hex}"
         probe.touch()
         probe.unlink()
+        _sweep(folder)
         present = [name for name in PRODUCT_NAMES if (folder / name).exists()]
     except OSError as error:
         raise OutputError(
@@ -57,6 +61,14 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         raise OutputError(
             f"{folder} already holds {', '.join(present)}. Choose another --out, or pass --overwrite to replace them"
         )
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the scratch files of a run that was killed; see `atomic` for their names."""
+    stems = "|".join({re.escape(Path(name).stem) for name in PRODUCT_NAMES})
+    for left in folder.iterdir():
+        if re.match(rf"\.({stems})\.[0-9a-f]{{32}}\.", left.name) and left.is_file():
+            left.unlink(missing_ok=True)
 
 
 def write_products(cost_map: CostMap, folder: Path, *, local: bool, manifest: Mapping[str, Any]) -> list[Path]:

@@ -106,7 +106,7 @@ def write_heightmap(cost_map: CostMap, path: Path, about: dict[str, str] | None 
         overviews="AVERAGE",
         block=_HEIGHT_BLOCK,
         about=_about(cost_map, "height map", about),
-        # Measured on 56 million pixels: level 1 takes 4.2 s and 142 MB, the default level 6 takes 9.3 s and 136 MB.
+        # Measured on 56 million pixels: level 6 takes twice the time of level 1 and saves 4 % of the bytes.
         level=1,
     )
 
@@ -116,7 +116,7 @@ def write_heightmap(cost_map: CostMap, path: Path, about: dict[str, str] | None 
         canvas[line, :, column, :] = heights[place.order[chunk.members]]
         return canvas.reshape(1, chunk.lines * pixels, chunk.columns * pixels)
 
-    write_cog(path, place, sheet, paint, 16 * max(1, round(_CHUNK_PIXELS / pixels / 16)))
+    write_cog(path, place, sheet, paint, max(1, _CHUNK_PIXELS // pixels))
 
 
 def _painter(

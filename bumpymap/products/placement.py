@@ -23,8 +23,8 @@ MAX_PIXELS = 25_000_000_000
 def check_extent(grid: Grid, window: TileWindow) -> None:
     """Refuse a window that no raster should span: two sites far apart, or a point far outside.
 
-    Gaps cost no memory and next to no disk, but a raster has to be walked through: measured 0.15 G pixels of nothing
-    a second, so that the largest window allowed takes 3 minutes.
+    Gaps cost next to no disk, but a raster has to be walked through: the largest window allowed, with two sites of
+    100 x 100 tiles in its corners, was measured to take 4 minutes and 1.2 GB of memory on 2 cores.
 
     Raises
     ------

@@ -88,6 +88,22 @@ def test_folder_is_created_and_left_empty(tmp_path):
     assert list((tmp_path / "a" / "b").iterdir()) == []
 
 
+def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
+    code = (
+        "import os, pathlib, sys\n"
+        "from bumpymap.products.atomic import atomic\n"
+        "with atomic(pathlib.Path(sys.argv[1]) / 'heightmap.tif') as path:\n"
+        "    path.write_text('half'); path.with_name(path.stem + '.scratch.tif').write_text('scratch'); os._exit(1)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert len(list(tmp_path.iterdir())) == 2
+    mine = [tmp_path / ".heightmap.notes", tmp_path / ".class.txt", tmp_path / "heightmap.bak"]
+    for path in mine:
+        path.write_text("mine")
+    check_folder(tmp_path, overwrite=False)
+    assert sorted(tmp_path.iterdir()) == sorted(mine)
+
+
 @pytest.mark.parametrize("name", PRODUCT_NAMES)
 def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     (tmp_path / "notes.txt").write_text("not ours")

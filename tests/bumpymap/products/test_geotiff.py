@@ -222,6 +222,17 @@ def test_other_tile_size_and_pixels(tmp_path, make_field):
     assert np.isfinite(pixels).sum() == np.isfinite(cost_map.patches.heights).sum()
 
 
+def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
+    cost_map = make_field(300, 200, grid=Grid(3.0, 5))
+    for name, write in WRITERS.items():
+        seen = set()
+        for threads in ("1", "2", "5"):
+            monkeypatch.setattr("bumpymap.products._cog._THREADS", threads)
+            write(cost_map, tmp_path / f"{name}.tif")
+            seen.add((tmp_path / f"{name}.tif").read_bytes())
+        assert len(seen) == 1
+
+
 def test_writing_does_not_change_the_map(tmp_path, make_field):
     cost_map = make_field(6, 6)
     before = replace(cost_map.patches, heights=cost_map.patches.heights.copy())
