@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.errors import UsageError
 from bumpymap.types import TEXTURES, Texture
 
-__all__ = ["FEATURE_VERSION", "make_textures", "normalise", "perlin", "remove_plane"]
+__all__ = ["FEATURE_VERSION", "make_short_waves", "make_textures", "normalise", "perlin", "remove_plane"]
 
 FEATURE_VERSION = 1
 """Version of what the network sees: plane-removed, hole-filled, min-max scaled relief. A change asks for training."""
@@ -55,6 +55,33 @@ def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels
         raw = _FORMS[texture](min(_CHUNK, count - start), rng, pixels)
         chunks.append(normalise(remove_plane(raw)))
     return np.concatenate(chunks)
+
+
+def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+    """Make ground with regular waves too short for ``noise_sin``: washboard, tracks, ripples, one way or crossing.
+
+    No form of the paper holds such ground, and a network that never met it may take it for flat. It is as rough as
+    ``high_noise``, so that is what the network is taught to call it. Wavelengths are 0.4 to 0.75 m.
+
+    Parameters
+    ----------
+    count, rng, pixels
+        As in ``make_textures``.
+
+    Returns
+    -------
+    array (count, pixels, pixels) float32
+        Plane-removed relief, each patch scaled to [0, 1].
+    """
+    along, across = _turned_axes(count, rng, pixels, 0)
+    wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
+    phase = rng.uniform(0, 2 * np.pi, (2, count, 1, 1))
+    one_way = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
+    crossing = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
+    way = rng.integers(0, 3, (count, 1, 1))
+    waves = np.select([way == 0, way == 1], [one_way, one_way * crossing], one_way + crossing)
+    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.8, count), rng.uniform(0.3, 0.7, count), 3)
+    return normalise(remove_plane(waves + rng.uniform(0.0, 0.3, (count, 1, 1)) * ground))
 
 
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -6,13 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.learn.alter import ALL, LEARNING, NONE, Alterations, alter
-from bumpymap.textures import make_textures
+from bumpymap.textures import make_short_waves, make_textures
 from bumpymap.types import TEXTURES
 
-__all__ = ["Samples", "altered_copies", "epoch_samples", "training_patches", "unseen_patches"]
+__all__ = [
+    "SHORT_WAVES",
+    "Samples",
+    "altered_copies",
+    "epoch_samples",
+    "training_patches",
+    "unseen_patches",
+    "unseen_short_waves",
+]
 
 # Second word of every generator's seed: no two uses ever share random numbers.
-_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER = range(6)
+_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
+
+SHORT_WAVES = 0.2
+"""Share of the ``high_noise`` patches that each epoch replaces by short regular waves."""
+_HIGH_NOISE = TEXTURES.index("high_noise")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +43,23 @@ def training_patches(seed: int, patches_per_texture: int, pixels: int) -> Sample
 
 
 def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
-    """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones."""
+    """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones.
+
+    Some of the ``high_noise`` patches give way to short regular waves, which no texture holds.
+    """
     order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(training.labels))
-    altered = alter(training.patches[order], LEARNING, np.random.default_rng([seed, _EPOCH, epoch]))
-    return Samples(altered, training.labels[order])
+    patches, labels = training.patches[order], training.labels[order]
+    waves = np.random.default_rng([seed, _WAVES, epoch])
+    replaced = np.flatnonzero((labels == _HIGH_NOISE) & (waves.uniform(size=len(labels)) < SHORT_WAVES))
+    patches[replaced] = make_short_waves(len(replaced), waves, patches.shape[-1])
+    altered = alter(patches, LEARNING, np.random.default_rng([seed, _EPOCH, epoch]))
+    return Samples(altered, labels)
+
+
+def unseen_short_waves(seed: int, count: int, pixels: int) -> Samples:
+    """Make short regular waves from seeds that training never uses, with all alterations."""
+    rng = np.random.default_rng([seed, _UNSEEN_WAVES])
+    return Samples(alter(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
 
 
 def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> Samples:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from bumpymap.learn.alter import ALL, KINDS, NONE
-from bumpymap.learn.data import Samples, altered_copies, training_patches, unseen_patches
+from bumpymap.learn.data import Samples, altered_copies, training_patches, unseen_patches, unseen_short_waves
 from bumpymap.learn.model import TextureNet
 from bumpymap.types import TEXTURES
 
@@ -44,6 +44,8 @@ class Evaluation:
     """Altered copies of the training patches: the paper's validation."""
     single: dict[str, Score]
     """Patches from other seeds, unaltered (``none``) and with one alteration each."""
+    short_waves: Score
+    """Short regular waves from other seeds, all alterations; ``high_noise`` is the right answer."""
 
 
 def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_texture: int) -> Evaluation:
@@ -66,6 +68,7 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
         unseen=score(net, unseen_patches(seed, unseen_per_texture, pixels)),
         altered_copies=score(net, altered_copies(training_patches(seed, training_per_texture, pixels), seed)),
         single=single,
+        short_waves=score(net, unseen_short_waves(seed, unseen_per_texture, pixels)),
     )
 
 

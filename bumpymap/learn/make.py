@@ -82,6 +82,7 @@ def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) 
         "confusion_unseen": evaluation.unseen.confusion,
         "accuracy_altered_copies": evaluation.altered_copies.accuracy,
         "confusion_altered_copies": evaluation.altered_copies.confusion,
+        "accuracy_short_waves": evaluation.short_waves.accuracy,
     }
 
 

@@ -65,6 +65,21 @@ def test_shipped_network_knows_fresh_textures(model):
     assert right.min() >= 0.93
 
 
+@pytest.mark.parametrize("wavelength", [0.4, 0.5, 0.6, 0.75])
+@pytest.mark.parametrize("crossing", [False, True])
+def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_points, wavelength, crossing):
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 29.9, (2, 90_000))
+    k = 2 * np.pi / wavelength
+    for turn in np.linspace(0, np.pi / 2, 5):
+        along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+        z = 0.1 * np.sin(k * along) * (np.sin(k * across) if crossing else 1.0) + 0.003 * rng.normal(size=len(x))
+        flat = classify(measure_points(x, y, z), model).probability[:, TEXTURES.index("flat")]
+        assert len(flat) == 100
+        assert flat.mean() < 0.02
+        assert np.quantile(flat, 0.97) < 0.5
+
+
 def test_rows_are_probabilities(model):
     probability = classify(_stack(_textures(20)), model).probability
     assert probability.shape == (80, 4)
@@ -211,6 +226,6 @@ def test_documentation_states_the_measured_accuracies(model):
     pages = [root / "docs/pages/texture-network.md", root / "bumpymap/data/models/textures.md"]
     for page in pages:
         text = page.read_text(encoding="utf-8")
-        for name in ("accuracy_unseen", "accuracy_altered_copies"):
+        for name in ("accuracy_unseen", "accuracy_altered_copies", "accuracy_short_waves"):
             assert f"{100 * float(model.metadata[name]):.2f} %" in text, page
         assert model.metadata["command"] in text

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.errors import UsageError
-from bumpymap.textures import make_textures, normalise, perlin, remove_plane
+from bumpymap.textures import make_short_waves, make_textures, normalise, perlin, remove_plane
 from bumpymap.types import TEXTURES
 
 
@@ -160,3 +160,15 @@ def test_nonsense_is_refused():
     with pytest.raises(UsageError, match="pixels"):
         make_textures("flat", 1, rng, pixels=2)
     assert make_textures("flat", 0, rng).shape == (0, 15, 15)
+
+
+@pytest.mark.parametrize("pixels", [15, 30])
+def test_short_waves_are_short(pixels):
+    patches = make_short_waves(400, np.random.default_rng(3), pixels)
+    assert patches.shape == (400, pixels, pixels)
+    assert (patches.min(), patches.max()) == (0.0, 1.0)
+    power = np.abs(np.fft.fft2(patches - patches.mean(axis=(1, 2), keepdims=True))) ** 2
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(pixels, 1 / pixels)] * 2))  # waves a tile
+    # 0.4 to 0.75 m on a tile of 3 m: 4 to 7.5 waves; crossing ones beat up to sqrt(2) faster.
+    inside = (frequency >= 3) & (frequency <= 11)
+    assert np.mean(power[:, inside].sum(axis=1) / power.sum(axis=(1, 2))) > 0.9

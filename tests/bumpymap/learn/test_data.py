@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from bumpymap.learn.alter import NONE
-from bumpymap.learn.data import altered_copies, epoch_samples, training_patches, unseen_patches
+from bumpymap.learn.alter import LEARNING, NONE, alter
+from bumpymap.learn.data import SHORT_WAVES, altered_copies, epoch_samples, training_patches, unseen_patches
 
 
 def test_labels_go_with_patches():
@@ -36,3 +36,15 @@ def test_altered_copies_are_like_their_originals():
     copies = altered_copies(training, 1)
     assert_array_equal(copies.labels, training.labels)
     assert np.abs(copies.patches - training.patches).max(axis=(1, 2)).min() > 1e-3
+
+
+def test_a_share_of_the_rubble_becomes_short_waves():
+    training = training_patches(1, 400, 15)
+    kept = training.patches.copy()
+    epoch = epoch_samples(training, 1, 0)
+    assert_array_equal(training.patches, kept)
+    order = np.random.default_rng([1, 5, 0]).permutation(1600)
+    without = alter(training.patches[order], LEARNING, np.random.default_rng([1, 1, 0]))
+    changed = np.any(epoch.patches != without, axis=(1, 2))
+    assert set(epoch.labels[changed]) == {3}
+    assert abs(changed.sum() - 400 * SHORT_WAVES) < 4 * (400 * SHORT_WAVES) ** 0.5
