@@ -12,7 +12,7 @@ from bumpymap.config import MapConfig
 from bumpymap.cost import rate, rate_as_paper
 from bumpymap.errors import BadInputError
 from bumpymap.features import join_stacks, measure, sort_stack
-from bumpymap.products import check_folder, write_products
+from bumpymap.products import check_extent, check_folder, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader, common_georeference, find_surveys, open_survey
 from bumpymap.types import CostMap, Georeference, PatchStack
@@ -71,6 +71,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
         inputs = _open(config)
     with clock.stage("read"):
         buckets = _read(inputs, grid, config, told)
+        check_extent(grid, buckets.window())
         points = sum(reader.info.point_count - sum(reader.dropped.values()) for reader in inputs.readers)
         ground_only = _ground_only(config, buckets)
     with clock.stage("measure"):

@@ -1,4 +1,4 @@
-"""Draw docs/pages/img/calibration_warthog.png: what the shipped calibration holds. Needs matplotlib."""  # noqa: INP001
+"""Draw docs/pages/img/calibration_warthog.png: what the shipped calibration holds. Needs matplotlib."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Draw docs/pages/img/quarry_truth.png: the relief of the sample site, and its zones. Needs matplotlib."""  # noqa: INP001
+"""Draw docs/pages/img/quarry_truth.png: the relief of the sample site, and its zones. Needs matplotlib."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Print how far C_r depends on speed, time step and friction: the table in ride-cost.md. About two minutes."""  # noqa: INP001
+"""Print how far C_r depends on speed, time step and friction: the table in ride-cost.md. About two minutes."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Draw docs/pages/img/textures.png, the file that is given: ten patches of each texture. Needs matplotlib."""  # noqa: INP001
+"""Draw docs/pages/img/textures.png, the file that is given: ten patches of each texture. Needs matplotlib."""
 
 import sys
 from pathlib import Path

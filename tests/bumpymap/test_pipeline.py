@@ -266,3 +266,12 @@ def test_a_map_without_classes_says_what_to_do(site, tmp_path):
     few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
     wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
     assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
+
+
+def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.pipeline._measure", None)
+    far = write_las(tmp_path / "far.laz", [500_001.0, 800_001.0], [4_000_002.0, 4_300_002.0], [1.0, 2.0])
+    result = run("map", far, "--out", tmp_path / "layers")
+    assert result.exit_code == 3
+    assert "300.0 km x 300.0 km" in result.output
+    assert list((tmp_path / "layers").iterdir()) == []

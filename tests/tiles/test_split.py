@@ -102,6 +102,13 @@ def test_merging_two_collections_equals_one():
     assert flatten(right.blocks()) == whole
 
 
+def test_the_window_holds_every_tile():
+    buckets = TileBuckets(GRID)
+    buckets.add(np.array([-1.0, 200.0]), np.array([5.0, -50.0]), np.zeros(2), np.zeros(2, bool))
+    window = buckets.window()
+    assert (window.col, window.row, window.cols, window.rows) == (-16, -32, 96, 48)
+
+
 def test_share_of_flagged_tiles():
     buckets = TileBuckets(GRID)
     assert buckets.flagged_share() == 0.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.grid import Grid
+from bumpytiles.grid import Grid, TileWindow
 
 __all__ = ["BLOCK_TILES", "TileBuckets", "TilePoints"]
 
@@ -124,6 +124,12 @@ class TileBuckets:
             total += int(np.count_nonzero(np.bincount(tile)))
             flagged += int(np.count_nonzero(np.bincount(tile[marks])))
         return flagged / total if total else 0.0
+
+    def window(self) -> TileWindow:
+        """Rectangle of whole blocks around all points (there must be some)."""
+        rows, cols = (np.array(axis) for axis in zip(*self._blocks, strict=True))
+        around = TileWindow.around(cols, rows)
+        return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
 
     def blocks(self) -> Iterator[TilePoints]:
         """Hand out the blocks, south-west first. Each leaves memory when it is handed out."""
