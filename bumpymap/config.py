@@ -4,7 +4,7 @@ import os
 import tomllib
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from bumpymap.errors import UsageError
 
@@ -98,34 +98,45 @@ def read_settings(path: Path) -> dict[str, Any]:
     Raises
     ------
     UsageError
-        No such file, not TOML, an unknown key, a value that is out of bounds.
+        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds.
     """
     try:
         record = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(f"cannot read settings from {path}: {error}") from error
-    settings = _checked(record, MapConfig, str(path))
-    for name in ("calibration", "model", "out"):
-        if name in settings:
-            settings[name] = path.parent / settings[name]
-    if "surveys" in settings:
-        settings["surveys"] = tuple(path.parent / entry for entry in settings["surveys"])
-    return settings
+    return _checked(record, MapConfig, str(path), path.parent)
 
 
-def _checked(record: dict[str, Any], owner: type, origin: str) -> dict[str, Any]:
-    known = {f.name: f for f in fields(owner)}
+def _checked(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
+    known = {f.name: f.type for f in fields(owner)}
     unknown = sorted(set(record) - set(known))
     if unknown:
         raise UsageError(f"{origin}: unknown setting {', '.join(unknown)}; there are: {', '.join(known)}")
-    settings = dict(record)
+    settings = {}
     for name, value in record.items():
-        kind = known[name].type
-        if is_dataclass(kind) and isinstance(kind, type):
-            if not isinstance(value, dict):
-                raise UsageError(f"{origin}: {name} is {value!r}; it must be a table [{name}]")
-            settings[name] = kind(**_checked(value, kind, f"{origin} [{name}]"))
+        kind: Any = known[name]
+        if is_dataclass(kind) and isinstance(value, dict):
+            settings[name] = kind(**_checked(value, kind, f"{origin} [{name}]", folder))  # type: ignore[arg-type, operator]
+        else:
+            settings[name] = _converted(value, kind, f"{origin}: {name}", folder)
     return settings
+
+
+def _converted(value: Any, kind: Any, name: str, folder: Path) -> Any:
+    """Return a TOML value as the setting's type; texts become paths below ``folder`` where paths are wanted."""
+    if Path in (kind, *get_args(kind)) and get_origin(kind) is not tuple and isinstance(value, str):
+        return folder / value
+    if get_origin(kind) is tuple and isinstance(value, list) and all(isinstance(item, str) for item in value):
+        return tuple(folder / item for item in value)
+    plain = {bool: (bool, "true or false"), int: (int, "a whole number"), float: (int | float, "a number")}
+    wanted, word = plain.get(kind, (str, "a text"))
+    if is_dataclass(kind):
+        word = f"a table [{name.rpartition(' ')[2]}]"
+    elif get_origin(kind) is tuple:
+        word = "a list of texts"
+    elif isinstance(value, wanted) and isinstance(value, bool) == (kind is bool) and Path not in get_args(kind):
+        return value
+    raise UsageError(f"{name} is {value!r}; it must be {word}")
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

@@ -7,6 +7,7 @@ import click
 
 from bumpymap.cli._terminal import BarProgress, set_up_logging
 from bumpymap.config import Compat, Ground, MapConfig, ZUnit, read_settings
+from bumpymap.errors import UsageError
 
 __all__ = ["command"]
 
@@ -14,8 +15,8 @@ _PARTLY_DONE = 4
 
 
 @click.command("map")
-@click.argument("surveys", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SURVEY...")
-@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for the layers.")
+@click.argument("surveys", nargs=-1, type=click.Path(path_type=Path), metavar="SURVEY...")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for the layers.")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
@@ -46,7 +47,10 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
 
     set_up_logging(as_json=log_json)
     settings = read_settings(config_file) if config_file else {}
-    settings |= {name: value for name, value in given.items() if value is not None and value is not False}
+    settings |= {name: value for name, value in given.items() if value not in (None, False, ())}
+    for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
+        if name not in settings:
+            raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
     config = MapConfig(**settings)
     with BarProgress(quiet=quiet or log_json) as progress:
         result = map_surveys(config, progress)

@@ -243,6 +243,15 @@ def test_wrong_usage_is_exit_two(arguments):
     assert "Traceback" not in result.output
 
 
+def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
+    file = tmp_path / "site.toml"
+    file.write_text(f'surveys = ["{survey}"]\nout = "layers"\n')
+    assert run("map", "--config", file).exit_code == 0
+    assert product_bytes(tmp_path / "layers") == product_bytes(layers)
+    assert run("map", "--config", file, "--out", tmp_path / "elsewhere").exit_code == 0
+    assert (tmp_path / "elsewhere" / "class.tif").exists()
+
+
 def test_other_tiles_than_the_calibrations_are_refused(survey, tmp_path):
     result = run("map", survey, "--out", tmp_path / "layers", "--tile-size", 1.5, "--pixels", 30)
     assert result.exit_code == 2
