@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -97,7 +98,8 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
     except KeyboardInterrupt:
         click.echo("\nStopped. The finished cells are kept: give the same command again to go on.", err=True)
         sys.exit(130)
-    _write(out, calibration.to_json())
+    with atomic(out) as beside:
+        beside.write_text(calibration.to_json(), encoding="utf-8")
     journal.remove()
     _summary(calibration, out)
 
@@ -112,21 +114,6 @@ def _check_place(out: Path, overwrite: bool) -> None:
             pass
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose an --out in a folder that you may write") from error
-
-
-def _write(out: Path, text: str) -> None:
-    """Write the whole file or nothing: beside its place, synced, renamed."""
-    beside = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(out)
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; the finished cells are kept beside it") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quick: bool) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 
 import bumpymap
+from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
 from bumpymap.learn.card import model_card
 from bumpymap.learn.evaluate import Evaluation, evaluate
@@ -59,8 +60,10 @@ def make_model(settings: TrainSettings, out: Path, told: Callable[[EpochReport],
     evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
     content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count()))
     card = out.with_suffix(".md")
-    _write(out, content)
-    _write(card, model_card(settings, evaluation, net.parameter_count(), len(content)).encode())
+    with atomic(out) as beside:
+        beside.write_bytes(content)
+    with atomic(card) as beside:
+        beside.write_text(model_card(settings, evaluation, net.parameter_count(), len(content)), encoding="utf-8")
     checkpoint.unlink(missing_ok=True)
     return MadeModel(out, card, evaluation, net.parameter_count())
 
@@ -84,17 +87,3 @@ def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) 
         "confusion_altered_copies": evaluation.altered_copies.confusion,
         "accuracy_short_waves": evaluation.short_waves.accuracy,
     }
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise OutputError(f"cannot write {path}: {error}. Choose another --out") from error

@@ -17,7 +17,7 @@ from pyproj import CRS
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from bumpymap.products.atomic import atomic
+from bumpymap.atomic import atomic
 from bumpymap.products.placement import Chunk, Placement
 
 __all__ = ["Layer", "Sheet", "write_cog"]

@@ -14,8 +14,8 @@ import numpy as np
 import rasterio
 from pyproj import CRS, proj_version_str
 
+from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
-from bumpymap.products.atomic import atomic
 from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
 
 __all__ = ["MANIFEST_NAME", "complete_manifest", "describe_file", "software_versions", "summarise", "write_manifest"]

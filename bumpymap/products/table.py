@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.products.atomic import atomic
+from bumpymap.atomic import atomic
 from bumpymap.products.placement import Placement
 from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, Band, CostMap, Reason
 

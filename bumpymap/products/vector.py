@@ -11,8 +11,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import mapping
 
+from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
-from bumpymap.products.atomic import atomic
 from bumpymap.products.lonlat import bounding_box, outlines_in_crs, outlines_on_globe
 from bumpymap.products.regions import Regions
 from bumpymap.types import NO_CLASS

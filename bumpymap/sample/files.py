@@ -1,8 +1,6 @@
 """Write the made-up survey: a LAZ file, and a PLY file of a part of it. Same points, same bytes."""
 
 import datetime as dt
-import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -12,6 +10,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
+from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
 from bumpymap.sample.site import EPSG, QuarrySite
 from bumpymap.sample.survey import SCALE, SurveyPoints, sample_survey
@@ -74,10 +73,12 @@ def make_quarry_survey(folder: Path, seed: int = 1, density: float = 100.0, area
     files = SampleFiles(folder / "quarry.laz", folder / "quarry_part.ply")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write_whole(files.survey, lambda stream: write_laz(points, site, stream))
-        _write_whole(files.part, lambda stream: write_ply(points.select(within), stream))
     except OSError as error:
         raise OutputError(f"cannot write the sample survey to {folder}: {error}. Choose another folder") from error
+    with atomic(files.survey) as beside, beside.open("w+b") as stream:
+        write_laz(points, site, stream)
+    with atomic(files.part) as beside, beside.open("w+b") as stream:
+        write_ply(points.select(within), stream)
     return files
 
 
@@ -112,16 +113,3 @@ def write_ply(points: SurveyPoints, stream: BinaryIO) -> None:
     PlyData(
         [PlyElement.describe(vertex, "vertex")], text=False, byte_order="<", comments=[f"EPSG:{EPSG}, metres"]
     ).write(stream)
-
-
-def _write_whole(path: Path, write: Callable[[BinaryIO], None]) -> None:
-    """Write beside the place, sync, rename: the file appears whole or not at all."""
-    beside = path.with_name(path.name + ".part")
-    try:
-        with beside.open("w+b") as stream:
-            write(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress"}
+VOCABULARY = {"types", "config", "errors", "progress", "atomic"}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
     "config": (set(), set()),
     "errors": (set(), set()),
+    "atomic": (set(), set()),
     "progress": (set(), set()),
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),

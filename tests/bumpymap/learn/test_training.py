@@ -201,11 +201,13 @@ def test_without_torch_the_remedy_is_named(monkeypatch):
     assert "pip install 'bumpymap[learn]'" in result.output
 
 
-def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_nothing_but_the_checkpoint(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(make.os, "fsync", full)
+    monkeypatch.setattr(make, "UNSEEN_PER_TEXTURE", 5)
     with pytest.raises(OutputError, match="No space left"):
-        make._write(tmp_path / "m.onnx", b"content")
-    assert list(tmp_path.iterdir()) == []
+        make.make_model(TrainSettings(epochs=1, patches_per_texture=8), tmp_path / "m.onnx")
+    # The training itself is kept, so that the same command can go on.
+    assert [path.name for path in tmp_path.iterdir()] == ["m.onnx.checkpoint"]

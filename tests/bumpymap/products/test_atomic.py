@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
 from bumpymap.products import (
     dissolve,
@@ -14,7 +15,6 @@ from bumpymap.products import (
     write_roughness,
     write_tiles,
 )
-from bumpymap.products.atomic import atomic
 
 
 def names(folder):

@@ -91,7 +91,7 @@ def test_folder_is_created_and_left_empty(tmp_path):
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     code = (
         "import os, pathlib, sys\n"
-        "from bumpymap.products.atomic import atomic\n"
+        "from bumpymap.atomic import atomic\n"
         "with atomic(pathlib.Path(sys.argv[1]) / 'heightmap.tif') as path:\n"
         "    path.write_text('half'); path.with_name(path.stem + '.scratch.tif').write_text('scratch'); os._exit(1)\n"
     )

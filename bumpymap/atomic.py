@@ -41,7 +41,7 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
     except (OSError, *failures) as error:  # type: ignore[misc]
         raise OutputError(
             f"cannot write {target}: {error}. Free some space, or choose a folder that can be written, "
-            "with --out; nothing was left there"
+            "with --out; nothing half-written was left there"
         ) from error
     finally:
         for left in list(target.parent.glob(f"{temporary.stem}*")) if target.parent.is_dir() else []:
