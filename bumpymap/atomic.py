@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 from uuid import uuid4
 
@@ -44,7 +45,7 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
             "with --out; nothing half-written was left there"
         ) from error
     finally:
-        for left in list(target.parent.glob(f"{temporary.stem}*")) if target.parent.is_dir() else []:
+        for left in list(target.parent.glob(f"{escape(temporary.stem)}*")) if target.parent.is_dir() else []:
             left.unlink(missing_ok=True)
 
 

@@ -2,12 +2,13 @@
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from bumpymap.errors import BadInputError
+from bumpymap.errors import BadInputError, UsageError
 from bumpymap.types import TEXTURES
 
 __all__ = ["Calibration", "shipped_calibrations"]
@@ -48,6 +49,7 @@ class Calibration:
     """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again."""
 
     def __post_init__(self) -> None:
+        _check_numbers(self)
         shape = (len(self.textures), len(self.z_range))
         for name in ("c_r", "c_r_log_sd", "p_fail", "drives"):
             table = getattr(self, name)
@@ -55,15 +57,27 @@ class Calibration:
                 raise ValueError(f"table {name} is not {shape[0]} textures x {shape[1]} z ranges")
         if self.textures != TEXTURES:
             raise ValueError(f"textures are {self.textures}; this version knows {TEXTURES}")
-        if list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
+        if not self.z_range or list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
             raise ValueError("z_range must be positive and rise")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
             raise ValueError("class_limits must be positive and rise")
+        known = [c for line in self.c_r for c in line if c is not None]
+        if any(line[0] is None for line in self.c_r) or min(known) <= 0:
+            raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
 
     @property
     def id(self) -> str:
         """Twelve hex digits that change with any number of the calibration."""
         return hashlib.sha256(self._body().encode()).hexdigest()[:12]
+
+    def require_grid(self, tile_size: float, pixels: int) -> None:
+        """Raise UsageError where tiles of another size [m] or another number of pixels are to be rated."""
+        if (self.tile_size, self.pixels) != (tile_size, pixels):
+            raise UsageError(
+                f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
+                f"map has {tile_size:g} m with {pixels}. Use the calibration's tile size, or calibrate for yours: "
+                f"bumpymap calibrate --tile-size {tile_size:g} --pixels {pixels}"
+            )
 
     def _body(self) -> str:
         return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
@@ -83,7 +97,10 @@ class Calibration:
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
-            record = json.loads(text)
+            try:
+                record = json.loads(text)
+            except json.JSONDecodeError:
+                record = None
             if not isinstance(record, dict) or record.get("format") != _FORMAT:
                 raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
             if record.get("version") != _VERSION:
@@ -93,7 +110,7 @@ class Calibration:
                 )
             known = {f.name: record[f.name] for f in fields(cls)}
             return cls(**{key: _tuples(value) for key, value in known.items()})
-        except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
 
     @classmethod
@@ -101,8 +118,10 @@ class Calibration:
         """Read a calibration file. Raises BadInputError where it is none."""
         try:
             text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadInputError(f"cannot read the calibration {path}: {error}") from error
+        except OSError as error:
+            raise BadInputError(f"cannot read the calibration {path}: {error.strerror}") from error
+        except UnicodeDecodeError:
+            text = ""
         return cls.from_json(text, str(path))
 
     @classmethod
@@ -110,12 +129,30 @@ class Calibration:
         """Read the calibration that ships for a vehicle, such as ``warthog``."""
         known = shipped_calibrations()
         if vehicle not in known:
-            raise BadInputError(
+            raise UsageError(
                 f"no calibration for a vehicle named '{vehicle}' ships with bumpymap; there are: {', '.join(known)}. "
-                "For your own: bumpymap calibrate --vehicle FILE, then map --calibration FILE"
+                "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then map --calibration FILE"
             )
         resource = files("bumpymap") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
+
+
+def _check_numbers(calibration: Calibration) -> None:
+    """Raise ValueError where something is not a finite number that has to be one, or is missing."""
+    vehicle = calibration.vehicle
+    named = {key: vehicle[key] for key in ("ride_weight", "slope_limit_deg")}
+    if not isinstance(vehicle["name"], str):
+        raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a text")  # noqa: TRY004 (of a file)
+    if len(calibration.class_limits) != 3 or len(calibration.class_c_r) != 4:
+        raise ValueError("there must be 3 class_limits and 4 class_c_r")
+    tables = [calibration.p_fail, calibration.drives, calibration.c_r, calibration.c_r_log_sd]
+    gaps = [number for table in tables[2:] for line in table for number in line if number is None]
+    numbers = [number for table in tables for line in table for number in line]
+    numbers += [*named.values(), *calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
+    numbers += [calibration.tile_size, calibration.pixels]
+    finite = [n for n in numbers if isinstance(n, int | float) and not isinstance(n, bool) and math.isfinite(n)]
+    if len(finite) + len(gaps) != len(numbers):
+        raise ValueError("a number is missing, not finite, or no number")
 
 
 def shipped_calibrations() -> list[str]:

@@ -49,6 +49,15 @@ class TextureModel:
         """Twelve hex digits that change with any byte of the file."""
         return hashlib.sha256(self.content).hexdigest()[:12]
 
+    def require_grid(self, tile_size: float, pixels: int) -> None:
+        """Raise UsageError where tiles of another size [m] or another number of pixels are to be classified."""
+        if (tile_size, pixels) != (self.tile_size, self.pixels):
+            raise UsageError(
+                f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
+                f"{self.tile_size:g} m with {self.pixels}. Use --tile-size {self.tile_size:g} --pixels {self.pixels}, "
+                f"or train one: bumpymap train --tile-size {tile_size:g} --pixels {pixels} --out MODEL.onnx"
+            )
+
     @classmethod
     def shipped(cls) -> "TextureModel":
         """Read the network that ships with bumpymap."""
@@ -105,7 +114,7 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     UsageError
         The network was trained for tiles of another size or another number of pixels.
     """
-    _check_grid(model, patches)
+    model.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = np.flatnonzero(patches.reason == Reason.OK)
     relief = patches.relief_map[known]
     if not np.isfinite(relief).all():
@@ -115,16 +124,6 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     probability[known[level]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
     probability[known[~level]] = _infer(model, normalise(relief[~level]))
     return TextureMap(probability)
-
-
-def _check_grid(model: TextureModel, patches: PatchStack) -> None:
-    grid = patches.grid
-    if (grid.tile_size, grid.pixels) != (model.tile_size, model.pixels):
-        raise UsageError(
-            f"tiles are {grid.tile_size:g} m with {grid.pixels} pixels; the texture network {model.id} was trained for "
-            f"{model.tile_size:g} m with {model.pixels}. Use --tile-size {model.tile_size:g} --pixels {model.pixels}, "
-            f"or train one: bumpymap train --tile-size {grid.tile_size:g} --pixels {grid.pixels} --out MODEL.onnx"
-        )
 
 
 def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:

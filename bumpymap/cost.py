@@ -5,15 +5,13 @@ that ladder (straight lines in log-log); the network's probabilities then weigh 
 the whole distribution, a mixture of four log-normals, so an interval and the probability of the class come with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
-from bumpymap.errors import UsageError
 from bumpymap.types import NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
-from bumpytiles import Grid
 
 __all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
 
@@ -63,7 +61,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     UsageError
         The calibration was made for tiles of another size or another number of pixels.
     """
-    _check_grid(calibration, patches.grid)
+    calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = patches.reason == Reason.OK
     chance = textures.probability[known].astype(np.float64)
     log_c, sd, fail = _read_ladder(_ladder(calibration), patches.relief[known])
@@ -99,7 +97,7 @@ def rate_as_paper(
     Every tile with points gets a class; those that we would call unknown are class 3. ``c_r`` is the calibration's
     mean of the class, the interval is the class's own, ``confidence`` the probability of the winning texture.
     """
-    _check_grid(calibration, patches.grid)
+    calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
     chance = np.nan_to_num(textures.probability.astype(np.float64))
     raw_range = patches.z_max - patches.z_min
     by_texture = np.stack(
@@ -118,7 +116,7 @@ def rate_as_paper(
     high = np.where(klass == len(edges) - 2, np.nan, edges[klass + 1])
     return CostMap(
         georeference=georeference,
-        patches=patches,
+        patches=replace(patches, reason=np.where(measured, Reason.OK, patches.reason).astype(np.uint8)),
         textures=textures,
         klass=_spread_class(measured, klass[measured]),
         c_r=_spread(measured, np.array(calibration.class_c_r)[klass[measured]]),
@@ -130,20 +128,11 @@ def rate_as_paper(
     )
 
 
-def _check_grid(calibration: Calibration, grid: Grid) -> None:
-    if (calibration.tile_size, calibration.pixels) != (grid.tile_size, grid.pixels):
-        raise UsageError(
-            f"the calibration {calibration.id} was made for tiles of {calibration.tile_size:g} m with "
-            f"{calibration.pixels} pixels, the map has {grid.tile_size:g} m with {grid.pixels}. "
-            "Use the calibration's tile size, or calibrate for yours: "
-            f"bumpymap calibrate --tile-size {grid.tile_size:g} --pixels {grid.pixels}"
-        )
-
-
 def _ladder(calibration: Calibration) -> _Ladder:
     """Fill the gaps where no drive was completed from the last z range that has one; failure is certain there."""
     c_r = np.array(calibration.c_r, dtype=float)
     log_sd = np.array(calibration.c_r_log_sd, dtype=float)
+    log_sd[:, 0] = np.where(np.isnan(log_sd[:, 0]), _MIN_LOG_SD, log_sd[:, 0])
     return _Ladder(
         log_range=np.log(np.array(calibration.z_range)),
         log_c_r=np.log(_carry_forward(c_r)),

@@ -10,7 +10,7 @@ from bumpymap.config import FeatureSettings
 from bumpymap.types import PatchStack, Reason
 from bumpytiles import TilePoints
 
-__all__ = ["join_stacks", "measure", "sort_stack"]
+__all__ = ["join_stacks", "measure"]
 
 _SCALARS = 9
 
@@ -102,14 +102,10 @@ def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: F
 
 
 def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
-    """Put stacks of one grid end to end (at least one)."""
+    """Put stacks of one grid (at least one) together, north to south, then west to east: the order of every file."""
+    order = np.lexsort(
+        (np.concatenate([stack.col for stack in stacks]), -np.concatenate([stack.row for stack in stacks]))
+    )
     columns = [f.name for f in fields(PatchStack) if f.name != "grid"]
-    joined = {name: np.concatenate([getattr(stack, name) for stack in stacks]) for name in columns}
+    joined = {name: np.concatenate([getattr(stack, name) for stack in stacks])[order] for name in columns}
     return PatchStack(stacks[0].grid, **joined)
-
-
-def sort_stack(stack: PatchStack) -> PatchStack:
-    """Order the rows north to south, then west to east: the order of every file."""
-    order = np.lexsort((stack.col, -stack.row))
-    columns = [f.name for f in fields(PatchStack) if f.name != "grid"]
-    return PatchStack(stack.grid, **{name: getattr(stack, name)[order] for name in columns})

@@ -304,7 +304,11 @@ def _heightmap(
 ) -> int:
     """Mean, population variance and number of the kept points in each pixel; north row first, NaN where none fell."""
     size = mean.shape[0]
-    shift = z[0]
+    shift = 0.0
+    for i in range(len(z)):
+        if keep[i]:
+            shift = z[i]
+            break
     mean[:] = 0.0
     variance[:] = 0.0
     count[:] = 0

@@ -1,6 +1,7 @@
 """The main job, step by step: surveys in, rated tiles and their files out. No arithmetic here, only the order."""
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from bumpymap.classify import TextureModel, classify
 from bumpymap.config import MapConfig
 from bumpymap.cost import rate, rate_as_paper
 from bumpymap.errors import BadInputError
-from bumpymap.features import join_stacks, measure, sort_stack
+from bumpymap.features import join_stacks, measure
 from bumpymap.products import check_extent, check_folder, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader, common_georeference, find_surveys, open_survey
@@ -35,7 +36,7 @@ class MapResult:
     cost_map: CostMap
     """The rated tiles."""
     points: int
-    """Points that counted."""
+    """Points that count: read, and neither withheld nor noise; duplicates are still among them."""
     ground_only: bool
     """Only points of class 2 were measured."""
     skipped: dict[str, str]
@@ -61,13 +62,25 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
     BumpymapError
         Anything a user can cause; no file is left half-written.
     """
-    told = progress or SilentProgress()
+    fresh = not config.out.exists()
+    try:
+        return _map(config, progress or SilentProgress())
+    except BaseException:
+        if fresh:
+            with suppress(OSError):  # goes away where nothing was written to it
+                config.out.rmdir()
+        raise
+
+
+def _map(config: MapConfig, told: Progress) -> MapResult:
     clock = Stopwatch()
     grid = Grid(config.tile_size, config.pixels)
     with clock.stage("prepare"):
         check_folder(config.out, overwrite=config.overwrite)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
+        model.require_grid(config.tile_size, config.pixels)
+        calibration.require_grid(config.tile_size, config.pixels)
         inputs = _open(config)
     with clock.stage("read"):
         buckets = _read(inputs, grid, config, told)
@@ -117,6 +130,8 @@ def _open(config: MapConfig) -> _Inputs:
     if not readers:
         raise BadInputError("none of the inputs could be read:\n" + "\n".join(skipped.values()))
     georeference = common_georeference([reader.info for reader in readers])
+    if georeference.crs is not None and config.local:
+        _log.warning("--local is not needed: the survey has a CRS (%s)", georeference.crs.name)
     if georeference.crs is None and not config.local:
         raise BadInputError(
             f"{readers[0].info.path} has no CRS, so its place on Earth is unknown. Pass --crs EPSG:CODE, "
@@ -173,7 +188,7 @@ def _measure(buckets: TileBuckets, config: MapConfig, told: Progress, *, ground_
     for stack in run_blocks(work, buckets.blocks(), config.workers):
         stacks.append(stack)
         told.advance(1)
-    return sort_stack(join_stacks(stacks))
+    return join_stacks(stacks)
 
 
 def _input_record(reader: SurveyReader) -> dict[str, Any]:

@@ -18,6 +18,10 @@ _COMMANDS = {
 }
 
 
+_INTERRUPTED = 130
+"""What shells expect after Ctrl-C."""
+
+
 class _LazyGroup(click.Group):
     """A group whose commands live in ``bumpymap.cli.NAME`` and are imported when they run."""
 
@@ -46,6 +50,11 @@ class _LazyGroup(click.Group):
         except BumpymapError as error:
             click.echo(f"Error: {error}", err=True)
             sys.exit(error.exit_code)
+        except KeyboardInterrupt:
+            click.echo(
+                "Interrupted. No file is half-written; a folder of layers without run.json is incomplete", err=True
+            )
+            sys.exit(_INTERRUPTED)
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

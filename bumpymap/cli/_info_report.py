@@ -74,7 +74,17 @@ class Report:
         settings = FeatureSettings()
         per_tile = self.density * self.grid.tile_size**2
         enough = enough_points(self.grid, settings.min_points, settings.min_coverage)
-        judged = self.summary.enough_share if self.summary else float(per_tile >= enough)
+        summary = self.summary
+        if summary and summary.ground_tile_share > _CLASSIFIED:
+            if summary.ground_enough_share >= _MOST:
+                return []
+            found = f"{summary.ground_points_per_tile:.0f} a tile in the median"
+            sentence = (
+                f"--ground auto will measure ground points (class 2) alone, {found}; about {enough} are needed, so "
+                "most tiles would be unknown. --ground all measures every point, vegetation too"
+            )
+            return [sentence]
+        judged = summary.enough_share if summary else float(per_tile >= enough)
         if judged >= _MOST:
             return []
         sentence = (

@@ -40,8 +40,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     console.print(table)
     if advice := _advice(result, config):
         console.print(advice, markup=False)
-    for path, message in result.skipped.items():
-        console.print(f"skipped {path}: {message}", markup=False)
+    if result.skipped:
+        console.print(f"{len(result.skipped)} inputs were skipped; run.json says why")
     console.print(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}", markup=False)
 
 

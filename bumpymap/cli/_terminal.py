@@ -3,13 +3,29 @@
 import json
 import logging
 import sys
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
+import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-__all__ = ["BarProgress", "set_up_logging"]
+__all__ = ["PATH", "BarProgress", "set_up_logging"]
+
+
+class _NamedPath(click.Path):
+    """A path that is not the empty text: an unset shell variable must not mean the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Turn a text into a Path."""
+        if value == "":
+            self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _NamedPath(path_type=Path)
+"""Type of every path on the command line."""
 
 
 class BarProgress:

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._terminal import BarProgress, set_up_logging
+from bumpymap.cli._terminal import PATH, BarProgress, set_up_logging
 from bumpymap.config import MapConfig
 
 __all__ = ["command"]
 
 
 @click.command("demo")
-@click.option("--out", default="demo_out", type=click.Path(path_type=Path), metavar="DIR", show_default=True)
+@click.option("--out", default="demo_out", type=PATH, metavar="DIR", show_default=True)
 @click.option(
     "--survey",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="Survey to map; without it a made-up quarry is generated into DIR.",
 )

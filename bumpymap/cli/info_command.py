@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 
 import click
 
-from bumpymap.cli._terminal import BarProgress
+from bumpymap.cli._terminal import PATH, BarProgress
 from bumpymap.config import ZUnit
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _BAD_INPUT = 3
 
 
 @click.command("info")
-@click.argument("surveys", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SURVEY...")
+@click.argument("surveys", nargs=-1, required=True, type=PATH, metavar="SURVEY...")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")

@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 import click
 
-from bumpymap.cli._terminal import BarProgress, set_up_logging
+from bumpymap.cli._terminal import PATH, BarProgress, set_up_logging
 from bumpymap.config import Compat, Ground, MapConfig, ZUnit, read_settings
 from bumpymap.errors import UsageError
 
@@ -15,19 +15,19 @@ _PARTLY_DONE = 4
 
 
 @click.command("map")
-@click.argument("surveys", nargs=-1, type=click.Path(path_type=Path), metavar="SURVEY...")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for the layers.")
+@click.argument("surveys", nargs=-1, type=PATH, metavar="SURVEY...")
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the layers.")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--ground", type=click.Choice(get_args(Ground)), help="Points that count [default: auto].")
 @click.option("--vehicle", metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
-@click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="Calibration of your own vehicle.")
-@click.option("--model", type=click.Path(path_type=Path), metavar="FILE", help="Texture network of your own.")
+@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
+@click.option("--model", type=PATH, metavar="FILE", help="Texture network of your own.")
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: rate by the rules of the paper.")
 @click.option("--tile-size", type=float, metavar="M", help="Side of a tile [default: 3].")
 @click.option("--pixels", type=int, metavar="N", help="Pixels along a side of a tile [default: 15].")
-@click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE", help="Settings in TOML.")
+@click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
 @click.option("--workers", type=int, metavar="N", help="Threads [default: every core].")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
 @click.option("--skip-bad", is_flag=True, help="Go on without files that cannot be read (exit code 4).")

@@ -13,7 +13,7 @@ from bumpymap.products.geotiff import write_classes, write_heightmap, write_roug
 from bumpymap.products.manifest import MANIFEST_NAME, complete_manifest, write_manifest
 from bumpymap.products.regions import dissolve
 from bumpymap.products.table import write_tiles
-from bumpymap.products.vector import write_flatgeobuf, write_geojson
+from bumpymap.products.vector import require_place, write_flatgeobuf, write_geojson
 from bumpymap.types import CostMap
 
 __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
@@ -42,6 +42,8 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     OutputError
         It cannot be created or written, or it holds the products of a run and ``overwrite`` is False.
     """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".bumpymap-{uuid4().hex}"
@@ -58,8 +60,10 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     if blocked:
         raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another --out")
     if present and not overwrite:
+        unfinished = "" if PRODUCT_NAMES[-1] in present else " of a run that did not end"
         raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another --out, or pass --overwrite to replace them"
+            f"{folder} already holds {', '.join(present)}{unfinished}. Choose another --out, "
+            "or pass --overwrite to replace them"
         )
 
 
@@ -102,12 +106,13 @@ def write_products(cost_map: CostMap, folder: Path, *, local: bool, manifest: Ma
     """
     paths = [folder / name for name in PRODUCT_NAMES]
     started = time.perf_counter()
-    _forget(paths[-1])
     facts = _facts(manifest)
     tags = {key: str(value) for key, value in facts.items()}
     roughness, klass, heightmap, tiles, geojson, flatgeobuf, run = paths
     regions = dissolve(cost_map)
     # First what may be refused: the survey's CRS may have no relation to longitude and latitude.
+    require_place(regions, local=local)
+    _forget(run)
     write_geojson(regions, geojson, local=local, about=facts)
     write_flatgeobuf(regions, flatgeobuf)
     write_roughness(cost_map, roughness, tags)

@@ -60,6 +60,11 @@ def write_geojson(regions: Regions, path: Path, *, local: bool, about: Mapping[s
         file.write("\n]}\n")
 
 
+def require_place(regions: Regions, *, local: bool) -> None:
+    """Raise BadInputError where the regions cannot be placed on the globe and ``local`` is False."""
+    _place(regions, local=local)
+
+
 def _place(regions: Regions, *, local: bool) -> tuple[NDArray[np.object_], dict[str, Any]]:
     """Outlines as they stand in cost.geojson, and the members of the collection that say where they are."""
     try:

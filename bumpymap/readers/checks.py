@@ -21,7 +21,7 @@ _OUTSIDE = 1.0
 """How far a point may lie outside the header's box, m: headers are rounded."""
 _FAR_TOO_LARGE, _FAR_TOO_LARGE_RATIO = 10_000.0, 10.0
 """A box longer than this, m, and than so many times the points' own extent was not made from the points."""
-_NOWHERE = 1e10
+_NOWHERE = 3e9
 """Coordinates beyond this, m, are no place on Earth (40,000 km around) by any datum or unit."""
 _TRUST = "--trust-points goes on with the points' own extent"
 
@@ -46,7 +46,7 @@ def decoding(path: Path, what: str) -> Iterator[None]:
     """
     try:
         yield
-    except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit):
+    except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:
         reason = str(error).strip().split("\n")[0] or type(error).__name__
@@ -95,6 +95,7 @@ class PointWatch:
         self._first_not_finite = 0
         self._low = np.full(2, np.inf)
         self._high = np.full(2, -np.inf)
+        self._highest = 0.0
 
     def see(self, raw: RawPoints) -> bool:
         """Take note of a chunk; False once any chunk was bad."""
@@ -105,8 +106,9 @@ class PointWatch:
             high = np.array([np.fmax.reduce(x), np.fmax.reduce(y)])
             self._low, self._high = np.fmin(self._low, low), np.fmax(self._high, high)
             self._see_outside(x, y, low, high)
+            self._highest = max(self._highest, float(np.fmax.reduce(np.abs(raw.upward))))
         self._seen += x.size
-        return not (self._not_finite or self._outside or self._nowhere())
+        return not (self._not_finite or self._outside or self._nowhere() or self._highest > _NOWHERE)
 
     def finish(self) -> None:
         """Judge all points. Raises BadInputError."""
@@ -121,6 +123,12 @@ class PointWatch:
             raise BadInputError(
                 f"the points of {self._path} lie in {self._own()}, which is no place on Earth: are scale, offset and "
                 "CRS of the file right?"
+            )
+        if self._highest > _NOWHERE:
+            raise BadInputError(
+                f"{self._path} holds heights of up to {self._highest:g} m from zero, which is no place on Earth: a "
+                "value that stands for 'no data', or a wrong scale? Remove such points, such as with: "
+                "pdal translate IN OUT.laz range --filters.range.limits='Z[-1e4:1e4]'"
             )
         if self._bounds is None or not self._seen:
             return

@@ -4,14 +4,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.readers.checks import RawPoints
 from bumpymap.types import Georeference
 
-__all__ = ["CLASS_COLUMNS", "metres", "precision_note"]
+__all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note"]
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
 """Names, in lower case, of a column that holds LAS class codes."""
+DECIMALS = 8
+"""Coordinates are rounded to so many, in the file's unit."""
 _LARGE = 1e5
 """Coordinates from here on are spaced 1 cm or more apart in float32, in the file's unit."""
 
@@ -32,9 +35,15 @@ def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, p
     -------
     RawPoints
     """
+    # Rounded like LAS coordinates: the same point from a LAS and a PLY file is one point.
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
-    x, y, z = (np.multiply(rows[name], unit, dtype=np.float64) for name, unit in zip(columns, units, strict=True))
+    x, y, z = (_coordinate(rows[name], unit) for name, unit in zip(columns, units, strict=True))
     return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
+
+
+def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
+    value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
+    return value if unit == 1.0 else value * unit
 
 
 def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any]) -> tuple[str, ...]:

@@ -35,8 +35,11 @@ def find_surveys(paths: Sequence[Path]) -> list[Path]:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
     found: dict[Path, Path] = {}
     for path in paths:
-        for file in _files_of(path):
-            found.setdefault(file.resolve(), file)
+        try:
+            for file in _files_of(path):
+                found.setdefault(Path(os.path.realpath(file)), file)
+        except OSError as error:
+            raise BadInputError(f"cannot look at {path}: {error.strerror}") from error
     return sorted(found.values())
 
 

@@ -4,6 +4,8 @@ GeoTIFF 1.1 (OGC 19-008r4) keys: 1024 model type (1 projected, 2 geographic, 3 g
 projected CRS, 3076 unit of easting and northing, 4096 vertical CRS, 4099 unit of height. 32767 means "user-defined".
 """
 
+from dataclasses import replace
+
 from bumpymap.crs import CrsStatement, crs_from_epsg, linear_unit, same_crs, statement_from_wkt
 
 __all__ = ["statement_from_geokeys", "statement_of_las"]
@@ -42,6 +44,7 @@ def statement_of_las(wkt: str | None, geokeys: dict[int, int] | None, citation: 
         note = "its GeoTIFF keys cannot be worked out; the CRS was taken from its WKT record"
         return CrsStatement(from_wkt.crs, notes=(note,))
     chosen, other = (from_wkt, from_keys) if wkt_bit else (from_keys, from_wkt)
+    chosen = _with_height_unit(chosen, other)
     if chosen.crs is None or other.crs is None or same_crs(chosen.crs, other.crs):
         return chosen
     names = ("WKT record", "GeoTIFF keys") if wkt_bit else ("GeoTIFF keys", "WKT record")
@@ -49,6 +52,20 @@ def statement_of_las(wkt: str | None, geokeys: dict[int, int] | None, citation: 
     return CrsStatement(
         chosen.crs, chosen.metres_per_unit, chosen.metres_per_unit_z, chosen.trouble, (*chosen.notes, note)
     )
+
+
+def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
+    """Take the unit of height from the record that does not count, where only that one states it."""
+    if _height_unit(chosen) is not None or _height_unit(other) is None:
+        return chosen
+    note = f"only one of its two CRS records states a unit of height ({_height_unit(other):g} m); it is believed"
+    return replace(chosen, metres_per_unit_z=_height_unit(other), notes=(*chosen.notes, note))
+
+
+def _height_unit(statement: CrsStatement) -> float | None:
+    axes = statement.crs.axis_info if statement.crs is not None else []
+    own = axes[2].unit_conversion_factor if len(axes) > 2 else None
+    return statement.metres_per_unit_z or own
 
 
 def statement_from_geokeys(keys: dict[int, int], citation: str) -> CrsStatement:

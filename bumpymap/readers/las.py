@@ -14,6 +14,7 @@ from bumpymap.crs import CrsStatement, Place, georeference
 from bumpymap.errors import BadInputError
 from bumpymap.readers.base import Survey
 from bumpymap.readers.checks import RawPoints, decoding, refuse_header_bounds
+from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, geokeys_of, read_raw_header, text_of
 from bumpymap.readers.laz_table import check_laz
@@ -28,7 +29,6 @@ logging.getLogger("laspy").setLevel(logging.CRITICAL)
 
 _FIELDS = DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
 _BACKENDS = (LazBackend.LazrsParallel, LazBackend.Lazrs)
-_DECIMALS = 8
 _PROJECTION = b"LASF_Projection"
 
 
@@ -99,7 +99,7 @@ def _coordinate(integer: NDArray[np.int32], scale: float, offset: float, unit: f
     with np.errstate(over="ignore", invalid="ignore"):
         value: NDArray[np.float64] = integer * np.float64(scale)
         value += offset
-        np.round(value, _DECIMALS, out=value)
+        np.round(value, DECIMALS, out=value)
         if unit != 1.0:
             value *= unit
     return value
@@ -129,7 +129,7 @@ def _middle(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[float,
 
 def _bounds(low: NDArray[np.float64], high: NDArray[np.float64], place: Georeference) -> Bounds:
     west, south, east, north = (
-        float(np.round(value, _DECIMALS) * place.metres_per_unit) for value in (low[0], low[1], high[0], high[1])
+        float(np.round(value, DECIMALS) * place.metres_per_unit) for value in (low[0], low[1], high[0], high[1])
     )
     return Bounds(west, south, east, north)
 

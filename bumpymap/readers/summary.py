@@ -33,6 +33,10 @@ class PointSummary:
     """Median."""
     enough_share: float
     """Share of the tiles that hold enough points to be judged, 0..1."""
+    ground_points_per_tile: float
+    """Points of class 2 (ground), median over the tiles that hold any; 0 where none does."""
+    ground_enough_share: float
+    """Share of the tiles that hold enough points of class 2, 0..1."""
     ground_share: float
     """Share of the points that are of class 2 (ground), 0..1."""
     ground_tile_share: float
@@ -88,6 +92,7 @@ def summarise(
     counts = tally.counts()
     if counts.size == 0:
         return None
+    ground_counts = ground_tally.counts()
     median, points = float(np.median(counts)), int(counts.sum())
     return PointSummary(
         points=points,
@@ -98,8 +103,10 @@ def summarise(
         density=median / grid.tile_size**2,
         points_per_tile=median,
         enough_share=float((counts >= enough).mean()),
+        ground_points_per_tile=float(np.median(ground_counts)) if ground_counts.size else 0.0,
+        ground_enough_share=float((ground_counts >= enough).sum() / counts.size),
         ground_share=ground / points,
-        ground_tile_share=ground_tally.counts().size / counts.size,
+        ground_tile_share=ground_counts.size / counts.size,
     )
 
 
@@ -131,6 +138,6 @@ class _Tally:
 
 
 def _keys(cloud: PointCloud, grid: Grid) -> NDArray[np.int64]:
-    """One number a tile: column and row in 32 bits each (readers refuse coordinates that would not fit)."""
+    """One number a tile: column and row in 32 bits each; tiles of 1.5 m and more fit wherever readers allow a point."""
     keys: NDArray[np.int64] = (grid.index(cloud.easting) << 32) + grid.index(cloud.northing)
     return keys

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.config import FeatureSettings
-from bumpymap.features import join_stacks, measure, sort_stack
+from bumpymap.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -24,9 +24,7 @@ def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=
     x, y, z = (np.asarray(column, float) for column in (x, y, z))
     buckets.add(x, y, z, np.zeros(len(x), bool) if flag is None else flag)
     blocks = list(buckets.blocks())
-    return sort_stack(
-        join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
-    )
+    return join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
 
 
 @pytest.fixture(name="measure_points")

@@ -283,4 +283,54 @@ def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypa
     result = run("map", far, "--out", tmp_path / "layers")
     assert result.exit_code == 3
     assert "300.0 km x 300.0 km" in result.output
-    assert list((tmp_path / "layers").iterdir()) == []
+    assert not (tmp_path / "layers").exists()
+
+
+def test_a_part_of_the_survey_in_another_format_changes_nothing(tmp_path):
+    part = QUARRY.with_name("quarry_part.ply")
+    for name, files in (("laz", [QUARRY]), ("both", [QUARRY, part])):
+        # The part's own CRS stands in no PLY header.
+        assert run("map", *files, "--out", tmp_path / name, "--crs", "EPSG:32632").exit_code == 0
+    with (
+        rasterio.open(tmp_path / "laz" / "roughness.tif") as one,
+        rasterio.open(tmp_path / "both" / "roughness.tif") as two,
+    ):
+        np.testing.assert_array_equal(one.read(), two.read())
+
+
+def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["map", survey, "--out", ""], ["map", "", "--out", "layers"], ["info", ""]):
+        result = run(*arguments)
+        assert result.exit_code == 2
+        assert "the path is empty" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bumpymap.pipeline._ground_only", interrupted)
+    result = run("map", survey, "--out", tmp_path / "layers")
+    assert result.exit_code == 130
+    assert "Interrupted" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_info_judges_the_points_that_map_will_measure(site, tmp_path):
+    few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
+    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
+    told = " ".join(run("info", wooded).output.split())
+    assert "--ground auto will measure ground points (class 2) alone, 12 a tile" in told
+    assert "ready" not in told
+
+
+def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
+    points = np.zeros((50, 3), "<f4")
+    points[7, 2] = -3.4e38
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty float x\nproperty float y\n"
+    (tmp_path / "a.ply").write_bytes(head + b"property float z\nend_header\n" + points.tobytes())
+    result = run("map", tmp_path / "a.ply", "--out", tmp_path / "layers", "--local")
+    assert result.exit_code == 3
+    assert "stands for 'no data'" in result.output

@@ -108,7 +108,7 @@ class TileBuckets:
         starts = [0, *changes.tolist()]
         for start, stop in zip(starts, [*starts[1:], len(order)], strict=True):
             key = (int(block_row[start]), int(block_col[start]))
-            self._blocks.setdefault(key, []).append(points.take(slice(start, stop)))
+            self._blocks.setdefault(key, []).append(points.take(np.arange(start, stop)))
 
     def merge(self, other: "TileBuckets") -> None:
         """Take all points of another collection over the same grid."""

@@ -253,3 +253,12 @@ def test_a_given_crs_that_is_none(las):
 def test_a_chunk_of_no_points(las):
     with pytest.raises(UsageError, match="at least 1"):
         next(open_survey(las.write()).chunks(0))
+
+
+@pytest.mark.parametrize("wkt_bit", [True, False])
+def test_a_unit_of_height_that_one_of_two_records_states_is_believed(las, wkt_bit):
+    with_height = CRS.from_user_input("EPSG:26914+6360").to_wkt("WKT1_GDAL")  # NAVD88 in US survey feet
+    info = open_survey(las.write(version="1.4", fmt=6, wkt=with_height, epsg=26914, wkt_bit=wkt_bit)).info
+    assert info.georeference.metres_per_unit == 1.0
+    assert info.georeference.metres_per_unit_z == pytest.approx(1200 / 3937, rel=1e-9)
+    assert any("unit of height" in note for note in info.notes) is not wkt_bit
