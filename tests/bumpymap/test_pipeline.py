@@ -334,3 +334,31 @@ def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
     result = run("map", tmp_path / "a.ply", "--out", tmp_path / "layers", "--local")
     assert result.exit_code == 3
     assert "stands for 'no data'" in result.output
+
+
+def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
+    for _ in range(2):
+        result = run("demo", "--survey", QUARRY, "--out", tmp_path)
+        assert result.exit_code == 0, result.output
+        assert str(tmp_path / "layers" / "class.tif") in result.output
+    with rasterio.open(tmp_path / "layers" / "class.tif") as raster:
+        assert raster.crs.to_epsg() == 32632
+        counts = np.bincount(raster.read(1).ravel(), minlength=256)
+    assert counts[:4].min() > 50
+
+
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
+    from bumpymap.sample import QuarrySite
+
+    run("map", QUARRY, "--out", tmp_path / "layers")
+    with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
+        c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
+
+    def median(zone):
+        col, row = QuarrySite().tiles_inside(zone)
+        return np.nanmedian(c_r[np.round(north / 3).astype(int) - 1 - row, col - np.round(west / 3).astype(int)])
+
+    cost = {zone: median(zone) for zone in ("pad", "road", "washboard", "ruts", "rubble", "bank")}
+    assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
+    assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
+    assert cost["rubble"] > 0.273  # rough or worse
