@@ -2,6 +2,7 @@
 
 import json
 import logging
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -69,7 +70,7 @@ def command(
 
         click.echo(json.dumps({"files": [as_record(report) for report in reports], "together": together}, indent=1))
     else:
-        _show(reports, together)
+        _show(reports, together or _one_map(surveys, reports))
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
@@ -106,6 +107,16 @@ def _together(reports: "list[Report]") -> str:
     except BadInputError as error:
         return str(error)
     return ""
+
+
+def _one_map(surveys: tuple[Path, ...], reports: "list[Report]") -> str:
+    """Say how several files make one map; empty for one file, or where one is bad."""
+    infos = [report.info for report in reports if report.info is not None and not report.error]
+    if len(reports) == 1 or len(infos) < len(reports):
+        return ""
+    named = " ".join(shlex.quote(str(path)) for path in surveys)
+    points = sum(info.point_count for info in infos)
+    return f"{len(reports)} files, {points:,} points, one map: bumpymap map {named} --out DIR"
 
 
 def _show(reports: "list[Report]", together: str) -> None:

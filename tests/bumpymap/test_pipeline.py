@@ -362,3 +362,11 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
     assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
     assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
     assert cost["rubble"] > 0.273  # rough or worse
+
+
+def test_info_says_how_several_files_make_one_map(survey, layers, tmp_path):
+    for name in ("a.laz", "b.laz"):
+        (tmp_path / name).write_bytes(survey.read_bytes())
+    told = run("info", tmp_path, "--quick").output
+    assert f"2 files, 120,000 points, one map: bumpymap map {tmp_path} --out DIR" in told
+    assert "one map" not in run("info", survey, "--quick").output
