@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: demo test lint types docs check clean
+.PHONY: demo test lint types docs wheel check clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
@@ -37,7 +37,15 @@ types: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --config-file docs/mkdocs.yml --site-dir ../site
 
+# The built wheel, alone in a new environment, must map what it generates.
+wheel: $(VENV)/.installed
+	rm -rf dist && mkdir dist
+	$(PIP) wheel --quiet --no-deps --wheel-dir dist .
+	$(PYTHON) -m venv dist/venv
+	dist/venv/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(CONSTRAINTS) dist/*.whl
+	cd dist && venv/bin/bumpymap --version && venv/bin/bumpymap demo --out demo
+
 check: lint types docs test
 
 clean:
-	rm -rf $(VENV) demo_out site
+	rm -rf $(VENV) demo_out dist site

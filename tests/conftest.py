@@ -1,0 +1,7 @@
+import os
+
+from hypothesis import settings
+
+# No test may depend on a clock; in CI the same examples are tried every time.
+settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("bumpymap")
