@@ -8,6 +8,7 @@ from rich.table import Table
 
 from bumpymap.config import MapConfig
 from bumpymap.pipeline import MapResult
+from bumpymap.products import summarise
 from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
 
 __all__ = ["show"]
@@ -35,7 +36,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     for klass, name in enumerate(CLASS_NAMES):
         _add_row(table, f"{klass} {name}", cost_map, cost_map.klass == klass)
     _add_row(table, "unknown", cost_map, cost_map.klass == NO_CLASS)
-    for reason, count in _by_reason(cost_map).items():
+    for reason, count in summarise(cost_map)["counts"]["by_reason"].items():
         table.add_row(f"  {reason}", f"{count:,}", f"{count / tiles:.1%}", "", "")
     console.print(table)
     if advice := _advice(result, config):
@@ -62,15 +63,9 @@ def _median(values: np.ndarray, form: str) -> str:
     return form.format(np.median(known)) if len(known) else ""
 
 
-def _by_reason(cost_map: CostMap) -> dict[str, int]:
-    reasons = cost_map.patches.reason[cost_map.klass == NO_CLASS]
-    counts = np.bincount(reasons, minlength=len(Reason))
-    return {REASON_TEXT[reason]: int(counts[reason]) for reason in Reason if counts[reason]}
-
-
 def _advice(result: MapResult, config: MapConfig) -> str:
     """Say what to do where most tiles are unknown; nothing elsewhere."""
-    reasons = _by_reason(result.cost_map)
+    reasons: dict[str, int] = summarise(result.cost_map)["counts"]["by_reason"]
     tiles = len(result.cost_map.klass)
     if sum(reasons.values()) <= _MOST * tiles:
         return ""
@@ -92,14 +87,14 @@ def _advice(result: MapResult, config: MapConfig) -> str:
 
 
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
-    klass = result.cost_map.klass
+    counts = summarise(result.cost_map)["counts"]
     return {
         "out": str(config.out),
         "files": [path.name for path in result.files],
         "points": result.points,
-        "tiles": len(klass),
-        "classes": {name: int(np.count_nonzero(klass == k)) for k, name in enumerate(CLASS_NAMES)},
-        "unknown": _by_reason(result.cost_map),
+        "tiles": counts["tiles"],
+        "classes": counts["by_class"],
+        "unknown": counts["by_reason"],
         "advice": _advice(result, config),
         "ground_only": result.ground_only,
         "skipped": result.skipped,
