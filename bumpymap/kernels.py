@@ -5,6 +5,8 @@ points are a random sample. Scalars and small arrays only; the loop over tiles i
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,6 +21,15 @@ Indices = NDArray[np.int64]
 Plane = tuple[float, float, float, float]
 """Unit normal (a, b, c) and d of a x + b y + c z + d = 0."""
 
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
+    try:
+        return njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # nowhere to write: a read-only installation and no home
+        return njit(nogil=True)(function)
+
+
 _SCORED = 256
 """Points that score a RANSAC candidate; the random order makes the first ones a fair sample."""
 _MAX_CANDIDATES = 400
@@ -30,7 +41,7 @@ _NOTHING = 1e-6
 """Relief below this is rounding, not ground, m."""
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def moments(z: Floats) -> tuple[float, float]:
     """Mean and population variance, two passes about the first value (m, m^2)."""
     n = len(z)
@@ -46,7 +57,7 @@ def moments(z: Floats) -> tuple[float, float]:
     return shift + mean, squares / n
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     """One step of splitmix64: the new state and 64 mixed bits."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
@@ -56,7 +67,7 @@ def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     return state, z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def fit_plane_to_points(x: Floats, y: Floats, z: Floats, use: Mask) -> Plane:
     """Least-squares plane through the points where ``use``: unit normal (upward) and offset d of n . p + d = 0.
 
@@ -105,7 +116,7 @@ def fit_plane_to_points(x: Floats, y: Floats, z: Floats, use: Mask) -> Plane:
     return a, b, c, -(a * mx + b * my + c * mz)
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _mark_inliers(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float, inlier: Mask) -> int:
     a, b, c, d = plane
     count = 0
@@ -115,7 +126,7 @@ def _mark_inliers(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: floa
     return count
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64) -> Plane:
     """Return the plane through three of the points that has the most of the scored points near it."""
     n = len(x)
@@ -153,7 +164,7 @@ def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.
     return plane
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64) -> Plane:
     """Plane of a tile by RANSAC (Fischler and Bolles 1981), then twice a least-squares fit to its inliers.
 
@@ -174,7 +185,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uin
     return plane
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def stray_bounds(distance: Floats, gap: float, most: int) -> tuple[float, float, int]:
     """Split off stray points: at most ``most`` on one side of a tile, cut off from all others by a wide gap.
 
@@ -224,7 +235,7 @@ def stray_bounds(distance: Floats, gap: float, most: int) -> tuple[float, float,
     return low, high, best_t + best_b
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def detrend(heights: Floats, out: Floats) -> bool:
     """Write ``heights`` minus their least-squares plane over the known pixels (NaN stays NaN) to ``out``, m.
 
@@ -266,7 +277,7 @@ def detrend(heights: Floats, out: Floats) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def fill_holes(heights: Floats, depth: int) -> int:
     """Fill NaN pixels in place with the mean of their known 8 neighbours, from the rim inwards, ``depth`` rings deep.
 
@@ -298,7 +309,7 @@ def fill_holes(heights: Floats, depth: int) -> int:
     return missing
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _heightmap(
     x: Floats, y: Floats, z: Floats, keep: Mask, tile_size: float, mean: Floats, variance: Floats, count: Counts
 ) -> int:
@@ -335,7 +346,7 @@ def _heightmap(
     return known
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _relief(heights: Floats, depth: int, flat_map: Floats) -> float:
     """Plane-removed, hole-filled heights into ``flat_map``; returns their range, NaN where holes are too deep."""
     work = np.empty_like(heights)
@@ -356,7 +367,7 @@ def _relief(heights: Floats, depth: int, flat_map: Floats) -> float:
     return high - low
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def _measure_tile(
     x: Floats,
     y: Floats,
@@ -401,7 +412,7 @@ def _measure_tile(
     scalars[8] = strays
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def measure_tiles(
     starts: Indices,
     easting: Floats,

@@ -13,7 +13,7 @@ from bumpymap.products.geotiff import write_classes, write_heightmap, write_roug
 from bumpymap.products.manifest import MANIFEST_NAME, complete_manifest, write_manifest
 from bumpymap.products.regions import dissolve
 from bumpymap.products.table import write_tiles
-from bumpymap.products.vector import require_place, write_flatgeobuf, write_geojson
+from bumpymap.products.vector import place_regions, write_flatgeobuf, write_geojson
 from bumpymap.types import CostMap
 
 __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
@@ -111,9 +111,9 @@ def write_products(cost_map: CostMap, folder: Path, *, local: bool, manifest: Ma
     roughness, klass, heightmap, tiles, geojson, flatgeobuf, run = paths
     regions = dissolve(cost_map)
     # First what may be refused: the survey's CRS may have no relation to longitude and latitude.
-    require_place(regions, local=local)
+    placed = place_regions(regions, local=local)
     _forget(run)
-    write_geojson(regions, geojson, local=local, about=facts)
+    write_geojson(regions, geojson, local=local, about=facts, placed=placed)
     write_flatgeobuf(regions, flatgeobuf)
     write_roughness(cost_map, roughness, tags)
     write_classes(cost_map, klass, tags)

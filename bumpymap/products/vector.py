@@ -3,6 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from bumpymap.products.lonlat import bounding_box, outlines_in_crs, outlines_on_
 from bumpymap.products.regions import Regions
 from bumpymap.types import NO_CLASS
 
-__all__ = ["write_flatgeobuf", "write_geojson"]
+__all__ = ["place_regions", "write_flatgeobuf", "write_geojson"]
 
 _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
@@ -25,7 +26,14 @@ _LOCAL = (
 )
 
 
-def write_geojson(regions: Regions, path: Path, *, local: bool, about: Mapping[str, Any] | None = None) -> None:
+def write_geojson(
+    regions: Regions,
+    path: Path,
+    *,
+    local: bool,
+    about: Mapping[str, Any] | None = None,
+    placed: tuple[NDArray[np.object_], dict[str, Any]] | None = None,
+) -> None:
     """Write cost.geojson: RFC 7946, one feature a region, WGS 84 with 7 decimals.
 
     Parameters
@@ -38,6 +46,8 @@ def write_geojson(regions: Regions, path: Path, *, local: bool, about: Mapping[s
         Where the survey has no CRS, write its own coordinates, rounded to 1 mm, with a member that says so.
     about : mapping, optional
         Further members of the feature collection, such as vehicle and calibration.
+    placed : tuple, optional
+        What `place_regions` gives, where it was asked already.
 
     Raises
     ------
@@ -46,7 +56,7 @@ def write_geojson(regions: Regions, path: Path, *, local: bool, about: Mapping[s
     OutputError
         The place cannot be written.
     """
-    outlines, place = _place(regions, local=local)
+    outlines, place = placed or place_regions(regions, local=local)
     head = {"type": "FeatureCollection", "name": "cost", **place, **(about or {})}
     columns = _columns(regions)
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
@@ -60,13 +70,14 @@ def write_geojson(regions: Regions, path: Path, *, local: bool, about: Mapping[s
         file.write("\n]}\n")
 
 
-def require_place(regions: Regions, *, local: bool) -> None:
-    """Raise BadInputError where the regions cannot be placed on the globe and ``local`` is False."""
-    _place(regions, local=local)
+def place_regions(regions: Regions, *, local: bool) -> tuple[NDArray[np.object_], dict[str, Any]]:
+    """Place outlines as cost.geojson has them, with the members of the collection that say where they are.
 
-
-def _place(regions: Regions, *, local: bool) -> tuple[NDArray[np.object_], dict[str, Any]]:
-    """Outlines as they stand in cost.geojson, and the members of the collection that say where they are."""
+    Raises
+    ------
+    BadInputError
+        The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
+    """
     try:
         outlines = outlines_on_globe(regions)
     except BadInputError:
@@ -91,17 +102,20 @@ def write_flatgeobuf(regions: Regions, path: Path) -> None:
     """
     # pyogrio loads pandas and geopandas where they are installed, which takes a while: only when it is needed.
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
-    from pyogrio.raw import read, write
+    from pyogrio.raw import write
 
     failures = (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError)
     crs = regions.placement.horizontal_crs
     columns = _columns(regions)
     kinds = {"class": np.int32, "tiles": np.int64, "class_name": object, "reason": object}
     masks = [np.array([value is None for value in values]) for values in columns.values()]
+    # Through memory: GDAL does not notice when a disk fills up in the last few bytes (seen in 3.8 and 3.12), and takes
+    # what follows a '!' in a path for a part of an archive.
+    content = BytesIO()
     with atomic(path, failures) as temporary, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="'crs' was not provided")
         write(
-            str(temporary),
+            content,
             geometry=shapely.to_wkb(outlines_in_crs(regions), byte_order=1),
             field_data=[_filled(values, kinds.get(name, np.float64)) for name, values in columns.items()],
             field_mask=masks,
@@ -111,9 +125,7 @@ def write_flatgeobuf(regions: Regions, path: Path) -> None:
             geometry_type="Polygon",
             crs=None if crs is None else crs.to_wkt(),
         )
-        # GDAL does not notice when the disk fills up in the last few bytes (seen in 3.8 and 3.12): read it back.
-        if len(read(str(temporary), columns=[])[2]) != len(regions.tiles):
-            raise DataSourceError("the file on disk lacks some of its regions")
+        temporary.write_bytes(content.getbuffer())
 
 
 def _columns(regions: Regions) -> dict[str, list[Any]]:

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -267,3 +270,14 @@ def test_other_tile_sizes_and_pixels(measure_points):
     assert len(stack.col) == 4
     assert stack.heights.shape == (4, 30, 30)
     assert np.all(stack.density == stack.count / 2.25)
+
+
+def test_kernels_work_where_no_cache_can_be_written():
+    # What numba does under a read-only installation and without a home: no place for its cache is found.
+    code = (
+        "from numba.core import caching; caching.CompileResultCacheImpl._locator_classes = []\n"
+        "import numpy as np; from bumpymap.kernels import moments; print(moments(np.array([1.0, 2.0, 6.0])))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == f"({3.0}, {14 / 3})"

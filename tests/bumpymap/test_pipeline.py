@@ -370,3 +370,21 @@ def test_info_says_how_several_files_make_one_map(survey, layers, tmp_path):
     told = run("info", tmp_path, "--quick").output
     assert f"2 files, 120,000 points, one map: bumpymap map {tmp_path} --out DIR" in told
     assert "one map" not in run("info", survey, "--quick").output
+
+
+def test_a_folder_may_have_any_name(survey, layers, tmp_path):
+    out = tmp_path / "Grünfläche [2] 50%! new"
+    result = run("map", survey, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert product_bytes(out) == product_bytes(layers)
+
+
+def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
+    out = tmp_path / "layers"
+    assert run("map", survey, "--out", out).exit_code == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    nowhere = write_las(tmp_path / "mars.laz", *site, crs=None)
+    # A CRS of another planet: no relation to longitude and latitude on Earth.
+    result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
+    assert result.exit_code == 3, result.output
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
