@@ -101,9 +101,10 @@ def _lines(path: Path) -> tuple[list[bytes], int]:
     lines: list[bytes] = []
     with path.open("rb") as stream:
         while len(lines) < _HEADER_LIMIT:
-            line = stream.readline(_LINE_LIMIT).strip()
-            if not line and stream.read(1) == b"":
+            line = stream.readline(_LINE_LIMIT)
+            if not line:
                 break
+            line = line.strip()
             if line and not line.startswith((b"comment", b"obj_info")):
                 lines.append(line)
             if line == b"end_header":

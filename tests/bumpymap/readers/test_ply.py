@@ -241,3 +241,10 @@ def test_round_trip(tmp_path, read, points, encoding, chunk):
     _, text, order = encoding
     got, _ = read(open_survey(write(tmp_path / "h.ply", columns(points=table), text=text, byte_order=order)), chunk)
     assert np.array_equal(got, table.round(8))  # as LAS coordinates are
+
+
+def test_a_blank_line_in_the_header_is_passed_over(tmp_path, read):
+    path = write(tmp_path / "a.ply", columns())
+    path.write_bytes(path.read_bytes().replace(b"element vertex", b"\nelement vertex", 1))
+    points, _ = read(open_survey(path))
+    assert np.array_equal(points, POINTS)
