@@ -6,13 +6,13 @@ one tile; arrays of one record have the same length.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpytiles import Grid
+from bumpytiles import Column, Grid, Mosaic
 
 __all__ = [
     "BANDS",
@@ -22,12 +22,14 @@ __all__ = [
     "TEXTURES",
     "Band",
     "CostMap",
+    "CostMosaic",
     "Georeference",
     "PatchStack",
     "PointCloud",
     "Reason",
     "Texture",
     "TextureMap",
+    "tile_columns",
 ]
 
 Texture = Literal["flat", "low_noise", "noise_sin", "high_noise"]
@@ -164,6 +166,42 @@ class CostMap:
         owner = self if name in self.__slots__ else self.patches
         values: NDArray[np.floating] = getattr(owner, name)
         return values
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns of `tile_columns`, one row a tile: what a run keeps of its tiles."""
+        own: dict[str, NDArray[Any]] = {"klass": self.klass, "probability": self.textures.probability}
+        names = [column.name for column in tile_columns(self.patches.grid.pixels) if column.name not in own]
+        return {name: self.band(name) for name in names} | own
+
+
+@dataclass(frozen=True, slots=True)
+class CostMosaic:
+    """All rated tiles of a run, read by window: what the products are made of."""
+
+    georeference: Georeference
+    ride_weight: float
+    """m/rad: cost = 1 + ride_weight * c_r, the factor on distance that a planner uses."""
+    tiles: Mosaic
+    """Columns of `tile_columns`."""
+
+    @classmethod
+    def of(cls, cost_map: CostMap) -> "CostMosaic":
+        """Make a mosaic of a map in memory (at least one tile)."""
+        return cls(cost_map.georeference, cost_map.ride_weight, Mosaic.of(cost_map.patches.grid, cost_map.columns()))
+
+
+def tile_columns(pixels: int) -> tuple[Column, ...]:
+    """Columns of a rated tile, named and measured as in `PatchStack` and `CostMap`."""
+    floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
+    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
+    return (
+        *(Column(name, "<i8") for name in ("col", "row", "count")),
+        *(Column(name, "<f8") for name in floats),
+        *(Column(name, "|u1") for name in ("reason", "klass")),
+        *(Column(name, "<f4") for name in singles),
+        Column("probability", "<f4", (len(TEXTURES),)),
+        Column("heights", "<f4", (pixels, pixels)),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bumpytiles import BLOCK_TILES, Column, Grid, Mosaic, Pack, PackError, PackWriter, TileWindow
+
+COLUMNS = (Column("col", "<i8"), Column("row", "<i8"), Column("value", "<f4", (2,)))
+
+
+def write(path, blocks, meta=None):
+    with PackWriter(path, COLUMNS, meta or {}) as writer:
+        for key, columns in blocks.items():
+            halves = {name: (array[:1], array[1:]) for name, array in columns.items()}
+            writer.add(key, len(columns["col"]), halves)
+    return Pack(path)
+
+
+def columns_of(tiles):
+    col, row = np.array(tiles, dtype=np.int64).reshape(-1, 2).T
+    return {"col": col, "row": row, "value": np.stack([col, row], axis=1).astype(np.float32)}
+
+
+@pytest.fixture
+def pack(tmp_path):
+    return write(tmp_path / "a.pack", {(0, 0): columns_of([(1, 2), (3, 4)]), (-1, 2): columns_of([(33, -5)])}, {"n": 3})
+
+
+def test_a_pack_gives_back_what_was_written(pack):
+    assert pack.keys == [(0, 0), (-1, 2)]
+    assert pack.meta == {"n": 3}
+    assert pack.rows((0, 0)) == 2
+    assert pack.rows((5, 5)) == 0
+    found = pack.read((0, 0), ["value", "col"])
+    assert found["col"].tolist() == [1, 3]
+    assert found["value"].tolist() == [[1, 2], [3, 4]]
+    assert pack.read((0, 0), ["row"], 1, 2)["row"].tolist() == [4]
+
+
+def test_a_pack_appears_whole_or_not_at_all(tmp_path):
+    with pytest.raises(ValueError, match="rows need"), PackWriter(tmp_path / "a", COLUMNS, {}) as writer:
+        writer.add((0, 0), 5, {name: [array] for name, array in columns_of([(1, 2)]).items()})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("keep", [0, 4, 30, -1, -9, -40])
+def test_a_cut_pack_is_refused(pack, tmp_path, keep):
+    content = pack.path.read_bytes()
+    cut = tmp_path / "cut"
+    cut.write_bytes(content[:keep])
+    with pytest.raises(PackError):
+        Pack(cut)
+
+
+def test_a_damaged_index_is_refused(pack, tmp_path):
+    content = bytearray(pack.path.read_bytes())
+    content[-60] ^= 1
+    damaged = tmp_path / "damaged"
+    damaged.write_bytes(content)
+    with pytest.raises(PackError, match="damaged"):
+        Pack(damaged)
+
+
+tiles = st.sets(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=1, max_size=60)
+
+
+@given(tiles, st.integers(-45, 45), st.integers(-45, 45), st.integers(1, 60), st.integers(1, 60))
+def test_a_window_of_a_mosaic_is_a_window_of_all_tiles(chosen, col, row, cols, rows):
+    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    assert mosaic.tiles == len(chosen)
+    window = TileWindow(col, row, cols, rows)
+    inside = [(c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows]
+    expected = sorted(inside, key=lambda tile: (-tile[1], tile[0]))
+    found = mosaic.read(["value"], window)
+    assert list(zip(found["col"].tolist(), found["row"].tolist(), strict=True)) == expected
+    assert found["value"].tolist() == [list(tile) for tile in expected]
+
+
+@given(tiles, st.integers(1, 600))
+def test_strips_hold_each_tile_once(chosen, most):
+    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    held = []
+    for strip in mosaic.strips(most):
+        found = mosaic.read([], strip)
+        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        blocks = {(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in held[-len(found["col"]) :]}
+        assert len(found["col"]) <= most or len(blocks) == 1
+    assert sorted(held) == sorted(chosen)
+
+
+@given(tiles)
+def test_the_window_of_a_mosaic_is_tight(chosen):
+    col, row = np.array(sorted(chosen)).T
+    assert Mosaic.of(Grid(), columns_of(sorted(chosen))).window == TileWindow.around(col, row)
+
+
+def test_packs_join(tmp_path):
+    first = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)])})
+    second = write(tmp_path / "b", {(0, 1): columns_of([(17, 2)])})
+    assert Mosaic(Grid(), [first, second]).read([])["col"].tolist() == [1, 17]
+
+
+def test_a_mosaic_without_tiles_is_refused():
+    with pytest.raises(ValueError, match="at least one tile"):
+        Mosaic(Grid(), [])

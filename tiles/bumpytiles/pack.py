@@ -1,0 +1,233 @@
+"""Packs: files of array columns grouped by block, written once, whole or not at all.
+
+What leaves memory during a run goes into packs: points that wait for their block, and results of finished tiles. A
+pack is data (the columns of one block back to back, block after block), then an index, then a trailer that says where
+the index is. It is written under another name and renamed, so a pack that can be seen is complete; the index has a
+checksum of its own.
+"""
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BlockKey", "Column", "MemoryPack", "Pack", "PackError", "PackWriter"]
+
+_MAGIC = b"BUMPPACK"
+_TRAILER = struct.Struct("<QQI8s")
+
+BlockKey = tuple[int, int]
+"""Row and column of a block; rows grow to the north."""
+
+
+class PackError(Exception):
+    """A file is no pack, or a damaged one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: ``(n, *tail)`` values of ``dtype`` in a block of n rows."""
+
+    name: str
+    dtype: str
+    """As NumPy writes it, such as ``<f8``."""
+    tail: tuple[int, ...] = ()
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return int(np.dtype(self.dtype).itemsize * np.prod(self.tail, dtype=np.int64))
+
+
+class PackWriter:
+    """Writes a pack; use it in a ``with``, which renames the file where the body succeeds and removes it elsewhere.
+
+    Parameters
+    ----------
+    path : Path
+        The file that shall appear.
+    columns : sequence of Column
+    meta : mapping
+        Anything that JSON can hold; read back as ``Pack.meta``.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[Column], meta: Mapping[str, Any]) -> None:
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.part")
+        self._columns = tuple(columns)
+        self._meta = dict(meta)
+        self._index: list[tuple[int, int, int, int]] = []
+        self._file: BinaryIO
+
+    def __enter__(self) -> Self:
+        self._file = self._temporary.open("wb")
+        self._file.write(_MAGIC)
+        self._at = len(_MAGIC)
+        return self
+
+    def add(self, key: BlockKey, rows: int, columns: Mapping[str, Iterable[NDArray[Any]]]) -> None:
+        """Write a block: ``rows`` rows; each column comes in one or more pieces that follow each other."""
+        self._index.append((*key, rows, self._at))
+        for column in self._columns:
+            size = 0
+            for piece in columns[column.name]:
+                size += self._file.write(_bytes(np.ascontiguousarray(piece, dtype=column.dtype)))
+            if size != rows * column.row_bytes:
+                raise ValueError(f"column {column.name} holds {size} bytes; {rows} rows need {rows * column.row_bytes}")
+            self._at += size
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+            self._file.close()
+            if kind is None:
+                os.replace(self._temporary, self._path)  # noqa: PTH105 (the name says that it replaces)
+        finally:
+            self._file.close()
+            self._temporary.unlink(missing_ok=True)
+
+    def _finish(self) -> None:
+        head = {
+            "columns": [[column.name, column.dtype, list(column.tail)] for column in self._columns],
+            "blocks": len(self._index),
+            "meta": self._meta,
+        }
+        text = json.dumps(head).encode()
+        entries = np.array(self._index, dtype="<i8").reshape(-1, 4).tobytes()
+        index = struct.pack("<Q", len(text)) + text + entries
+        self._file.write(index)
+        self._file.write(_TRAILER.pack(self._at, len(index), zlib.crc32(index), _MAGIC))
+
+
+def _bytes(array: NDArray[Any]) -> memoryview:
+    """Bytes of a contiguous array, not copied."""
+    flat: Any = array.reshape(-1).view(np.uint8) if array.size else b""
+    return memoryview(flat)
+
+
+class Pack:
+    """A pack on disk. Only the index is in memory; columns are read when they are asked for.
+
+    Raises
+    ------
+    PackError
+        No pack, or a damaged one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY)
+        except OSError as error:
+            raise PackError(f"cannot open {path}: {error}") from error
+        try:
+            columns, entries, self.meta = self._read_index(os.fstat(self._descriptor).st_size)
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+        self.columns = columns
+        self._entries = entries
+        self._place: dict[BlockKey, int] = {(int(row), int(col)): n for n, (row, col) in enumerate(entries[:, :2])}
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __del__(self) -> None:
+        if hasattr(self, "_descriptor"):
+            self.close()
+
+    @property
+    def keys(self) -> list[BlockKey]:
+        """The blocks, in the order of writing."""
+        return list(self._place)
+
+    def rows(self, key: BlockKey) -> int:
+        """Rows that a block has here; 0 where it is not here."""
+        place = self._place.get(key)
+        return 0 if place is None else int(self._entries[place, 2])
+
+    def read(
+        self, key: BlockKey, names: Sequence[str], start: int = 0, stop: int | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Read columns of a block (rows ``start:stop``), each (n, *tail).
+
+        Raises
+        ------
+        PackError
+            The file ends too early.
+        """
+        _, _, rows, at = (int(number) for number in self._entries[self._place[key]])
+        stop = rows if stop is None else min(stop, rows)
+        found = {}
+        for column in self.columns:
+            if column.name in names:
+                array = np.empty((max(0, stop - start), *column.tail), column.dtype)
+                self._fill(array, at + start * column.row_bytes)
+                found[column.name] = array
+            at += rows * column.row_bytes
+        return found
+
+    def _fill(self, array: NDArray[Any], at: int) -> None:
+        view = _bytes(array)
+        done = 0
+        while done < len(view):
+            got = os.preadv(self._descriptor, [view[done:]], at + done)
+            if got == 0:
+                raise PackError(f"{self.path} ends inside a block")
+            done += got
+
+    def _read_index(self, size: int) -> tuple[tuple[Column, ...], NDArray[np.int64], dict[str, Any]]:
+        if size < len(_MAGIC) + _TRAILER.size:
+            raise PackError(f"{self.path} is too short to be a pack")
+        at, length, checksum, magic = _TRAILER.unpack(os.pread(self._descriptor, _TRAILER.size, size - _TRAILER.size))
+        if magic != _MAGIC or at + length + _TRAILER.size != size:
+            raise PackError(f"{self.path} is not a pack")
+        index = os.pread(self._descriptor, length, at)
+        if zlib.crc32(index) != checksum:
+            raise PackError(f"the index of {self.path} is damaged")
+        (text_bytes,) = struct.unpack_from("<Q", index)
+        head = json.loads(index[8 : 8 + text_bytes])
+        entries = np.frombuffer(index[8 + text_bytes :], dtype="<i8").reshape(-1, 4)
+        columns = tuple(Column(name, dtype, tuple(tail)) for name, dtype, tail in head["columns"])
+        return columns, entries, head["meta"]
+
+
+class MemoryPack:
+    """The same, in memory: for results that never leave it."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[BlockKey, dict[str, NDArray[Any]]] = {}
+
+    def add(self, key: BlockKey, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Keep a block."""
+        self._blocks[key] = dict(columns)
+
+    @property
+    def keys(self) -> list[BlockKey]:
+        """The blocks, in the order in which they came."""
+        return list(self._blocks)
+
+    def rows(self, key: BlockKey) -> int:
+        """Rows that a block has here; 0 where it is not here."""
+        columns = self._blocks.get(key)
+        return len(next(iter(columns.values()))) if columns else 0
+
+    def read(
+        self, key: BlockKey, names: Sequence[str], start: int = 0, stop: int | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Columns of a block (rows ``start:stop``)."""
+        return {name: array[start:stop] for name, array in self._blocks[key].items() if name in names}
