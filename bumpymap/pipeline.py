@@ -17,7 +17,7 @@ from bumpymap.products import check_extent, check_folder, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader, common_georeference, find_surveys, open_survey
 from bumpymap.types import CostMap, Georeference, PatchStack
-from bumpytiles import Grid, TileBuckets, run_blocks
+from bumpytiles import Grid, TileBuckets, group_points, run_blocks
 
 __all__ = ["MapResult", "map_surveys"]
 
@@ -154,15 +154,16 @@ def _read(inputs: _Inputs, grid: Grid, config: MapConfig, told: Progress) -> Til
     buckets = TileBuckets(grid)
     whole: list[SurveyReader] = []
     for reader in inputs.readers:
-        staged = TileBuckets(grid)
+        staged = []
         try:
             for chunk in reader.chunks():
-                staged.add(chunk.easting, chunk.northing, chunk.upward, chunk.is_ground)
+                staged.append(group_points(grid, chunk.easting, chunk.northing, chunk.upward, chunk.is_ground))
                 told.advance(len(chunk.easting))
         except BadInputError as error:
             _skip(reader.info.path, error, inputs.skipped, config)
             continue
-        buckets.merge(staged)
+        for run in staged:
+            buckets.take(run)
         whole.append(reader)
     inputs.readers = whole
     if not len(buckets):

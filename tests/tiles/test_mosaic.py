@@ -27,7 +27,7 @@ def pack(tmp_path):
 
 
 def test_a_pack_gives_back_what_was_written(pack):
-    assert pack.keys == [(0, 0), (-1, 2)]
+    assert pack.keys == [(-1, 2), (0, 0)]
     assert pack.meta == {"n": 3}
     assert pack.rows((0, 0)) == 2
     assert pack.rows((5, 5)) == 0

@@ -85,21 +85,11 @@ def test_zero_and_minus_zero_are_one_place():
 
 
 def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
-    monkeypatch.setattr("bumpytiles.split._hash", lambda points: np.zeros(len(points.easting), np.uint64))
+    monkeypatch.setattr("bumpytiles.split.hashes", lambda *columns: columns[-1].fill(0))
     columns = survey(6, duplicates=100)
     expected = flatten(gather(columns, np.arange(3100), []))
     assert flatten(gather(columns, np.arange(3100)[::-1], [500])) == expected
     assert sum(len(b.easting) for b in gather(columns, np.arange(3100), [])) == len(set(zip(*columns[:3], strict=True)))
-
-
-def test_merging_two_collections_equals_one():
-    columns = survey(7)
-    whole = flatten(gather(columns, np.arange(3000), []))
-    left, right = TileBuckets(GRID), TileBuckets(GRID)
-    left.add(*(column[:1200] for column in columns))
-    right.add(*(column[1200:] for column in columns))
-    right.merge(left)
-    assert flatten(right.blocks()) == whole
 
 
 def test_the_window_holds_every_tile():

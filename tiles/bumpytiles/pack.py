@@ -134,11 +134,10 @@ class Pack:
         try:
             columns, entries, self.meta = self._read_index(os.fstat(self._descriptor).st_size)
         except BaseException:
-            os.close(self._descriptor)
+            self.close()
             raise
         self.columns = columns
-        self._entries = entries
-        self._place: dict[BlockKey, int] = {(int(row), int(col)): n for n, (row, col) in enumerate(entries[:, :2])}
+        self._entries = entries[np.lexsort((entries[:, 1], entries[:, 0]))]
 
     def close(self) -> None:
         """Close the file."""
@@ -152,13 +151,20 @@ class Pack:
 
     @property
     def keys(self) -> list[BlockKey]:
-        """The blocks, in the order of writing."""
-        return list(self._place)
+        """The blocks, south-west first."""
+        return [(row, col) for row, col in self._entries[:, :2].tolist()]
 
     def rows(self, key: BlockKey) -> int:
         """Rows that a block has here; 0 where it is not here."""
-        place = self._place.get(key)
+        place = self._find(key)
         return 0 if place is None else int(self._entries[place, 2])
+
+    def _find(self, key: BlockKey) -> int | None:
+        # No dict: a large survey has millions of entries, and 32 bytes each are enough.
+        row, col = self._entries[:, 0], self._entries[:, 1]
+        first, last = np.searchsorted(row, [key[0], key[0] + 1])
+        place = int(first + np.searchsorted(col[first:last], key[1]))
+        return place if place < last and col[place] == key[1] else None
 
     def read(
         self, key: BlockKey, names: Sequence[str], start: int = 0, stop: int | None = None
@@ -170,7 +176,10 @@ class Pack:
         PackError
             The file ends too early.
         """
-        _, _, rows, at = (int(number) for number in self._entries[self._place[key]])
+        place = self._find(key)
+        if place is None:
+            raise KeyError(key)
+        rows, at = (int(number) for number in self._entries[place, 2:])
         stop = rows if stop is None else min(stop, rows)
         found = {}
         for column in self.columns:

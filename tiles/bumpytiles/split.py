@@ -1,29 +1,39 @@
 """Sort a stream of points into tiles.
 
-Points arrive in any order, in chunks of any size, from any number of files. They are dropped into blocks of tiles;
+Points arrive in any order, in chunks of any size, from any number of files. Each chunk is grouped by blocks of tiles;
 when a block is complete its points are put in order *once*: by tile, and inside a tile by a hash of their own
-coordinates. That one sort gives three things at a time:
+coordinates. That one order gives three things at a time:
 
-- the order no longer depends on how the points came, so plain floating-point sums over a tile have the same bits for
-  any chunk size, any order of files, any number of threads;
+- it no longer depends on how the points came, so plain floating-point sums over a tile have the same bits for any
+  chunk size, any order of files, any number of threads;
 - exact duplicates become neighbours, and count once;
 - the first k points of a tile are a random sample of it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.grid import Grid, TileWindow
+from bumpytiles._kernels import BLOCK_TILES, MAX_CELLS, group, hashes, sort_points
+from bumpytiles.grid import Grid
+from bumpytiles.pack import BlockKey, Column
 
-__all__ = ["BLOCK_TILES", "TileBuckets", "TilePoints"]
+__all__ = ["BLOCK_TILES", "POINT_COLUMNS", "Part", "Run", "TilePoints", "group_points", "sort_block"]
 
-BLOCK_TILES = 16
-"""Tiles along a side of a block: one unit of work."""
-_TILE_BITS = 8
-_MULTIPLIERS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+POINT_COLUMNS = (
+    Column("easting", "<f8"),
+    Column("northing", "<f8"),
+    Column("upward", "<f8"),
+    Column("tile", "|u1"),
+    Column("flag", "|b1"),
+)
+"""A point that waits for its block: 26 bytes."""
+
+Part = dict[str, NDArray[Any]]
+"""Columns of `POINT_COLUMNS`, (n,) each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,151 +58,85 @@ class TilePoints:
 
 
 @dataclass(frozen=True, slots=True)
-class _Points:
-    """Columns of points, in any order."""
+class Run:
+    """A chunk of points, grouped by block."""
 
-    easting: NDArray[np.float64]
-    northing: NDArray[np.float64]
-    upward: NDArray[np.float64]
-    flag: NDArray[np.bool_]
+    keys: list[BlockKey]
+    """Blocks that it has points of, south-west first."""
+    starts: NDArray[np.int64]
+    """(blocks + 1,) where each block's points begin."""
+    points: Part
+    """(n,) columns."""
 
-    def take(self, index: NDArray[np.int64] | slice) -> "_Points":
-        return _Points(self.easting[index], self.northing[index], self.upward[index], self.flag[index])
-
-    @classmethod
-    def join(cls, parts: list["_Points"]) -> "_Points":
-        return cls(
-            np.concatenate([part.easting for part in parts]),
-            np.concatenate([part.northing for part in parts]),
-            np.concatenate([part.upward for part in parts]),
-            np.concatenate([part.flag for part in parts]),
-        )
-
-
-class TileBuckets:
-    """Collects points by block; hands out whole blocks with their points sorted into tiles.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> buckets = TileBuckets(Grid(tile_size=3.0))
-    >>> buckets.add(np.array([0.5, 2.5, 3.0]), np.zeros(3), np.ones(3), np.zeros(3, bool))
-    >>> [(int(c), int(n)) for block in buckets.blocks() for c, n in zip(block.col, np.diff(block.starts))]
-    [(0, 2), (1, 1)]
-    """
-
-    def __init__(self, grid: Grid) -> None:
-        self.grid = grid
-        self._blocks: dict[tuple[int, int], list[_Points]] = {}
+    def part(self, place: int) -> Part:
+        """Points of its ``place``-th block (views)."""
+        span = slice(int(self.starts[place]), int(self.starts[place + 1]))
+        return {name: array[span] for name, array in self.points.items()}
 
     def __len__(self) -> int:
-        """Count the blocks that hold points."""
-        return len(self._blocks)
-
-    def add(
-        self,
-        easting: NDArray[np.float64],
-        northing: NDArray[np.float64],
-        upward: NDArray[np.float64],
-        flag: NDArray[np.bool_],
-    ) -> None:
-        """Take a chunk of points; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
-        if len(easting) == 0:
-            return
-        points = _Points(easting, northing, upward, flag)
-        block_col = self.grid.index(easting) // BLOCK_TILES
-        block_row = self.grid.index(northing) // BLOCK_TILES
-        order = np.lexsort((block_col, block_row))
-        points, block_col, block_row = points.take(order), block_col[order], block_row[order]
-        changes = np.flatnonzero((np.diff(block_col) != 0) | (np.diff(block_row) != 0)) + 1
-        starts = [0, *changes.tolist()]
-        for start, stop in zip(starts, [*starts[1:], len(order)], strict=True):
-            key = (int(block_row[start]), int(block_col[start]))
-            self._blocks.setdefault(key, []).append(points.take(np.arange(start, stop)))
-
-    def merge(self, other: "TileBuckets") -> None:
-        """Take all points of another collection over the same grid."""
-        for key, parts in other._blocks.items():  # noqa: SLF001 - of its own class
-            self._blocks.setdefault(key, []).extend(parts)
-
-    def flagged_share(self) -> float:
-        """Share of the tiles holding points in which at least one point is flagged, 0..1 (0 without points)."""
-        flagged = total = 0
-        for parts in self._blocks.values():
-            tile = np.concatenate([self._tile_in_block(part) for part in parts])
-            marks = np.concatenate([part.flag for part in parts])
-            total += int(np.count_nonzero(np.bincount(tile)))
-            flagged += int(np.count_nonzero(np.bincount(tile[marks])))
-        return flagged / total if total else 0.0
-
-    def window(self) -> TileWindow:
-        """Rectangle of whole blocks around all points (there must be some)."""
-        rows, cols = (np.array(axis) for axis in zip(*self._blocks, strict=True))
-        around = TileWindow.around(cols, rows)
-        return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
-
-    def blocks(self) -> Iterator[TilePoints]:
-        """Hand out the blocks, south-west first. Each leaves memory when it is handed out."""
-        for key in sorted(self._blocks):
-            yield self._sorted(key, _Points.join(self._blocks.pop(key)))
-
-    def _tile_in_block(self, points: _Points) -> NDArray[np.int64]:
-        col, row = self.grid.index(points.easting), self.grid.index(points.northing)
-        return (row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES
-
-    def _sorted(self, key: tuple[int, int], points: _Points) -> TilePoints:
-        tile = self._tile_in_block(points)
-        points, tile = _canonical(points, tile)
-        present, first = np.unique(tile, return_index=True)
-        return TilePoints(
-            grid=self.grid,
-            col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
-            row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
-            starts=np.append(first, len(tile)).astype(np.int64),
-            easting=points.easting,
-            northing=points.northing,
-            upward=points.upward,
-            flag=points.flag,
-        )
+        """Count the points."""
+        return int(self.starts[-1])
 
 
-def _canonical(points: _Points, tile: NDArray[np.int64]) -> tuple[_Points, NDArray[np.int64]]:
-    """Order points by tile and hash; drop exact duplicates (a flagged twin wins)."""
-    key = (_hash(points) >> np.uint64(_TILE_BITS)) | (tile.astype(np.uint64) << np.uint64(64 - _TILE_BITS))
-    order = np.argsort(key)
-    key = key[order]
-    same_as_next = key[1:] == key[:-1]
-    if same_as_next.any():
-        tied = np.zeros(len(key), bool)
-        tied[1:] |= same_as_next
-        tied[:-1] |= same_as_next
-        order[tied] = _break_ties(points, order[tied], key[tied])
-    points, tile = points.take(order), tile[order]
-    if not same_as_next.any():
-        return points, tile
-    twin = np.zeros(len(key), bool)
-    twin[1:] = same_as_next
-    for column in (points.easting, points.northing, points.upward):
-        twin[1:] &= column[1:] == column[:-1]
-    keep = np.flatnonzero(~twin)
-    return points.take(keep), tile[keep]
+def group_points(
+    grid: Grid,
+    easting: NDArray[np.float64],
+    northing: NDArray[np.float64],
+    upward: NDArray[np.float64],
+    flag: NDArray[np.bool_],
+) -> Run:
+    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
+    n = len(easting)
+    points: Part = {column.name: np.empty(n, column.dtype) for column in POINT_COLUMNS}
+    if n == 0:
+        return Run([], np.zeros(1, np.int64), points)
+    corners = [grid.index(np.array([axis.min(), axis.max()])) // BLOCK_TILES for axis in (northing, easting)]
+    (south, north), (west, east) = (tuple(int(side) for side in pair) for pair in corners)
+    rows, cols = north - south + 1, east - west + 1
+    if rows * cols > MAX_CELLS:
+        return _group_scattered(grid, easting, northing, upward, flag)
+    counts = np.zeros(rows * cols + 1, np.int64)
+    columns = tuple(points.values())
+    group(easting, northing, upward, flag, grid.tile_size, west, south, cols, counts, *columns)
+    present = np.flatnonzero(np.diff(counts))
+    keys = [(south + cell // cols, west + cell % cols) for cell in present.tolist()]
+    return Run(keys, np.append(counts[present], n), points)
 
 
-def _break_ties(points: _Points, index: NDArray[np.int64], key: NDArray[np.uint64]) -> NDArray[np.int64]:
-    tied = points.take(index)
-    order = np.lexsort((~tied.flag, tied.upward, tied.northing, tied.easting, key))
-    ranked: NDArray[np.int64] = index[order]
-    return ranked
+def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> Run:
+    """Group points that lie far apart: no table can hold every block between them."""
+    easting, northing, _, _ = columns
+    col, row = grid.index(easting), grid.index(northing)
+    order = np.lexsort((col // BLOCK_TILES, row // BLOCK_TILES))
+    block = np.stack([row // BLOCK_TILES, col // BLOCK_TILES], axis=1)[order]
+    changes = np.flatnonzero((np.diff(block, axis=0) != 0).any(axis=1)) + 1
+    starts = np.concatenate(([0], changes, [len(order)])).astype(np.int64)
+    tile = ((row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES).astype(np.uint8)
+    names = [column.name for column in POINT_COLUMNS]
+    points = {name: array[order] for name, array in zip(names, (*columns[:3], tile, columns[3]), strict=True)}
+    return Run([(int(r), int(c)) for r, c in block[starts[:-1]]], starts, points)
 
 
-def _hash(points: _Points) -> NDArray[np.uint64]:
-    """64 well-mixed bits of a point's coordinates (multiply and fold each, then Stafford's finaliser)."""
-    mixed = np.zeros(len(points.easting), np.uint64)
-    for column, multiplier in zip((points.easting, points.northing, points.upward), _MULTIPLIERS, strict=True):
-        bits = (column + 0.0).view(np.uint64)  # + 0.0 turns -0.0 into 0.0
-        mixed ^= bits
-        mixed *= np.uint64(multiplier)
-        mixed ^= mixed >> np.uint64(32)
-    mixed *= np.uint64(0xD6E8FEB86659FD93)
-    mixed ^= mixed >> np.uint64(32)
-    return mixed
+def sort_block(grid: Grid, key: BlockKey, parts: Sequence[Part]) -> TilePoints:
+    """Put the points of a block, which came in parts (at least one), into their canonical order."""
+    names = [column.name for column in POINT_COLUMNS]
+    joined = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in names}
+    easting, northing, upward, tile, flag = (joined[name] for name in names)
+    n = len(easting)
+    rank = np.empty(n, np.uint64)
+    hashes(easting, northing, upward, rank)
+    starts = np.empty(BLOCK_TILES**2 + 1, np.int64)
+    out = [np.empty(n) for _ in range(3)]
+    marks = np.empty(n, np.bool_)
+    kept = sort_points(easting, northing, upward, tile, flag, rank, starts, *out, marks)
+    present = np.flatnonzero(np.diff(starts))
+    return TilePoints(
+        grid=grid,
+        col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
+        row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
+        starts=np.append(starts[present], kept),
+        easting=out[0][:kept],
+        northing=out[1][:kept],
+        upward=out[2][:kept],
+        flag=marks[:kept],
+    )

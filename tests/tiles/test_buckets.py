@@ -1,0 +1,131 @@
+"""Whatever waits in memory or on disk, and in whatever order it came: the same blocks come out."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bumpytiles import Grid, Pack, Room, TileBuckets, TooManyPointsError, group_points
+
+GRID = Grid(3.0)
+
+
+def survey(seed, n=2000, span=150.0):
+    rng = np.random.default_rng(seed)
+    xyz = [np.round(rng.uniform(-span / 2, span / 2, n), 2) for _ in range(3)]
+    return (*xyz, rng.random(n) < 0.3)
+
+
+def chunks(columns, size):
+    for start in range(0, len(columns[0]), size):
+        yield tuple(column[start : start + size] for column in columns)
+
+
+def flat(blocks):
+    """Tiles and their points as bytes; a block may come in shares."""
+    found = []
+    for block in blocks:
+        for t in range(len(block.col)):
+            span = slice(block.starts[t], block.starts[t + 1])
+            points = (block.easting[span], block.northing[span], block.upward[span], block.flag[span])
+            found.append((int(block.col[t]), int(block.row[t]), *(array.tobytes() for array in points)))
+    return sorted(found)
+
+
+def in_memory(columns):
+    buckets = TileBuckets(GRID)
+    buckets.add(*columns)
+    return flat(buckets.blocks())
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 99), st.integers(20, 900), st.integers(20, 3000), st.integers(40, 3000))
+def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, points, block_points):
+    columns = survey(seed)
+    scratch = tmp_path_factory.mktemp("scratch")
+    buckets = TileBuckets(GRID, Room(points, block_points, scratch))
+    for lot, chunk in enumerate(chunks(columns, size)):
+        buckets.take(group_points(GRID, *chunk), lot)
+    assert flat(buckets.blocks()) == in_memory(columns)
+    if points < 2000 - size:
+        assert list(scratch.iterdir())
+
+
+def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
+    buckets = TileBuckets(GRID, Room(300, 10_000, tmp_path))
+    columns = survey(1)
+    for lot, chunk in enumerate(chunks(columns, 100)):
+        buckets.take(group_points(GRID, *chunk), lot // 2)
+    buckets.flush()
+    spans = [(pack.meta["first"], pack.meta["last"]) for pack in buckets.packs]
+    assert spans[0][0] == 0
+    assert spans[-1][1] == 9
+    assert all(after[0] == before[1] + 1 for before, after in itertools.pairwise(spans))
+    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
+    assert flat(again.blocks()) == in_memory(columns)
+
+
+def test_what_is_not_settled_can_be_forgotten(tmp_path):
+    good, bad = survey(2, 500), survey(3, 1500)
+    buckets = TileBuckets(GRID, Room(200, 10_000, tmp_path))
+    lot = 0
+    for chunk in chunks(good, 100):
+        buckets.take(group_points(GRID, *chunk), lot)
+        lot += 1
+    buckets.settled = lot
+    for number, chunk in enumerate(chunks(bad, 100)):
+        buckets.take(group_points(GRID, *chunk), lot + number)
+    buckets.forget(lot)
+    assert flat(buckets.blocks()) == in_memory(good)
+
+
+def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
+    west, east = survey(4, 800, 40.0), survey(5, 800, 40.0)
+    east = (east[0] + 480.0, *east[1:])
+    finished = []
+
+    def finish(keys):
+        finished.extend(tile for key in keys for tile in flat(buckets.block(key)))
+
+    room = Room(500, 10_000, tmp_path, complete=lambda key: key[1] < 5 and west_is_read, finish=finish)
+    buckets = TileBuckets(GRID, room)
+    west_is_read = False
+    for lot, chunk in enumerate(chunks(west, 100)):
+        west_is_read = lot == 4  # from here on no block of the west is on disk yet and all of it is in memory
+        if lot < 4:
+            buckets.take(group_points(GRID, *chunk), lot)
+    west_is_read = True
+    for lot, chunk in enumerate(chunks(east, 100), start=4):
+        buckets.take(group_points(GRID, *chunk), lot)
+    first_half = tuple(column[:400] for column in west)
+    assert sorted(finished) == in_memory(first_half)
+    assert flat(buckets.blocks()) == in_memory(east)
+
+
+def test_one_tile_too_large_for_memory_says_so(tmp_path):
+    n = 500
+    buckets = TileBuckets(GRID, Room(100, 400, tmp_path))
+    buckets.add(np.linspace(0, 2.9, n), np.zeros(n), np.zeros(n), np.zeros(n, bool))
+    with pytest.raises(TooManyPointsError, match=r"tile \(0, 0\) holds 500 points"):
+        list(buckets.blocks())
+
+
+def test_marks_count_tiles_and_flagged_tiles():
+    buckets = TileBuckets(GRID)
+    buckets.add(np.array([0.5, 1.0, 3.5, 6.5]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
+    assert buckets.marks((0, 0)) == (3, 2)
+    assert buckets.points((0, 0)) == 4
+
+
+def test_points_far_apart_are_grouped_too():
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-2e9, 2e9, (2, 50))
+    run = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
+    assert run.keys == sorted(run.keys)
+    for place, (row, col) in enumerate(run.keys):
+        part = run.part(place)
+        assert np.all(GRID.index(part["easting"]) // 16 == col)
+        assert np.all(GRID.index(part["northing"]) // 16 == row)
+    assert sorted(run.points["upward"].tolist()) == list(range(50))
