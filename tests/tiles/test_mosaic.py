@@ -103,3 +103,38 @@ def test_packs_join(tmp_path):
 def test_a_mosaic_without_tiles_is_refused():
     with pytest.raises(ValueError, match="at least one tile"):
         Mosaic(Grid(), [])
+    with pytest.raises(ValueError, match="at least one tile"):
+        Mosaic.of(Grid(), columns_of([]))
+
+
+def test_blocks_without_tiles_do_not_count(tmp_path):
+    pack = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})
+    mosaic = Mosaic(Grid(), [pack])
+    assert mosaic.window == TileWindow(1, 2, 1, 1)
+    assert not mosaic.holds(TileWindow(144, 144, 16, 16))
+
+
+@given(tiles, st.integers(-45, 45), st.integers(-45, 45), st.integers(1, 60), st.integers(1, 60), st.integers(1, 600))
+def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, rows, most):
+    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    window = TileWindow(col, row, cols, rows)
+    held, corners = [], []
+    for strip in mosaic.strips(most, window):
+        found = mosaic.read([], strip)
+        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        corners.append((-strip.row, strip.col))
+    assert corners == sorted(corners)
+    assert sorted(held) == sorted((c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows)
+    assert mosaic.holds(window) >= bool(held)
+
+
+@given(tiles, st.integers(-45, 45), st.integers(-45, 45))
+def test_a_block_holds_what_it_has(chosen, col, row):
+    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    block = TileWindow(col * BLOCK_TILES, row * BLOCK_TILES, BLOCK_TILES, BLOCK_TILES)
+    assert mosaic.holds(block) == ((row, col) in {(r // BLOCK_TILES, c // BLOCK_TILES) for c, r in chosen})
+
+
+def test_the_same_tile_twice_is_refused():
+    with pytest.raises(ValueError, match="same tile"):
+        Mosaic.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])
