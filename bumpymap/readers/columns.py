@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.readers.checks import RawPoints
+from bumpymap.readers.batch import RawPoints
+from bumpymap.readers.source import Location, read_range
 from bumpymap.types import Georeference
 
-__all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note"]
+__all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
 """Names, in lower case, of a column that holds LAS class codes."""
@@ -39,6 +40,12 @@ def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, p
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     x, y, z = (_coordinate(rows[name], unit) for name, unit in zip(columns, units, strict=True))
     return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
+
+
+def read_rows(path: Location, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
+    """Read rows of a binary table from ``first`` on; fewer than ``count`` where the file ends."""
+    data = read_range(path, data_at + first * dtype.itemsize, count * dtype.itemsize)
+    return data[: data.size // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:

@@ -2,13 +2,13 @@
 
 import logging
 from codecs import getincrementaldecoder
-from pathlib import Path
 from typing import Literal
 
 from bumpymap.errors import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
+from bumpymap.readers.source import Location, open_source
 
-__all__ = ["detect_format", "open_survey"]
+__all__ = ["detect_format", "open_survey", "reopen_survey"]
 
 _log = logging.getLogger(__name__)
 
@@ -35,12 +35,13 @@ _FOREIGN = (
 """How files begin that are taken for point clouds now and then."""
 
 
-def open_survey(path: Path, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
+def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
     """Open a point cloud and check what its header says; points are read later. Its notes are logged as warnings.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
+        A path, or the text of a URL.
     options : ReadOptions
 
     Returns
@@ -61,7 +62,12 @@ def open_survey(path: Path, options: ReadOptions = ReadOptions()) -> SurveyReade
     return reader
 
 
-def _reader(path: Path, options: ReadOptions) -> SurveyReader:
+def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
+    """Open a point cloud again, in a worker; its notes were logged already. As ``open_survey`` otherwise."""
+    return _reader(path, options)
+
+
+def _reader(path: Location, options: ReadOptions) -> SurveyReader:
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey
@@ -76,7 +82,7 @@ def _reader(path: Path, options: ReadOptions) -> SurveyReader:
     return PcdSurvey(path, options)
 
 
-def detect_format(path: Path) -> Kind:
+def detect_format(path: Location) -> Kind:
     """Tell the format by the first bytes.
 
     Raises
@@ -84,11 +90,8 @@ def detect_format(path: Path) -> Kind:
     BadInputError
         The file cannot be read, is empty, or is something else; says what it looks like.
     """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD)
-    except OSError as error:
-        raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
+    with open_source(path) as stream:
+        head = stream.read(_HEAD)
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
     if head.startswith(b"LASF"):

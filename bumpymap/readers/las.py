@@ -1,34 +1,27 @@
-"""LAS, LAZ and COPC through laspy, decoded by lazrs in parallel, only the fields that bumpymap needs."""
+"""LAS, LAZ and COPC: the header is read here, lazrs decodes, only the fields that bumpymap needs."""
 
-import logging
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from typing import BinaryIO
 
-import laspy
 import numpy as np
-from laspy import DecompressionSelection, LazBackend
-from numpy.typing import NDArray
 
-from bumpymap.crs import CrsStatement, Place, georeference
+from bumpymap.crs import CrsStatement, georeference
 from bumpymap.errors import BadInputError
 from bumpymap.readers.base import Survey
-from bumpymap.readers.checks import RawPoints, decoding, refuse_header_bounds
+from bumpymap.readers.batch import RecordLayout, Watch, batch_of_records
+from bumpymap.readers.checks import decoding, refuse_header_bounds
 from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.geokeys import statement_of_las
-from bumpymap.readers.las_header import RawHeader, geokeys_of, read_raw_header, text_of
-from bumpymap.readers.laz_table import check_laz
-from bumpymap.readers.protocol import ReadOptions, SurveyInfo
+from bumpymap.readers.las_header import Numbers, RawHeader, geokeys_of, read_raw_header, text_of
+from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
+from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
+from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.source import Location, open_source, place_of
 from bumpymap.types import Georeference
 from bumpytiles import Bounds
 
 __all__ = ["LasSurvey"]
 
-# What laspy logs as an error it raises too, or it shows in the number of points.
-logging.getLogger("laspy").setLevel(logging.CRITICAL)
-
-_FIELDS = DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
-_BACKENDS = (LazBackend.LazrsParallel, LazBackend.Lazrs)
 _PROJECTION = b"LASF_Projection"
 
 
@@ -41,68 +34,68 @@ class LasSurvey(Survey):
     spacing of float64 up to 6.7e7 units, so millimetres at 4,000,000 m stay what they are.
     """
 
-    def __init__(self, path: Path, options: ReadOptions) -> None:
-        with decoding(path, "the header"), path.open("rb") as stream:
+    def __init__(self, path: Location, options: ReadOptions) -> None:
+        with decoding(path, "the header"), open_source(path) as stream:
             raw = read_raw_header(stream, path)
-            if raw.compressed:
-                check_laz(stream, path, raw)
-            stream.seek(0)
-            header = laspy.LasReader(stream, closefd=False, read_evlrs=False).header
-            size = path.stat().st_size
-        _refuse_scales(path, header.scales, header.offsets)
-        middle = _middle(header.mins, header.maxs)
-        place, notes = georeference(Place(path, middle), _statement(raw), options.crs, options.z_unit)
-        bounds = None if options.trust_points else _bounds(header.mins, header.maxs, place)
-        if bounds is not None:
-            refuse_header_bounds(path, bounds)
+            _refuse_scales(path, raw.scales, raw.offsets)
+            middle = _middle(raw.mins, raw.maxs)
+            place, notes = georeference(place_of(path, middle), _statement(raw), options.crs, options.z_unit)
+            bounds = None if options.trust_points else _bounds(raw.mins, raw.maxs, place)
+            if bounds is not None:
+                refuse_header_bounds(path, bounds)
+            self._source = _source(stream, path, raw, None if bounds is None else place.metres_per_unit)
+        self._layout = _layout(raw)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         super().__init__(
             SurveyInfo(
                 path,
                 f"COPC ({kind})" if raw.is_copc else kind,
-                size,
+                raw.size,
                 raw.point_count,
                 place,
                 bounds,
                 has_classes=None,
-                notes=notes + _degrees_note(place, header.scales, header.mins, header.maxs),
+                notes=notes + _degrees_note(place, raw),
             )
         )
 
-    def raw(self, points: int) -> Iterator[RawPoints]:
-        """Give every point, at most ``points`` at a time."""
-        path = self.info.path
-        with path.open("rb") as stream:
-            with decoding(path, "the header"):
-                reader = laspy.LasReader(
-                    stream, closefd=False, laz_backend=_BACKENDS, read_evlrs=False, decompression_selection=_FIELDS
-                )
-            while True:
-                with decoding(path, f"points from {reader.points_read:,} on"):
-                    chunk = reader.read_points(points)
-                if len(chunk) == 0:
-                    return
-                yield self._metres(chunk)
+    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+        """Cut the file: between points, LAZ chunks, or nodes of the octree."""
+        return self._source.pieces(points)
 
-    def _metres(self, chunk: Any) -> RawPoints:
-        unit = self.info.georeference
-        units = (unit.metres_per_unit, unit.metres_per_unit, unit.metres_per_unit_z)
-        x, y, z = (
-            _coordinate(chunk.array[name], chunk.scales[axis], chunk.offsets[axis], units[axis])
-            for axis, name in enumerate("XYZ")
-        )
-        return RawPoints(x, y, z, np.asarray(chunk.classification), np.asarray(chunk.withheld).astype(np.bool_))
+    def fetch(self, piece: Piece) -> Records:
+        """Read and decode the records of a piece."""
+        return self._source.fetch(piece)
+
+    def convert(self, piece: Piece, fetched: Records) -> Batch:
+        """Points of a piece that count, in metres."""
+        watch = Watch(piece.first, self.info.bounds, piece.bounds)
+        return batch_of_records(fetched, self._layout, self.info.georeference, watch)
 
 
-def _coordinate(integer: NDArray[np.int32], scale: float, offset: float, unit: float) -> NDArray[np.float64]:
-    # What overflows becomes infinite, and is refused for it.
-    with np.errstate(over="ignore", invalid="ignore"):
-        value: NDArray[np.float64] = integer * np.float64(scale)
-        value += offset
-        np.round(value, DECIMALS, out=value)
-        if unit != 1.0:
-            value *= unit
-    return value
+def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:
+    """Choose how to read; ``metres_per_unit`` is None where the boxes of the file are not to be believed."""
+    if not raw.compressed:
+        return PlainPoints(path, raw)
+    record = laz_record(path, raw)
+    if not is_chunked(record):
+        return LazStream(path, raw, record, None)
+    if raw.is_copc:
+        from bumpymap.readers.copc import CopcNodes, read_octree
+
+        octree = read_octree(stream, path, raw)
+        if not has_huge_chunks(octree.table, raw):
+            return CopcNodes(path, raw, record, octree, metres_per_unit)
+    table = read_table(stream, path, raw, record)
+    source = LazStream if has_huge_chunks(table, raw) else LazChunks
+    return source(path, raw, record, table)
+
+
+def _layout(raw: RawHeader) -> RecordLayout:
+    """LAS 1.4 R15, tables 7 and 10: formats 6 and up have a byte of their own for the class."""
+    if raw.point_format < 6:
+        return RecordLayout(raw.scales, raw.offsets, class_byte=15, class_mask=31, withheld_byte=15, withheld_mask=128)
+    return RecordLayout(raw.scales, raw.offsets, class_byte=16, class_mask=255, withheld_byte=15, withheld_mask=4)
 
 
 def _statement(header: RawHeader) -> CrsStatement:
@@ -112,9 +105,9 @@ def _statement(header: RawHeader) -> CrsStatement:
     return statement_of_las(wkt or None, keys, citation, wkt_bit=header.wkt_bit)
 
 
-def _refuse_scales(path: Path, scales: NDArray[np.float64], offsets: NDArray[np.float64]) -> None:
+def _refuse_scales(path: Location, scales: Numbers, offsets: Numbers) -> None:
     for name, values in (("scale", scales), ("offset", offsets)):
-        if not np.isfinite(values).all() or (name == "scale" and (values == 0).any()):
+        if not np.isfinite(values).all() or (name == "scale" and 0 in values):
             shown = ", ".join(f"{value:g}" for value in values)
             raise BadInputError(
                 f"the header of {path} gives the {name} of x, y and z as {shown}; it must be a finite number"
@@ -122,23 +115,21 @@ def _refuse_scales(path: Path, scales: NDArray[np.float64], offsets: NDArray[np.
             )
 
 
-def _middle(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    middle = [float(value) for value in low / 2 + high / 2]
-    return (middle[0], middle[1], middle[2]) if np.isfinite(middle).all() else None
+def _middle(low: Numbers, high: Numbers) -> Numbers | None:
+    x, y, z = (first / 2 + last / 2 for first, last in zip(low, high, strict=True))
+    return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
-def _bounds(low: NDArray[np.float64], high: NDArray[np.float64], place: Georeference) -> Bounds:
+def _bounds(low: Numbers, high: Numbers, place: Georeference) -> Bounds:
     west, south, east, north = (
         float(np.round(value, DECIMALS) * place.metres_per_unit) for value in (low[0], low[1], high[0], high[1])
     )
     return Bounds(west, south, east, north)
 
 
-def _degrees_note(
-    place: Georeference, scales: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[str, ...]:
+def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:
     """Say so where a file without CRS looks like degrees: a grid finer than a micrometre, inside 180 x 90."""
-    inside = np.abs([low[0], high[0]]).max() <= 180 and np.abs([low[1], high[1]]).max() <= 90
-    if place.crs is not None or not inside or scales[:2].max() > 1e-6:
+    inside = max(map(abs, (raw.mins[0], raw.maxs[0]))) <= 180 and max(map(abs, (raw.mins[1], raw.maxs[1]))) <= 90
+    if place.crs is not None or not inside or max(raw.scales[:2]) > 1e-6:
         return ()
     return ("its coordinates look like degrees; if they are, pass --crs EPSG:4326 for the command that reprojects it",)

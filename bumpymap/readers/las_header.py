@@ -4,24 +4,29 @@ The decoders trust these numbers: four billion records are looped over, a chunk 
 process. Field offsets are those of LAS 1.4 R15, tables 3, 4 and 17; earlier versions share the first 227 bytes.
 """
 
-import os
+import io
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from bumpymap.errors import BadInputError
+from bumpymap.readers.source import Location
 
 __all__ = ["LasRecord", "RawHeader", "geokeys_of", "read_raw_header", "text_of"]
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
 _RECORD, _EXTENDED_RECORD = 54, 60
-_PROJECTION = b"LASF_Projection"
+_NEEDED = {b"LASF_Projection", b"laszip encoded", b"copc"}
+_LONGEST_RECORD = 1 << 20
+"""Of those that are needed, bytes."""
 _POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point of formats 0 to 10, without extra bytes."""
 _AGAIN = "The file is damaged or truncated; copy or download it again"
+
+Numbers = tuple[float, float, float]
+"""One for x, one for y, one for z."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +40,10 @@ class LasRecord:
 
 @dataclass(frozen=True, slots=True)
 class RawHeader:
-    """The fields that bumpymap checks itself."""
+    """The fields that bumpymap needs."""
 
+    size: int
+    """Bytes of the file."""
     version: str
     point_format: int
     compressed: bool
@@ -46,15 +53,26 @@ class RawHeader:
     offset_to_points: int
     wkt_bit: bool
     is_copc: bool
+    scales: Numbers
+    offsets: Numbers
+    """A coordinate is ``integer * scale + offset``, in the file's unit."""
+    mins: Numbers
+    maxs: Numbers
+    """What the header says of the points' extent, in the file's unit."""
     records: tuple[LasRecord, ...]
-    """Those of projection (extended ones too) and of the LAZ decoder."""
+    """Those of projection (extended ones too), of the LAZ decoder and of COPC."""
+
+    @property
+    def base_size(self) -> int:
+        """Bytes of a point without extra bytes."""
+        return _POINT_SIZES[self.point_format]
 
     def find(self, user: bytes, number: int) -> bytes | None:
         """Bytes of the first such record."""
         return next((r.data for r in self.records if r.user == user and r.number == number), None)
 
 
-def read_raw_header(stream: BinaryIO, path: Path) -> RawHeader:
+def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     """Read a header and refuse what cannot be.
 
     Raises
@@ -62,7 +80,8 @@ def read_raw_header(stream: BinaryIO, path: Path) -> RawHeader:
     BadInputError
         Truncated; an unknown version or point format; no points; more points or records than the file can hold.
     """
-    size = os.fstat(stream.fileno()).st_size
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(0)
     head = stream.read(_HEADER_1_4)
     if len(head) < _HEADER_1_0:
         raise BadInputError(f"{path} ends after {len(head)} bytes, inside the LAS header. {_AGAIN}")
@@ -93,14 +112,27 @@ def read_raw_header(stream: BinaryIO, path: Path) -> RawHeader:
         )
     plain = _walk(stream, path, records, header_size, offset, extended=False)
     far = _walk(stream, path, extended, first_extended, size, extended=True) if extended else []
-    wanted = tuple(r for r in plain + far if r.user in {_PROJECTION, b"laszip encoded"})
-    is_copc = any(r.user == b"copc" and r.number == 1 for r in plain)
+    scales, offsets, mins, maxs = _frame(head)
     return RawHeader(
-        f"{major}.{minor}", point_format, compressed, point_size, count, offset, bool(encoding & 0x10), is_copc, wanted
-    )
+        size, f"{major}.{minor}", point_format, compressed, point_size, count, offset,
+        bool(encoding & 0x10), _is_copc(plain, header_size), scales, offsets, mins, maxs,
+        tuple(record for record in plain + far if record.user in _NEEDED),
+    )  # fmt: skip
 
 
-def _refuse_format(path: Path, point_format: int, point_size: int) -> None:
+def _frame(head: bytes) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """Scales, offsets, lowest and highest coordinates."""
+    numbers = struct.unpack_from("<12d", head, 131)
+    # The extent alternates: highest x, lowest x, highest y, ...
+    return numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2]
+
+
+def _is_copc(records: list[LasRecord], header_size: int) -> bool:
+    """Whether the record of COPC is where it must be: first, right behind a header of LAS 1.4."""
+    return header_size == _HEADER_1_4 and records[:1] != [] and (records[0].user, records[0].number) == (b"copc", 1)
+
+
+def _refuse_format(path: Location, point_format: int, point_size: int) -> None:
     if point_format >= len(_POINT_SIZES):
         raise BadInputError(
             f"{path} holds points of format {point_format}; LAS defines 0 to 10, and bumpymap reads those. Write it "
@@ -113,7 +145,7 @@ def _refuse_format(path: Path, point_format: int, point_size: int) -> None:
         )
 
 
-def _walk(stream: BinaryIO, path: Path, count: int, start: int, end: int, *, extended: bool) -> list[LasRecord]:
+def _walk(stream: BinaryIO, path: Location, count: int, start: int, end: int, *, extended: bool) -> list[LasRecord]:
     """Read the records between two places; data of those that nobody here needs is skipped."""
     head_size = _EXTENDED_RECORD if extended else _RECORD
     found: list[LasRecord] = []
@@ -127,7 +159,7 @@ def _walk(stream: BinaryIO, path: Path, count: int, start: int, end: int, *, ext
                 f"{index:,} does not fit in. {_AGAIN}"
             )
         user = head[2:18].split(b"\0")[0]
-        needed = user in {_PROJECTION, b"laszip encoded"} and length <= 1 << 20
+        needed = user in _NEEDED and length <= _LONGEST_RECORD
         found.append(LasRecord(user, struct.unpack_from("<H", head, 18)[0], stream.read(length) if needed else b""))
         start += head_size + length
     return found

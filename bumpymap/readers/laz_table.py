@@ -1,60 +1,119 @@
-"""Checks on LAZ data before the decoder sees it.
+"""Checks on LAZ data before the decoder sees it: its record, its table of chunks, the layers inside a chunk.
 
-lazrs reserves memory for as many chunks as the chunk table claims; a claim that no machine can meet ends the process,
-so it is held against the size of the file first.
+lazrs reserves memory for whatever these promise; a promise that no machine can keep ends the process, so each is held
+against the size of the file first.
 """
 
-import os
+import io
 import struct
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import lazrs
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.las_header import RawHeader
+from bumpymap.readers.protocol import Piece
+from bumpymap.readers.source import Location
 
-__all__ = ["check_laz"]
+__all__ = ["ChunkTable", "check_layers", "is_chunked", "laz_record", "read_table", "refuse_density"]
 
 _NOT_CHUNKED = 1
 """Value of the "compressor" word of the LASzip record for one stream without a chunk table."""
+_POINT10, _TIME, _RGB12, _WAVE13 = (6, 20), (7, 8), (8, 6), (9, 29)
+_POINT14, _RGB14, _NIR14, _WAVE14 = (10, 30), (11, 6), (12, 8), (13, 29)
+_ITEMS = (
+    (_POINT10,),
+    (_POINT10, _TIME),
+    (_POINT10, _RGB12),
+    (_POINT10, _TIME, _RGB12),
+    (_POINT10, _TIME, _WAVE13),
+    (_POINT10, _TIME, _RGB12, _WAVE13),
+    (_POINT14,),
+    (_POINT14, _RGB14),
+    (_POINT14, _NIR14),
+    (_POINT14, _WAVE14),
+    (_POINT14, _NIR14, _WAVE14),
+)
+"""Type and bytes of the items that a point of each format is made of; extra bytes are one more."""
+_EXTRA, _EXTRA14 = 0, 14
+_LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
+"""Layers of a chunk by point format; every extra byte adds one. Earlier formats have none."""
+_DENSEST = 4096
+"""Points in a byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and a point has one at least."""
 _CUT = "truncated? Copy or download it again"
 
 
-def check_laz(stream: BinaryIO, path: Path, header: RawHeader) -> None:
-    """Hold the LASzip record and the chunk table against header and file.
+@dataclass(frozen=True, slots=True)
+class ChunkTable:
+    """The chunks of a LAZ file, those without points left out."""
+
+    ends: NDArray[np.int64]
+    """(n,) points of the file up to the end of each chunk."""
+    starts: NDArray[np.int64]
+    """(n,) byte of the file where each begins."""
+    sizes: NDArray[np.int64]
+    """(n,) bytes."""
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(n,) points of each chunk."""
+        return np.diff(self.ends, prepend=0)
+
+    def find(self, piece: Piece) -> slice:
+        """Chunks of a piece."""
+        last = piece.first + piece.points - 1
+        first, end = np.searchsorted(self.ends, (piece.first, last), side="right").tolist()
+        return slice(first, end + 1)
+
+
+def laz_record(path: Location, header: RawHeader) -> bytes:
+    """Give the LASzip record, once it is known that lazrs can decode by it.
 
     Raises
     ------
     BadInputError
-        No LASzip record, a codec that lazrs does not know, a table that the file cannot hold or that has fewer points
-        than the header promises.
+        No LASzip record, one of other points, a codec that lazrs does not know.
     """
     record = header.find(b"laszip encoded", 22204)
     if record is None or len(record) < 34:
         raise BadInputError(f"{path} is compressed and has no LASzip record to decode it by. Copy or download it again")
+    # An empty table of chunks: the decoder looks at the record alone.
+    nothing = io.BytesIO(struct.pack("<qII", 8, 0, 0))
     with decoding(path, "the LASzip record"):
-        vlr = lazrs.LazVlr(record)
-    if vlr.item_size() != header.point_size:
+        try:
+            lazrs.LasZipDecompressor(nothing, record)
+        except lazrs.LazrsError as error:
+            raise BadInputError(
+                f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
+                "codec, such as with: pdal translate IN OUT.laz"
+            ) from error
+    items = [struct.unpack_from("<HH", record, at) for at in range(34, len(record) - 5, 6)][: record[32]]
+    extra = header.point_size - header.base_size
+    wanted = [
+        *_ITEMS[header.point_format],
+        *([(_EXTRA14 if header.point_format in _LAYERS else _EXTRA, extra)] * (extra > 0)),
+    ]
+    if items != wanted or (not is_chunked(record) and header.point_format in _LAYERS):
         raise BadInputError(
-            f"{path} gives a point {header.point_size} bytes in its header and {vlr.item_size()} in its LASzip record: "
-            "the file is damaged. Copy or download it again"
+            f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
+            f"{header.point_size} bytes: the file is damaged. Copy or download it again"
         )
-    if struct.unpack_from("<H", record)[0] != _NOT_CHUNKED:
-        _check_table(stream, path, header, vlr)
-    stream.seek(header.offset_to_points)
-    try:
-        lazrs.LasZipDecompressor(stream, record)
-    except lazrs.LazrsError as error:
-        raise BadInputError(
-            f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
-            "codec, such as with: pdal translate IN OUT.laz"
-        ) from error
+    return record
 
 
-def _check_table(stream: BinaryIO, path: Path, header: RawHeader, vlr: Any) -> None:
-    """Hold the chunk table against the file and the number of points that the header promises."""
+def is_chunked(record: bytes) -> bool:
+    """Whether there is a table of chunks; old files may be one stream."""
+    word: int = struct.unpack_from("<H", record)[0]
+    return word != _NOT_CHUNKED
+
+
+def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
+    """Read the chunk table and hold it against the file and the number of points that the header promises."""
+    vlr: Any = lazrs.LazVlr(record)
     table_at = _table_place(stream, path, header)
     stream.seek(header.offset_to_points)
     with decoding(path, "the LAZ chunk table"):
@@ -66,11 +125,62 @@ def _check_table(stream: BinaryIO, path: Path, header: RawHeader, vlr: Any) -> N
         )
     held = sum(points for points, _ in table) if vlr.uses_variable_size_chunks() else len(table) * vlr.chunk_size()
     refuse_count(path, header.point_count, held)
+    chunk = None if vlr.uses_variable_size_chunks() else vlr.chunk_size()
+    counts = np.array([min(chunk or points, header.point_count) for points, _ in table], np.int64)
+    sizes = np.array([size for _, size in table], np.int64)
+    starts = header.offset_to_points + 8 + np.cumsum(sizes) - sizes
+    # The last chunk is shorter than the others; behind the last point of the header there is nothing to read.
+    ends = np.minimum(np.cumsum(counts), header.point_count)
+    full = np.diff(ends, prepend=0) > 0
+    found = ChunkTable(ends[full], starts[full], sizes[full])
+    refuse_density(path, found.counts, found.sizes)
+    return found
 
 
-def _table_place(stream: BinaryIO, path: Path, header: RawHeader) -> int:
+def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
+    """Raise BadInputError where chunks promise more points than any compression could put into them."""
+    if (counts > _DENSEST * sizes).any():
+        worst = int(np.argmax(counts - _DENSEST * sizes))
+        raise BadInputError(
+            f"{path} promises {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which cannot be: damaged "
+            f"or {_CUT}"
+        )
+
+
+def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], size: int, points: int) -> None:
+    """Hold what a chunk of layers says of itself to its size and to the points that the table promises.
+
+    It starts with its first point, the number of its points and the sizes of its layers. Chunks of the point formats
+    0 to 5 say nothing of themselves.
+
+    Parameters
+    ----------
+    path : Path or str
+    header : RawHeader
+    chunk : uint8 array
+        The start of the chunk, or all of it.
+    size : int
+        Bytes of the chunk.
+    points : int
+    """
+    if header.point_format not in _LAYERS:
+        return
+    layers = _LAYERS[header.point_format] + header.point_size - header.base_size
+    head = header.point_size + 4 * (layers + 1)
+    if min(size, chunk.size) < head:
+        raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take {head:,} at least: {_CUT}")
+    held, *layer_bytes = struct.unpack(f"<{layers + 1}I", chunk[header.point_size : head].tobytes())
+    refuse_count(path, points, held, "points in a LAZ chunk")
+    if head + sum(layer_bytes) > size:
+        raise BadInputError(
+            f"the layers of a LAZ chunk of {path} need {head + sum(layer_bytes):,} bytes, and it has {size:,}: damaged "
+            f"or {_CUT}"
+        )
+
+
+def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> int:
     """Where the chunk table is, once its place and its length are known to fit."""
-    size = os.fstat(stream.fileno()).st_size
+    size = header.size
     place = _word(stream, header.offset_to_points, size)
     if place == -1:
         # A writer that could not seek back leaves the place in the last eight bytes.
@@ -79,8 +189,9 @@ def _table_place(stream: BinaryIO, path: Path, header: RawHeader) -> int:
         raise BadInputError(f"{path} has no LAZ chunk table where its header says (byte {place} of {size:,}): {_CUT}")
     stream.seek(place + 4)
     (chunks,) = struct.unpack("<I", stream.read(4))
-    # A compressed chunk takes more than a byte; the header and the first point alone take twenty.
-    if chunks > place - header.offset_to_points or (chunks == 0 and header.point_count):
+    # A chunk holds its first point as it is.
+    room = (place - header.offset_to_points) // header.point_size
+    if chunks > room or (chunks == 0 and header.point_count):
         raise BadInputError(f"{path} promises {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
     return place
 

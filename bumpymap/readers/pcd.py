@@ -1,45 +1,51 @@
-"""PCD: text, binary (memory-mapped) and compressed; pypcd4 reads the header and unpacks. Scans, mostly."""
+"""PCD: text and binary are read piece by piece, compressed is unpacked whole by pypcd4. Scans, mostly."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
-from bumpymap.crs import CrsStatement, Place, georeference
+from bumpymap.crs import CrsStatement, georeference
 from bumpymap.errors import BadInputError
 from bumpymap.readers.base import Survey
-from bumpymap.readers.checks import RawPoints, decoding, refuse_count
-from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note
-from bumpymap.readers.protocol import ReadOptions, SurveyInfo
+from bumpymap.readers.batch import Watch, batch_of_points
+from bumpymap.readers.checks import decoding, refuse_count
+from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note, read_rows
+from bumpymap.readers.cut import cut_rows
+from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.source import Location, open_source, place_of, size_of
+from bumpymap.readers.text_rows import TextRows
 
 __all__ = ["PcdSurvey"]
 
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _AT_REST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_DENSEST = 100
+"""LZF packs 264 bytes into 3 at best."""
+_LOOKED_AT = 100_000
+"""Rows that are searched for a first point."""
 
 
 class PcdSurvey(Survey):
     """One PCD file. Metres; a row with NaN is a beam without return, and does not count."""
 
-    nan_is_no_return = True
-
-    def __init__(self, path: Path, options: ReadOptions) -> None:
+    def __init__(self, path: Location, options: ReadOptions) -> None:
         self._path = path
-        with decoding(path, "the header"), path.open("rb") as stream:
+        size = size_of(path)
+        with decoding(path, "the header"), open_source(path) as stream:
             self._head = head = _read_header(stream, path)
             self._data_at = stream.tell()
-            size = path.stat().st_size
             self._columns = _columns(head, path)
             _refuse_size(stream, path, head, size - self._data_at)
         names = {name.lower(): name for name in reversed(self._dtype.names or ())}
         self._class_column = next((names[name] for name in CLASS_COLUMNS if name in names), None)
+        self._text = self._text_rows() if head.data is Encoding.ASCII else None
         first = self._first()
-        place, notes = georeference(Place(path, first), CrsStatement(), options.crs, options.z_unit)
+        place, notes = georeference(place_of(path, first), CrsStatement(), options.crs, options.z_unit)
         if head.data is not Encoding.ASCII:
             notes += precision_note(first, [self._dtype[name] for name in self._columns])
         if head.viewpoint != _AT_REST:
@@ -48,34 +54,49 @@ class PcdSurvey(Survey):
         has_classes = self._class_column is not None
         super().__init__(SurveyInfo(path, kind, size, head.points, place, None, has_classes, notes))
 
-    def raw(self, points: int) -> Iterator[RawPoints]:
-        """Give every point, at most ``points`` at a time."""
-        rows = self._rows
-        for start in range(0, len(rows), points):
-            yield metres(rows[start : start + points], self._columns, self._class_column, self.info.georeference)
+    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+        """Cut anywhere."""
+        return cut_rows(self._head.points, points, self._dtype.itemsize)
+
+    def fetch(self, piece: Piece) -> Any:
+        """Rows of a piece: a structured array with at least the columns that are needed."""
+        return self._rows(piece.first, piece.points)
+
+    def convert(self, piece: Piece, fetched: Any) -> Batch:
+        """Points of a piece that count, in metres."""
+        raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
+        return batch_of_points(raw, Watch(piece.first, self.info.bounds, nan_is_no_return=True))
 
     @property
     def _dtype(self) -> np.dtype[np.void]:
         dtype: np.dtype[np.void] = self._head.build_dtype()
         return dtype
 
+    def _rows(self, first: int, count: int) -> Any:
+        if self._text is not None:
+            return self._text.read(first, count)
+        if self._head.data is Encoding.BINARY:
+            return read_rows(self._path, self._data_at, self._dtype, first, count)
+        return self._unpacked[first : first + count]
+
     @cached_property
-    def _rows(self) -> NDArray[np.void]:
-        """All rows; only binary ones stay on disk."""
-        with decoding(self._path, "the points"):
-            if self._head.data is Encoding.BINARY:
-                shape = (self._head.points,)
-                return np.memmap(self._path, dtype=self._dtype, mode="r", offset=self._data_at, shape=shape)
-            if self._head.data is Encoding.ASCII:
-                with self._path.open("rb") as stream:
-                    stream.seek(self._data_at)
-                    return np.loadtxt(stream, dtype=self._dtype, comments=None, ndmin=1, max_rows=self._head.points)
-            rows: NDArray[np.void] = PointCloud.from_path(self._path).pc_data
+    def _unpacked(self) -> NDArray[np.void]:
+        """All rows; kept, since they are packed column by column."""
+        with decoding(self._path, "the points"), open_source(self._path) as stream:
+            rows: NDArray[np.void] = PointCloud.from_fileobj(stream).pc_data
             return rows
+
+    def _text_rows(self) -> TextRows:
+        names = list(self._dtype.names or ())
+        wanted = [*self._columns, *([self._class_column] if self._class_column else [])]
+        dtype = np.dtype([(name, self._dtype[name]) for name in wanted])
+        return TextRows(self._path, self._data_at, 0, dtype, [names.index(name) for name in wanted])
 
     def _first(self) -> tuple[float, float, float] | None:
         """Give the first point that is one, looking at the first block alone."""
-        rows = self._rows[:100_000]
+        rows = self._rows(0, min(_LOOKED_AT, self._head.points))
+        if self._text is not None:
+            self._text.close()
         table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in self._columns])
         good = np.isfinite(table).all(axis=1)
         if not good.any():
@@ -84,7 +105,7 @@ class PcdSurvey(Survey):
         return x, y, z
 
 
-def _read_header(stream: BinaryIO, path: Path) -> Any:
+def _read_header(stream: BinaryIO, path: Location) -> Any:
     lines: list[str] = []
     for _ in range(_HEADER_LINES):
         line = stream.readline(_LINE_LIMIT).decode("utf-8", "replace").strip()
@@ -105,7 +126,7 @@ def _read_header(stream: BinaryIO, path: Path) -> Any:
     return head
 
 
-def _columns(head: Any, path: Path) -> tuple[str, str, str]:
+def _columns(head: Any, path: Location) -> tuple[str, str, str]:
     dtype = head.build_dtype()
     names = {name.lower(): name for name in reversed(dtype.names)}
     missing = [axis for axis in "xyz" if axis not in names]
@@ -117,7 +138,7 @@ def _columns(head: Any, path: Path) -> tuple[str, str, str]:
     return names["x"], names["y"], names["z"]
 
 
-def _refuse_size(stream: BinaryIO, path: Path, head: Any, room: int) -> None:
+def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None:
     """Hold the promised count against the bytes that are there, before anything is reserved for it."""
     row = head.build_dtype().itemsize
     if head.data is Encoding.ASCII:
@@ -127,4 +148,5 @@ def _refuse_size(stream: BinaryIO, path: Path, head: Any, room: int) -> None:
     else:
         packed, unpacked = struct.unpack("<II", stream.read(8)) if room >= 8 else (0, 0)
         refuse_count(path, packed, max(room - 8, 0), "bytes of packed points")
+        refuse_count(path, unpacked, _DENSEST * packed, "bytes of unpacked points")
         refuse_count(path, head.points, unpacked // row)

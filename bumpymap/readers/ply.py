@@ -1,24 +1,25 @@
-"""PLY: binary is memory-mapped, text is read in blocks of lines, rows of changing length are left to plyfile."""
+"""PLY: binary and text are read piece by piece, rows of changing length are left to plyfile."""
 
 import io
 import warnings
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import cached_property
-from itertools import islice
-from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from plyfile import PlyData
 
-from bumpymap.crs import CrsStatement, Place, georeference
+from bumpymap.crs import CrsStatement, georeference
 from bumpymap.readers.base import Survey
-from bumpymap.readers.checks import RawPoints, decoding, refuse_count
-from bumpymap.readers.columns import metres, precision_note
+from bumpymap.readers.batch import Watch, batch_of_points
+from bumpymap.readers.checks import decoding, refuse_count
+from bumpymap.readers.columns import metres, precision_note, read_rows
+from bumpymap.readers.cut import cut_rows
 from bumpymap.readers.ply_header import PlyHeader, read_ply_header
-from bumpymap.readers.protocol import ReadOptions, SurveyInfo
+from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.source import Location, open_source, place_of, size_of
+from bumpymap.readers.text_rows import TextRows
 
 __all__ = ["PlySurvey"]
 
@@ -31,14 +32,15 @@ class PlySurvey(Survey):
     Text is read as float64 whatever the header declares, since its digits may hold more than a float.
     """
 
-    def __init__(self, path: Path, options: ReadOptions) -> None:
+    def __init__(self, path: Location, options: ReadOptions) -> None:
         self._path = path
         with decoding(path, "the header"):
             self._header = header = read_ply_header(path)
-            size = path.stat().st_size
+        size = size_of(path)
         self._refuse_size(size)
+        self._text = _text_rows(path, header) if header.text and not header.vertex.has_lists else None
         first = self._first()
-        place, notes = georeference(Place(path, first), CrsStatement(), options.crs, options.z_unit)
+        place, notes = georeference(place_of(path, first), CrsStatement(), options.crs, options.z_unit)
         types = [header.vertex.element.ply_property(name).val_dtype for name in header.columns]
         if not header.text:
             notes += precision_note(first, types)
@@ -46,25 +48,34 @@ class PlySurvey(Survey):
         has_classes = header.class_column is not None
         super().__init__(SurveyInfo(path, kind, size, header.vertex.count, place, None, has_classes, notes))
 
-    def raw(self, points: int) -> Iterator[RawPoints]:
-        """Give every point, at most ``points`` at a time."""
-        for rows in self._rows(points):
-            yield metres(rows, self._header.columns, self._header.class_column, self.info.georeference)
+    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+        """Cut anywhere."""
+        vertex = self._header.vertex
+        row_bytes = 8 * len(self._header.columns) if self._header.text or vertex.has_lists else self._dtype.itemsize
+        return cut_rows(vertex.count, points, row_bytes)
 
-    def _rows(self, points: int) -> Iterator[Any]:
-        """Blocks of vertices: structured arrays with at least the columns that are needed."""
-        header, path = self._header, self._path
-        if header.vertex.has_lists or (not header.text and any(head.has_lists for head in header.before)):
-            rows = self._listed
-            for start in range(0, len(rows), points):
-                yield rows[start : start + points]
-        elif header.text:
-            yield from _text_blocks(path, header, points)
-        else:
-            with decoding(path, "the vertices"):
-                rows = _map(path, header)
-            for start in range(0, len(rows), points):
-                yield rows[start : start + points]
+    def fetch(self, piece: Piece) -> Any:
+        """Rows of a piece: a structured array with at least the columns that are needed."""
+        return self._rows(piece.first, piece.points)
+
+    def convert(self, piece: Piece, fetched: Any) -> Batch:
+        """Points of a piece that count, in metres."""
+        raw = metres(fetched, self._header.columns, self._header.class_column, self.info.georeference)
+        return batch_of_points(raw, Watch(piece.first, self.info.bounds))
+
+    def _rows(self, first: int, count: int) -> Any:
+        header = self._header
+        if self._text is not None:
+            return self._text.read(first, count)
+        if header.vertex.has_lists or any(head.has_lists for head in header.before):
+            return self._listed[first : first + count]
+        skipped = sum(head.count * head.element.dtype(header.byte_order).itemsize for head in header.before)
+        return read_rows(self._path, header.data_at + skipped, self._dtype, first, count)
+
+    @property
+    def _dtype(self) -> np.dtype[np.void]:
+        dtype: np.dtype[np.void] = self._header.vertex.element.dtype(self._header.byte_order)
+        return dtype
 
     @cached_property
     def _listed(self) -> NDArray[np.void]:
@@ -73,8 +84,10 @@ class PlySurvey(Survey):
             return _read_with_plyfile(self._path, self._header)
 
     def _first(self) -> tuple[float, float, float] | None:
-        rows = next(self._rows(1), None)
-        if rows is None or len(rows) == 0:
+        rows = self._rows(0, 1)
+        if self._text is not None:
+            self._text.close()
+        if len(rows) == 0:
             return None
         x, y, z = (float(rows[name][0]) for name in self._header.columns)
         return (x, y, z) if np.isfinite([x, y, z]).all() else None
@@ -103,15 +116,9 @@ def _least_bytes(header: PlyHeader, element: Any) -> int:
     return max(sum(int(np.dtype(word).itemsize) for word in words), 1)
 
 
-def _map(path: Path, header: PlyHeader) -> NDArray[np.void]:
-    skipped = sum(head.count * head.element.dtype(header.byte_order).itemsize for head in header.before)
-    dtype = header.vertex.element.dtype(header.byte_order)
-    return np.memmap(path, dtype=dtype, mode="r", offset=header.data_at + skipped, shape=(header.vertex.count,))
-
-
-def _read_with_plyfile(path: Path, header: PlyHeader) -> NDArray[np.void]:
+def _read_with_plyfile(path: Location, header: PlyHeader) -> NDArray[np.void]:
     """Read rows of changing length; the elements behind the vertices are not looked at."""
-    with path.open("rb") as stream:
+    with open_source(path) as stream:
         stream.seek(header.data_at)
         data = io.BytesIO(b"\n".join(header.lines) + b"\n" + stream.read())
     with warnings.catch_warnings():
@@ -121,27 +128,9 @@ def _read_with_plyfile(path: Path, header: PlyHeader) -> NDArray[np.void]:
     return rows
 
 
-def _text_blocks(path: Path, header: PlyHeader, points: int) -> Iterator[NDArray[np.void]]:
+def _text_rows(path: Location, header: PlyHeader) -> TextRows:
     names = [prop.name for prop in header.vertex.element.properties]
     wanted = [*header.columns, *([header.class_column] if header.class_column else [])]
     dtype = np.dtype([(name, np.float64) for name in wanted])
-    with path.open("rb") as binary:
-        binary.seek(header.data_at)
-        stream = io.TextIOWrapper(binary, "ascii", errors="replace")
-        skipped = sum(head.count for head in header.before)
-        deque(islice(stream, skipped), maxlen=0)
-        left = header.vertex.count
-        while left > 0:
-            with decoding(path, f"the vertices from {header.vertex.count - left:,} on"):
-                block = _load(stream, min(points, left), dtype, [names.index(name) for name in wanted])
-            if len(block) == 0:
-                return
-            left -= len(block)
-            yield block
-
-
-def _load(stream: TextIO, count: int, dtype: np.dtype[np.void], columns: list[int]) -> NDArray[np.void]:
-    with warnings.catch_warnings():
-        # "no data": the count of points tells, at the end.
-        warnings.simplefilter("ignore", UserWarning)
-        return np.loadtxt(stream, dtype=dtype, comments=None, usecols=columns, max_rows=count, ndmin=1)
+    skipped = sum(head.count for head in header.before)
+    return TextRows(path, header.data_at, skipped, dtype, [names.index(name) for name in wanted])

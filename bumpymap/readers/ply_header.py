@@ -6,7 +6,6 @@ plyfile parses the header; the counts are set to 0 for it, so that it reads no d
 import io
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from plyfile import PlyData, PlyListProperty
@@ -14,6 +13,7 @@ from plyfile import PlyData, PlyListProperty
 from bumpymap.errors import BadInputError
 from bumpymap.readers.checks import decoding
 from bumpymap.readers.columns import CLASS_COLUMNS
+from bumpymap.readers.source import Location, open_source
 
 __all__ = ["PlyElementHead", "PlyHeader", "read_ply_header"]
 
@@ -55,7 +55,7 @@ class PlyHeader:
     """The header up to the vertex element and its properties, ``end_header`` added; comments left out."""
 
 
-def read_ply_header(path: Path) -> PlyHeader:
+def read_ply_header(path: Location) -> PlyHeader:
     """Read the header of a PLY file.
 
     Raises
@@ -97,9 +97,9 @@ def read_ply_header(path: Path) -> PlyHeader:
     )
 
 
-def _lines(path: Path) -> tuple[list[bytes], int]:
+def _lines(path: Location) -> tuple[list[bytes], int]:
     lines: list[bytes] = []
-    with path.open("rb") as stream:
+    with open_source(path) as stream:
         while len(lines) < _HEADER_LIMIT:
             line = stream.readline(_LINE_LIMIT)
             if not line:

@@ -1,18 +1,24 @@
-"""What every reader takes and gives: options, what a header says, chunks of points."""
+"""What every reader takes and gives: options, what a header says, pieces of points."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.config import ZUnit
+from bumpymap.readers.source import Location
 from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
-__all__ = ["DROPPED", "ReadOptions", "SurveyInfo", "SurveyReader"]
+if TYPE_CHECKING:  # it needs the names here
+    from bumpymap.readers.tally import Tally
+
+__all__ = ["DROPPED", "PIECE_POINTS", "Batch", "Piece", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
 DROPPED = ("withheld", "noise", "not_a_number")
 """Keys of ``SurveyReader.dropped``: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
+
+PIECE_POINTS = 500_000
+"""Points of a piece: enough to keep a decoder busy, few enough to be held by the dozen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +37,8 @@ class ReadOptions:
 class SurveyInfo:
     """What is known of a file before its points are read."""
 
-    path: Path
+    path: Location
+    """A path, or the text of a URL."""
     format: str
     """Such as ``LAS 1.2, point format 3``."""
     size_bytes: int
@@ -46,8 +53,33 @@ class SurveyInfo:
     """What a user should know, one sentence each."""
 
 
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of a file that can be read by itself: points ``first`` to ``first + points`` in reading order."""
+
+    index: int
+    """0, 1, 2, ... in reading order."""
+    first: int
+    """Points before it in reading order."""
+    points: int
+    """As the header or the table of the file promises."""
+    bounds: Bounds | None = None
+    """m; no point lies more than 1 m (``tally.OUTSIDE``) outside, or ``judge`` raises; None: only the file's own bounds
+    are known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """The points of a piece."""
+
+    cloud: PointCloud
+    """Those that count, in metres; none where ``tally.bad``."""
+    tally: "Tally"
+    """Of all of them."""
+
+
 class SurveyReader(Protocol):
-    """One point cloud file, read in chunks; each call of ``chunks`` starts at the first point."""
+    """One point cloud file, read in pieces: ``fetch``, then ``convert`` each, ``judge`` the sum of their tallies."""
 
     @property
     def info(self) -> SurveyInfo:
@@ -57,12 +89,41 @@ class SurveyReader(Protocol):
     def dropped(self) -> dict[str, int]:
         """How many points did not count, by reason; complete once ``chunks`` is used up."""
 
-    def chunks(self, points: int = 1_000_000) -> Iterator[PointCloud]:
-        """Give the points that count, in metres, in the file's order, at most ``points`` at a time.
+    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+        """Cut the file into pieces of about so many points; the same number gives the same pieces on any machine.
+
+        Where the file is an octree (COPC), pieces go through space in order, so that places are complete early.
+        """
+
+    def fetch(self, piece: Piece) -> Any:
+        """Read and decode a piece. From one thread at a time, in any order; in order is fastest.
 
         Raises
         ------
         BadInputError
-            The file is damaged, or its header and its points disagree. What concerns all points (how many there are,
-            where they lie) is known, and raised, at the end.
+            The piece is damaged.
+        """
+
+    def convert(self, piece: Piece, fetched: Any) -> Batch:
+        """Turn what ``fetch`` gave into metres and keep the points that count. From any thread.
+
+        ``fetched`` is used up.
+        """
+
+    def judge(self, tally: "Tally") -> None:
+        """Hold the points of all pieces to what the header said.
+
+        Raises
+        ------
+        BadInputError
+            The header and the points disagree, or points are nowhere.
+        """
+
+    def chunks(self, points: int = 1_000_000) -> Iterator[PointCloud]:
+        """Give the points that count, in metres, in reading order, at most ``points`` at a time.
+
+        Raises
+        ------
+        BadInputError
+            As ``fetch`` and ``judge`` do; what concerns all points is known, and raised, at the end.
         """

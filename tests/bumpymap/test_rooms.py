@@ -19,7 +19,10 @@ ROOMS = {
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
-    "readers": ({"crs"}, {"bumpytiles", "laspy", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"}),
+    "readers": (
+        {"crs"},
+        {"bumpytiles", "fsspec", "laspy", "lazrs", "numba", "numpy", "plyfile", "pypcd4", "pyproj"},
+    ),
     "kernels": (set(), {"numpy", "numba"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),

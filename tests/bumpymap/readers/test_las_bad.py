@@ -4,7 +4,7 @@ import struct
 import subprocess
 import sys
 
-import laspy
+import lazrs
 import numpy as np
 import pytest
 
@@ -230,35 +230,52 @@ def test_a_panic_of_the_decoder_becomes_a_message(las, monkeypatch):
     class PanicException(BaseException):
         """As pyo3 raises: no ``Exception``."""
 
-    def panic(self, n):
+    def panic(*_):
         raise PanicException("index out of bounds: the len is 3\nnote: a backtrace")
 
     path = las.write("a.laz")
-    monkeypatch.setattr(laspy.LasReader, "read_points", panic)
+    monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", panic)
     message = refused(path, "index out of bounds: the len is 3")
     assert "backtrace" not in message
 
 
 def test_an_interrupt_passes(las, monkeypatch):
-    def interrupt(self, n):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(laspy.LasReader, "read_points", interrupt)
+    monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        exhaust(las.write())
+        exhaust(las.write("a.laz"))
 
 
-def test_a_decoder_that_stops_early_without_a_word(las, monkeypatch):
-    whole = laspy.LasReader.read_points
-
-    def short(self, n):
-        if self.points_read:
-            self.points_read = self.header.point_count
-        return whole(self, min(n, 3))
-
+def test_a_file_that_shrinks_while_it_is_read(las):
     path = las.write()
-    monkeypatch.setattr(laspy.LasReader, "read_points", short)
-    refused(path, "promises 7 points and holds 3", "truncated?")
+    reader = open_survey(path)
+    path.write_bytes(path.read_bytes()[: -4 * 28])
+    with pytest.raises(BadInputError, match=r"promises 7 points and holds 3.*truncated\?"):
+        list(reader.chunks())
+
+
+@pytest.mark.parametrize("held", [3, 0])
+def test_a_chunk_of_fewer_points_than_its_table_promises(las, held):
+    """The decoder does not look at the count that a chunk of layers carries, and makes points up."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    refused(las.patch(path, points_at + 8 + 30, "<I", held), f"promises 7 points in a LAZ chunk and holds {held}")
+
+
+@pytest.mark.parametrize("layer", range(9))
+def test_layers_larger_than_their_chunk_do_not_end_the_process(las, layer):
+    """The decoder would reserve four gigabytes for each."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    refused(las.patch(path, points_at + 8 + 34 + 4 * layer, "<I", 0xFFFFFFFF), "layers of a LAZ chunk")
+
+
+def test_more_points_than_any_compression_holds(las):
+    path = las.write("a.laz")
+    las.patch(path, laszip_record(path) + 12, "<I", 2_000_000_000)
+    refused(las.patch(path, 107, "<I", 1_999_999_999), "1,999,999,999 points in", "compressed bytes, which cannot be")
 
 
 def test_only_points_that_do_not_count(las):

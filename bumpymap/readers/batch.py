@@ -1,0 +1,125 @@
+"""What was fetched, made into batches: points that count, in metres, and the tally of all.
+
+numba is imported when the first piece comes, so that a look at headers does not wait for it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.readers.protocol import Batch
+from bumpymap.readers.tally import OUTSIDE, Tally
+from bumpymap.types import Georeference, PointCloud
+from bumpytiles import Bounds
+
+__all__ = ["RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
+
+
+@dataclass(frozen=True, slots=True)
+class RawPoints:
+    """Points as a table holds them, before any is left out; metres."""
+
+    easting: NDArray[np.float64]
+    northing: NDArray[np.float64]
+    upward: NDArray[np.float64]
+    klass: NDArray[np.number] | None = None
+    """LAS class codes, of any number type; None where the file has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordLayout:
+    """Where a LAS record keeps what is needed, and how its integers become coordinates."""
+
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    class_byte: int
+    class_mask: int
+    withheld_byte: int
+    withheld_mask: int
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the points of a piece are held to."""
+
+    first: int
+    """Number of its first point in the file."""
+    file_bounds: Bounds | None
+    piece_bounds: Bounds | None = None
+    nan_is_no_return: bool = False
+    """Whether a row with NaN coordinates is a beam without return, as in PCD, or a fault."""
+
+
+def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: Watch) -> Batch:
+    """Convert LAS records.
+
+    Parameters
+    ----------
+    records : uint8 (n, bytes of a point)
+    layout : RecordLayout
+    place : Georeference
+        Gives the units.
+    watch : Watch
+    """
+    from bumpymap.readers._kernel import convert_records
+
+    units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+    numbers = np.array([*layout.scales, *layout.offsets, *units])
+    places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
+    box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
+    out, (floats, counts) = _empty(len(records)), _start()
+    kept = convert_records(records, numbers, places, box, cube, watch.first, *out, floats, counts)
+    return _batch(out, kept, len(records), floats, counts)
+
+
+def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
+    """Convert rows of a table; the coordinates of ``raw`` are used up."""
+    from bumpymap.readers._kernel import sift
+
+    axes = (raw.easting, raw.northing, raw.upward)
+    size = raw.easting.size
+    ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
+    box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
+    floats, counts = _start()
+    no_return = watch.nan_is_no_return
+    kept = sift(*axes, _codes(raw), withheld, box, cube, no_return, watch.first, *axes, ground, 0, floats, counts)
+    return _batch((*axes, ground), kept, size, floats, counts)
+
+
+_Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
+
+
+def _empty(size: int) -> _Out:
+    return np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_)
+
+
+def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    empty = Tally()
+    floats = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
+    return floats, np.array([0, 0, 0, 0, 0, 0, empty.first_not_finite])
+
+
+def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
+    if bounds is None:
+        return np.array([-np.inf, -np.inf, np.inf, np.inf])
+    return np.array([bounds.west - OUTSIDE, bounds.south - OUTSIDE, bounds.east + OUTSIDE, bounds.north + OUTSIDE])
+
+
+def _codes(raw: RawPoints) -> NDArray[np.uint8]:
+    """Class codes of any number type as bytes; only ground and noise are told apart."""
+    codes = np.zeros(raw.easting.size, np.uint8)
+    for code in (2, 7, 18) if raw.klass is not None else ():
+        codes[raw.klass == code] = code
+    return codes
+
+
+def _batch(out: _Out, kept: int, seen: int, floats: NDArray[np.float64], counts: NDArray[np.int64]) -> Batch:
+    tally = Tally(seen, *counts.tolist(), *floats.tolist())
+    if tally.bad:
+        kept = 0
+    cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
+    if kept < seen // 2:
+        # A view would keep the room of the points that were left out.
+        cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
+    return Batch(cloud, tally)

@@ -1,0 +1,193 @@
+"""COPC: LAZ whose chunks are the nodes of an octree, so that a region can be read by itself.
+
+Layout as in the COPC 1.0 specification. The octree is walked depth first, a node before its children, and children
+that lie above each other one after the other: once the walk has left a square of ground, that square is complete. Only
+the few nodes above a place in the tree are shared with the rest of the file.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.errors import BadInputError
+from bumpymap.readers.cut import cut_chunks
+from bumpymap.readers.las_header import RawHeader
+from bumpymap.readers.las_points import Records, decode_chunks
+from bumpymap.readers.laz_table import ChunkTable, refuse_density
+from bumpymap.readers.protocol import Piece
+from bumpymap.readers.source import Location, read_range
+from bumpytiles import Bounds
+
+__all__ = ["CopcNodes", "Octree", "read_octree"]
+
+_ENTRY = np.dtype(
+    [("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")]
+)
+_ON_ANOTHER_PAGE = -1
+"""Value of ``points`` where an entry names a page instead of a node."""
+_DEEPEST = 30
+"""Levels of the tree: more would divide a metre of the largest survey into nanometres."""
+_MOST_PAGES = 100_000
+_ANEW = "Build the file anew, such as with: pdal translate IN.laz OUT.copc.laz"
+
+
+@dataclass(frozen=True, slots=True)
+class Octree:
+    """The nodes of a file that hold points, in the order of reading."""
+
+    table: ChunkTable
+    west: NDArray[np.float64]
+    """(n,) western side of the node's cube, in the file's unit."""
+    south: NDArray[np.float64]
+    """(n,) its southern side."""
+    side: NDArray[np.float64]
+    """(n,) its length."""
+
+
+class CopcNodes:
+    """Pieces of whole nodes."""
+
+    def __init__(
+        self, path: Location, header: RawHeader, record: bytes, octree: Octree, metres_per_unit: float | None
+    ) -> None:  # fmt: skip
+        """``metres_per_unit`` is None where the cubes are not to be believed."""
+        self._path, self._header, self._record = path, header, record
+        self._octree, self._metres_per_unit = octree, metres_per_unit
+
+    def pieces(self, points: int) -> Sequence[Piece]:
+        """Cut the walk through the tree into runs of nodes, each with the box around its cubes."""
+        ends = self._octree.table.ends
+        runs = cut_chunks(ends, points, self._header.point_size)
+        befores = [int(ends[first - 1]) if first else 0 for first, _ in runs]
+        return [
+            Piece(index, before, int(ends[last - 1]) - before, self._bounds(slice(first, last)))
+            for index, ((first, last), before) in enumerate(zip(runs, befores, strict=True))
+        ]
+
+    def fetch(self, piece: Piece) -> Records:
+        """Read the bytes of the nodes, neighbours in the file at once, and decode them."""
+        table = self._octree.table
+        run = table.find(piece)
+        nodes = run.start + np.argsort(table.starts[run], kind="stable")
+        starts, sizes = table.starts[nodes], table.sizes[nodes]
+        gaps = np.flatnonzero(starts[1:] != starts[:-1] + sizes[:-1]) + 1
+        parts = [
+            read_range(self._path, int(starts[near[0]]), int(sizes[near].sum()))
+            for near in np.split(np.arange(nodes.size), gaps)
+        ]
+        data = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return decode_chunks(
+            self._path, self._header, self._record, data, table.counts[nodes].tolist(), sizes.tolist()
+        )  # fmt: skip
+
+    def _bounds(self, nodes: slice) -> Bounds | None:
+        unit, octree = self._metres_per_unit, self._octree
+        if unit is None:
+            return None
+        west, south, side = octree.west[nodes], octree.south[nodes], octree.side[nodes]
+        return Bounds(
+            float(west.min()) * unit,
+            float(south.min()) * unit,
+            float((west + side).max()) * unit,
+            float((south + side).max()) * unit,
+        )
+
+
+def read_octree(stream: BinaryIO, path: Location, header: RawHeader) -> Octree:
+    """Read all pages of the hierarchy.
+
+    Raises
+    ------
+    BadInputError
+        Pages or nodes that are not in the file, that overlap or come twice, or whose points are not as many as the
+        header promises.
+    """
+    info = header.find(b"copc", 1) or b""
+    if len(info) < 56:
+        raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_ANEW}")
+    x, y, _, half, _, page_at, page_size = struct.unpack_from("<5d2Q", info)
+    if not (np.isfinite([x, y, half]).all() and half > 0):
+        raise BadInputError(f"the octree of {path} has its middle at {x:g}, {y:g} and half a side of {half:g}. {_ANEW}")
+    nodes = _read_nodes(stream, path, header, page_at, page_size)
+    held = int(nodes["points"].sum(dtype=np.int64))
+    if held != header.point_count:
+        raise BadInputError(
+            f"{path} promises {header.point_count:,} points in its header and {held:,} in its octree: damaged. {_ANEW}"
+        )
+    nodes = nodes[_walk_order(nodes)]
+    sizes, counts = nodes["size"].astype(np.int64), nodes["points"].astype(np.int64)
+    refuse_density(path, counts, sizes)
+    side = 2 * half / np.exp2(nodes["level"])
+    table = ChunkTable(np.cumsum(counts), nodes["offset"].astype(np.int64), sizes)
+    return Octree(table, x - half + nodes["x"] * side, y - half + nodes["y"] * side, side)
+
+
+def _read_nodes(
+    stream: BinaryIO, path: Location, header: RawHeader, page_at: int, page_size: int
+) -> NDArray[np.void]:  # fmt: skip
+    """All entries that hold points."""
+    waiting, seen = [(page_at, page_size)], {page_at}
+    found: list[NDArray[np.void]] = []
+    while waiting:
+        page = _read_page(stream, path, header, *waiting.pop())
+        further = page[page["points"] == _ON_ANOTHER_PAGE]
+        pages = [(int(at), int(size)) for at, size in zip(further["offset"], further["size"], strict=True)]
+        offsets = {at for at, _ in pages}
+        if len(offsets) < len(pages) or offsets & seen or len(seen) + len(pages) > _MOST_PAGES:
+            raise BadInputError(f"the octree of {path} leads round in a circle: damaged. {_ANEW}")
+        seen |= offsets
+        waiting += pages
+        found.append(page[page["points"] > 0])
+    nodes = np.concatenate(found)
+    _refuse_nodes(path, header, nodes)
+    return nodes
+
+
+def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, size: int) -> NDArray[np.void]:
+    if size <= 0 or size % _ENTRY.itemsize or not header.offset_to_points <= at <= header.size - size:
+        raise BadInputError(
+            f"the octree of {path} has a page of {size:,} bytes at byte {at:,} of {header.size:,}, which cannot be: "
+            f"damaged or truncated? Copy or download it again"
+        )
+    stream.seek(at)
+    data = stream.read(size)
+    if len(data) < size:
+        raise BadInputError(f"{path} ends inside its octree: truncated? Copy or download it again")
+    return np.frombuffer(data, _ENTRY)
+
+
+def _refuse_nodes(path: Location, header: RawHeader, nodes: NDArray[np.void]) -> None:
+    level = nodes["level"].astype(np.int64)
+    sound = (level >= 0) & (level <= _DEEPEST)
+    for axis in "xyz":
+        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, _DEEPEST))
+    room = header.size - nodes["size"].astype(np.int64)
+    sound &= (nodes["size"] > 0) & (nodes["offset"] >= header.offset_to_points)
+    sound &= nodes["offset"] <= np.maximum(room, 0).astype(np.uint64)
+    if not sound.all():
+        raise BadInputError(
+            f"{int((~sound).sum()):,} of {nodes.size:,} nodes in the octree of {path} are at no place in the tree or "
+            f"in the file: damaged or truncated? Copy or download it again"
+        )
+    order = np.argsort(nodes["offset"])
+    starts = nodes["offset"][order].astype(np.int64)
+    if (starts[:-1] + nodes["size"][order][:-1] > starts[1:]).any():
+        raise BadInputError(f"nodes in the octree of {path} share bytes of the file: damaged. {_ANEW}")
+
+
+def _walk_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
+    """Order of the walk: by the path from the root, three bits a level, height last; a node before its children."""
+    level = nodes["level"].astype(np.int64)
+    deepest = int(level.max(initial=0))
+    keys: list[NDArray[np.int64]] = []
+    for step in range(1, deepest + 1):
+        inside = level >= step
+        shift = np.maximum(level - step, 0)
+        x, y, z = ((nodes[axis].astype(np.int64) >> shift) & 1 for axis in "xyz")
+        keys.append(np.where(inside, 4 * y + 2 * x + z, -1))
+    # The last key counts most: the first step from the root.
+    return np.lexsort(keys[::-1]) if keys else np.zeros(nodes.size, np.int64).argsort(kind="stable")
