@@ -1,0 +1,47 @@
+"""One hostile file, and small tools to make it from a valid one."""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["EITHER", "MAPPED", "REFUSED", "Case", "cut", "flipped", "patched"]
+
+REFUSED = frozenset({3})
+"""A lie about the structure: must be noticed."""
+EITHER = frozenset({0, 3})
+"""What is left may still be a survey."""
+MAPPED = frozenset({0})
+"""Odd, but a survey."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A file and what ``bumpymap map`` may make of it."""
+
+    name: str
+    """File name; tells what is wrong."""
+    data: bytes
+    exits: frozenset[int] = REFUSED
+
+
+def patched(data, place, layout, *values):
+    """Overwrite little-endian values at a place."""
+    out = bytearray(data)
+    struct.pack_into("<" + layout, out, place, *values)
+    return bytes(out)
+
+
+def flipped(data, places, seed):
+    """Spoil bytes: each becomes another one."""
+    out = bytearray(data)
+    mask = np.random.default_rng(seed).integers(1, 256, len(places)).tolist()
+    for place, bits in zip(places, mask, strict=True):
+        out[place] ^= bits
+    return bytes(out)
+
+
+def cut(name, data, places):
+    """Cases of a file that ends early; ``places`` maps a word to the length that is left."""
+    stem, dot, suffix = name.partition(".")
+    return [Case(f"{stem}-cut-{word}{dot}{suffix}", data[:length]) for word, length in places.items()]

@@ -1,0 +1,161 @@
+"""Damage to what LAZ adds: the LASzip record, the chunks, their table."""
+
+import io
+import struct
+
+import lazrs
+import numpy as np
+
+from .bases import bases
+from .case import EITHER, REFUSED, Case, flipped, patched
+from .las_file import layout_of
+
+__all__ = ["laz_cases", "with_table"]
+
+_RECORD = {
+    "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
+    "one_stream": (0, "H", {"1": 1}, EITHER),
+    "coder": (2, "H", {"1": 1, "65535": 65535}, EITHER),
+    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31, "2to32": 2**32 - 1}, REFUSED),
+    "item_count": (32, "H", {"0": 0, "1": 1, "65535": 65535}, REFUSED),
+    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}, REFUSED),
+    "item_size": (36, "H", {"0": 0, "1": 1, "one_more": 21, "65535": 65535}, REFUSED),
+    "item_version": (38, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
+}
+"""Fields of the LASzip record: place, layout, values, what may become of them."""
+
+
+def laz_cases():
+    """Every case of the compression."""
+    made = []
+    for name in ("laz12.laz", "laz14v.laz"):
+        made += _record(name) + _table(name) + _entries(name) + _chunks(name)
+    return made + _fixed_sizes()
+
+
+def _record(name):
+    data, stem = bases()[name], name.removesuffix(".laz")
+    at = data.index(b"laszip encoded") - 2
+    made = []
+    for field, (place, layout, values, exits) in _RECORD.items():
+        for word, value in values.items():
+            # Chunks of 2^32 - 1 points are the sign for chunks of any size: in such a file, no lie.
+            if not (field == "chunk_size" and word == "2to32" and name == "laz14v.laz"):
+                made.append(
+                    Case(f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits)
+                )
+    gone = data.replace(b"laszip encoded", b"laszip nothing")
+    return [
+        *made,
+        Case(f"{stem}-laszip-missing.laz", gone),
+        Case(f"{stem}-laszip-short.laz", patched(data, at + 20, "H", 10)),
+    ]
+
+
+def _fixed_sizes():
+    """Chunks of other sizes than the record says, by a little."""
+    data = bases()["laz12.laz"]
+    at = data.index(b"laszip encoded") + 52 + 12
+    return [Case(f"laz12-laszip-chunk_size-{size}.laz", patched(data, at, "I", size)) for size in (79, 81, 400)]
+
+
+def _table(name):
+    """Tables that are not where the file says."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    layout = layout_of(data)
+    places = {
+        "0": 0,
+        "minus_1": -1,
+        "minus_2to63": -(2**63),
+        "points": layout.points_at,
+        "first_chunk": layout.points_at + 8,
+        "mid_points": (layout.points_at + layout.table_at) // 2,
+        "one_early": layout.table_at - 1,
+        "one_late": layout.table_at + 1,
+        "last_byte": len(data) - 1,
+        "end": len(data),
+        "beyond": 2**40,
+        "2to63": 2**63 - 1,
+    }
+    counts = {"0": 0, "4": 4, "6": 6, "10to7": 10**7, "2to31": 2**31, "2to32": 2**32 - 1}
+    made = [Case(f"{stem}-table_at-{word}.laz", patched(data, layout.points_at, "q", at)) for word, at in places.items()]
+    made += [
+        Case(f"{stem}-table_count-{word}.laz", patched(data, layout.table_at + 4, "I", count))
+        for word, count in counts.items()
+    ]
+    for seed in range(6):
+        place = layout.table_at + 8 + seed % (layout.table_end - layout.table_at - 8)
+        made.append(Case(f"{stem}-table-flip_{seed}.laz", flipped(data, [place], seed), EITHER))
+    return made
+
+
+def with_table(data, entries):
+    """Replace the chunk table: ``entries`` of (points, bytes), with the coding of a valid table."""
+    layout = layout_of(data)
+    record = next(data[body:end] for start, body, end in layout.vlrs if data[start + 2 :].startswith(b"laszip"))
+    out = io.BytesIO()
+    lazrs.write_chunk_table(out, entries, lazrs.LazVlr(record))
+    return data[: layout.table_at] + out.getvalue() + data[layout.table_end :]
+
+
+def _entries(name):
+    """Tables that say untruths in good form."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    held = [(points, end - start) for start, end, points in layout_of(data).chunks]
+    (many, size), (_, after) = held[0], held[1]
+    spoilt = {
+        "bytes_0": [(many, 0), *held[1:]],
+        "bytes_one_less": [(many, size - 1), *held[1:]],
+        "bytes_swapped": [(many, after), (held[1][0], size), *held[2:]],
+        "bytes_2to31": [(many, 2**31 - 1), *held[1:]],
+        "bytes_2to32": [(many, 2**32 - 1), *held[1:]],
+        "one_gone": held[:-1],
+        "ten_thousand": held + [(1, 1)] * 10_000,
+    }
+    exits = {"bytes_one_less": EITHER, "bytes_swapped": EITHER}
+    if name == "laz14v.laz":
+        spoilt |= {
+            "points_0": [(0, size), *held[1:]],
+            "points_one_less": [(many - 1, size), *held[1:]],
+            "points_swapped": [(held[1][0], size), (many, after), *held[2:]],
+            "points_2to31": [(2**31 - 1, size), *held[1:]],
+            "points_2to32": [(2**32 - 1, size), *held[1:]],
+            "points_all_2to32": [(2**32 - 1, bytes_) for _, bytes_ in held],
+        }
+    return [
+        Case(f"{stem}-entries-{word}.laz", with_table(data, entries), exits.get(word, REFUSED))
+        for word, entries in spoilt.items()
+    ]
+
+
+def _chunks(name):
+    """Spoil chunk 3 of 5: its first point, which is stored plainly, and seeded bytes of its coded rest."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    start, end, _ = layout_of(data).chunks[2]
+    made = [
+        Case(f"{stem}-chunk_3-far_point.laz", patched(data, start, "i", 2**31 - 1)),
+        Case(f"{stem}-chunk_3-zeros.laz", data[:start] + bytes(end - start) + data[end:]),
+        Case(f"{stem}-chunk_3-ones.laz", data[:start] + b"\xff" * (end - start) + data[end:]),
+    ]
+    for seed in range(6):
+        places = np.random.default_rng(seed).integers(start, end, 1 + seed).tolist()
+        made.append(Case(f"{stem}-chunk_3-flip_{seed}.laz", flipped(data, places, seed), EITHER))
+    if name == "laz14v.laz":
+        made += _layers(data, stem, start)
+    return made
+
+
+def _layers(data, stem, start):
+    """Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes."""
+    count, *_ = struct.unpack_from("<I", data, start + 36)
+    made = [
+        Case(f"{stem}-layer_{layer}-2to32.laz", patched(data, start + 40 + 4 * layer, "I", 2**32 - 1))
+        for layer in range(10)
+    ]
+    made += [
+        Case(f"{stem}-layer_{layer}-0.laz", patched(data, start + 40 + 4 * layer, "I", 0), EITHER) for layer in (0, 1)
+    ]
+    wild = {"0": 0, "one_more": count + 1, "2to32": 2**32 - 1}
+    return made + [
+        Case(f"{stem}-chunk_points-{word}.laz", patched(data, start + 36, "I", value)) for word, value in wild.items()
+    ]

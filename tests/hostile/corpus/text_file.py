@@ -1,0 +1,76 @@
+"""PLY and PCD files byte by byte."""
+
+import struct
+
+import lzf
+import numpy as np
+
+__all__ = ["pcd_file", "pcd_header", "ply_file", "ply_header"]
+
+_FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_FACE = (0, 1, 2)
+
+
+def ply_header(form, elements):
+    """Header of a PLY file; ``elements`` is a list of (name, count, property lines)."""
+    lines = ["ply", f"format {form} 1.0", "comment made by the tests of bumpymap"]
+    for name, count, properties in elements:
+        lines += [f"element {name} {count}", *(f"property {line}" for line in properties)]
+    return ("\n".join([*lines, "end_header"]) + "\n").encode()
+
+
+def ply_file(xyz, form, *, listed=False, faces_first=False):
+    """Bytes of a valid PLY file with double coordinates; ``listed`` gives every vertex a list of two numbers."""
+    lines = ["double x", "double y", "double z", *(["list uchar int near"] if listed else []), "uchar class"]
+    elements = [("vertex", len(xyz), lines)]
+    faces = ("face", 2, ["list uchar int vertex_indices"])
+    elements = [faces, *elements] if faces_first else elements
+    order = _FORMATS[form]
+    rows = [_vertex(row, order, listed=listed) for row in np.asarray(xyz, float).tolist()]
+    rows = [_row([3, *_FACE], order, "Biii")] * 2 * faces_first + rows
+    return ply_header(form, elements) + b"".join(rows)
+
+
+def _vertex(row, order, *, listed):
+    more = [2, 7, 8] if listed else []
+    return _row([*row, *more, 2], order, "ddd" + "Bii" * listed + "B")
+
+
+def _row(values, order, kinds):
+    if order == "=":
+        return (" ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in values) + "\n").encode()
+    return struct.pack(order + kinds, *values)
+
+
+def pcd_header(count, encoding, **changes):
+    """Header of a PCD file; ``changes`` replace the values of lines, None leaves a line out."""
+    lines = {
+        "VERSION": "0.7",
+        "FIELDS": "x y z intensity",
+        "SIZE": "8 8 8 4",
+        "TYPE": "F F F F",
+        "COUNT": "1 1 1 1",
+        "WIDTH": count,
+        "HEIGHT": 1,
+        "VIEWPOINT": "0 0 0 1 0 0 0",
+        "POINTS": count,
+        "DATA": encoding,
+    } | changes
+    held = [f"{name} {value}" for name, value in lines.items() if value is not None]
+    return ("\n".join(["# .PCD v0.7 - Point Cloud Data file format", *held]) + "\n").encode()
+
+
+def pcd_file(xyz, encoding):
+    """Bytes of a valid PCD file with double coordinates."""
+    rows = np.zeros(len(xyz), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4")])
+    for axis, name in enumerate("xyz"):
+        rows[name] = np.asarray(xyz, float)[:, axis]
+    head = pcd_header(len(rows), encoding)
+    if encoding == "ascii":
+        return head + "".join(f"{x:.3f} {y:.3f} {z:.3f} {i:g}\n" for x, y, z, i in rows.tolist()).encode()
+    if encoding == "binary":
+        return head + rows.tobytes()
+    # Compressed files hold column after column.
+    plain = b"".join(rows[name].tobytes() for name in rows.dtype.names)
+    packed = lzf.compress(plain)
+    return head + struct.pack("<II", len(packed), len(plain)) + packed
