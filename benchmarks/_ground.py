@@ -1,0 +1,154 @@
+"""Rough ground, made up: the LAS records of numbered points, any of them in any order.
+
+Everything about a point follows from its number and the seed: place, height, colour, time. A survey in swaths and the
+same survey shuffled therefore hold the same points, and 200 million of them need no memory.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["SCALE", "SWATH", "fill_records", "scramble"]
+
+SCALE = 1e-3
+"""Grid of the coordinates, m."""
+_SPACING = 1.0 / math.sqrt(220.0)
+"""Mean distance of neighbouring points: 220 points/m2, m."""
+SWATH = 1024
+"""Points across a swath."""
+
+_OCTAVES = 7
+_LONGEST = 64.0
+_STONE_CELL = 7.0
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    return njit(cache=True, nogil=True)(function)
+
+
+@_compiled
+def _mix(value: np.uint64) -> np.uint64:
+    """64 well-mixed bits of a number (the finaliser of splitmix64)."""
+    value += np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
+
+
+@_compiled
+def _share(bits: np.uint64, first: int) -> float:
+    """Uniform number 0..1 made of 16 of the bits."""
+    return float((bits >> np.uint64(first)) & np.uint64(0xFFFF)) / 65536.0
+
+
+@_compiled
+def _corner(col: int, row: int, salt: int) -> np.uint64:
+    return _mix(_mix(np.uint64(col) + (np.uint64(salt) << np.uint64(40))) ^ (np.uint64(row) << np.uint64(20)))
+
+
+@_compiled
+def _noise(x: float, y: float, salt: int) -> float:
+    """Value noise: random heights -1..1 at whole x and y, smooth between them (x, y not negative)."""
+    col, row = int(x), int(y)
+    u, v = x - col, y - row
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    south = _share(_corner(col, row, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row, salt), 0) * u
+    north = _share(_corner(col, row + 1, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row + 1, salt), 0) * u
+    return 2.0 * (south * (1.0 - v) + north * v) - 1.0
+
+
+@_compiled
+def _stone(x: float, y: float, salt: int) -> float:
+    """Height above the ground of the stone in the lattice cell at (x, y); 0 beside it, m."""
+    col, row = int(x / _STONE_CELL), int(y / _STONE_CELL)
+    bits = _corner(col, row, salt)
+    if _share(bits, 0) > 0.25:
+        return 0.0
+    radius = 0.3 + 0.9 * _share(bits, 16)
+    dx = x - (col + 0.3 + 0.4 * _share(bits, 32)) * _STONE_CELL
+    dy = y - (row + 0.3 + 0.4 * _share(bits, 48)) * _STONE_CELL
+    inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
+    return 0.8 * radius * math.sqrt(inside) if inside > 0.0 else 0.0
+
+
+@_compiled
+def _height(x: float, y: float, seed: int) -> float:
+    """Ground at a place, m: hills, then ever shorter and lower waves, strong here and faint there, and stones."""
+    share = 0.5 + 0.5 * _noise(x / 45.0, y / 45.0, seed)
+    rough = 0.02 + 5.0 * share * share
+    total, amplitude, step = 0.0, 4.0, _LONGEST
+    for octave in range(_OCTAVES):
+        wave = amplitude * _noise(x / step, y / step, seed + 1 + octave)
+        total += wave if octave < 3 else rough * wave  # hills stay: a road over a hill is smooth
+        amplitude *= 0.45
+        step *= 0.45
+    return total + _stone(x, y, seed + 100)
+
+
+@_compiled
+def scramble(first: int, count: int, half_bits: int, total: int, seed: int) -> NDArray[np.int64]:
+    """Numbers below ``total`` at the places ``first`` to ``first + count`` of a random order of all of them.
+
+    A four-round Feistel network permutes the numbers of ``2 * half_bits`` bits; those not below ``total`` drop out.
+    All places from 0 to ``4 ** half_bits`` give every number once.
+    """
+    mask = np.uint64((1 << half_bits) - 1)
+    found = np.empty(count, np.int64)
+    kept = 0
+    for place in range(first, first + count):
+        left, right = np.uint64(place) >> np.uint64(half_bits), np.uint64(place) & mask
+        for turn in range(4):
+            left, right = right, left ^ (_mix(right ^ (np.uint64(seed * 4 + turn) << np.uint64(32))) & mask)
+        number = (left << np.uint64(half_bits)) | right
+        if number < np.uint64(total):
+            found[kept] = number
+            kept += 1
+    return found[:kept]
+
+
+@_compiled
+def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray[np.void]) -> None:
+    """Write the points of point format 7.
+
+    Parameters
+    ----------
+    numbers : (n,) int64
+        Which points; number 0 is the first of the first swath.
+    lines : int
+        Scan lines of a swath, south to north; a line has ``SWATH`` points.
+    seed : int
+        Of the site.
+    out : (n,) records
+        Filled; coordinates count from the site's south-west corner.
+    """
+    for i in range(len(numbers)):
+        number = numbers[i]
+        swath, place = number // (SWATH * lines), number % (SWATH * lines)
+        line, across = place // SWATH, place % SWATH
+        bits, more = _mix(np.uint64(number) ^ np.uint64(seed << 48)), _mix(np.uint64(number) + np.uint64(1 << 60))
+        x = (swath * SWATH + across + _share(bits, 0)) * _SPACING
+        y = (line + _share(bits, 16)) * _SPACING
+        # Three uniform numbers of spread 0.03 m: nearly normal, 15 mm of noise.
+        shake = 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
+        z = _height(x, y, seed) + shake
+        shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
+        last_of_two = _share(more, 32) < 0.06
+        record = out[i]
+        record.X, record.Y, record.Z = round(x / SCALE), round(y / SCALE), round(z / SCALE)
+        record.intensity = np.uint16(20000.0 * shade + 4000.0 * _share(more, 48))
+        record.bit_fields = 0x22 if last_of_two else 0x11
+        record.classification_flags = 0
+        record.classification = 1
+        record.user_data = 0
+        record.scan_angle = round((across - SWATH / 2) * 5000.0 / SWATH)
+        record.point_source_id = 1 + swath
+        record.gps_time = 3.994e8 + number * 4.2e-6 + swath * 30.0
+        # Cameras give 8 bits; software writes them as the upper ones of 16.
+        grain = _mix(more)
+        record.red = np.uint16(40.0 + 200.0 * shade + 6.0 * _share(grain, 0)) << 8
+        record.green = np.uint16(50.0 + 180.0 * shade + 6.0 * _share(grain, 16)) << 8
+        record.blue = np.uint16(35.0 + 150.0 * shade + 6.0 * _share(grain, 32)) << 8
