@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
-from bumpymap.types import NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.types import NO_CLASS, TEXTURES, CostMap, Georeference, PatchStack, Reason, TextureMap
 
 __all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
 
 _TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""
+_NORMAL_TAIL = -1.2815515655446004
+"""That quantile of the standard normal."""
 _MIN_LOG_SD = 0.05
 _FAIL = 0.5
 """A tile where at least this share of drives failed is class 3 whatever its C_r."""
@@ -62,29 +64,40 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
         The calibration was made for tiles of another size or another number of pixels.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-    known = patches.reason == Reason.OK
-    chance = textures.probability[known].astype(np.float64)
-    log_c, sd, fail = _read_ladder(_ladder(calibration), patches.relief[known])
-    c_r = np.sum(chance * np.exp(log_c), axis=1)
-    p_fail = np.sum(chance * fail, axis=1)
-    p_fail[patches.slope[known] > calibration.vehicle["slope_limit_deg"]] = 1.0
-    klass = np.digitize(c_r, calibration.class_limits)
-    klass[p_fail >= _FAIL] = 3
-    log_mean = log_c - 0.5 * sd**2
-    low, high = (_quantile(chance, log_mean, sd, q) for q in (_TAIL, 1.0 - _TAIL))
-    edges = np.log([1e-12, *calibration.class_limits, 1e12])
-    inside = _below(edges[klass + 1], chance, log_mean, sd) - _below(edges[klass], chance, log_mean, sd)
-    confidence = np.where(p_fail >= _FAIL, p_fail, inside) * patches.coverage[known]
+    from bumpymap.kernels import rate_tiles
+
+    ladder = _ladder(calibration)
+    tiles = len(patches.reason)
+    klass = np.full(tiles, NO_CLASS, np.uint8)
+    rated = np.full((5, tiles), np.nan, np.float32)
+    rate_tiles(
+        patches.reason == Reason.OK,
+        textures.probability,
+        patches.relief,
+        patches.slope,
+        patches.coverage,
+        ladder.log_range,
+        np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail)),
+        np.array(calibration.class_limits),
+        float(calibration.vehicle["slope_limit_deg"]),
+        _FAIL,
+        _TAIL,
+        _NORMAL_TAIL,
+        klass,
+        rated,
+        np.empty((3, len(TEXTURES))),
+    )
+    c_r, c_r_low, c_r_high, p_fail, confidence = rated
     return CostMap(
         georeference=georeference,
         patches=patches,
         textures=textures,
-        klass=_spread_class(known, klass),
-        c_r=_spread(known, c_r),
-        c_r_low=_spread(known, np.minimum(low, c_r)),
-        c_r_high=_spread(known, np.maximum(high, c_r)),
-        p_fail=_spread(known, p_fail),
-        confidence=_spread(known, confidence),
+        klass=klass,
+        c_r=c_r,
+        c_r_low=c_r_low,
+        c_r_high=c_r_high,
+        p_fail=p_fail,
+        confidence=confidence,
         ride_weight=float(calibration.vehicle["ride_weight"]),
     )
 
@@ -145,47 +158,6 @@ def _carry_forward(table: NDArray[np.float64]) -> NDArray[np.float64]:
     last = np.maximum.accumulate(np.where(np.isnan(table), 0, np.arange(table.shape[1])), axis=1)
     carried: NDArray[np.float64] = np.take_along_axis(table, last, axis=1)
     return carried
-
-
-def _read_ladder(
-    ladder: _Ladder, relief: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Read ln C_r, its spread and p_fail of every texture at each relief, (n, textures) each.
-
-    Below the ladder C_r is proportional to the relief (a small vehicle motion is linear in the ground's amplitude);
-    above it the last rung is kept.
-    """
-    log_relief = np.log(np.maximum(relief, 1e-9))
-    columns = range(len(ladder.log_c_r))
-    read = [
-        np.stack([np.interp(log_relief, ladder.log_range, table[k]) for k in columns], axis=1)
-        for table in (ladder.log_c_r, ladder.log_sd, ladder.p_fail)
-    ]
-    read[0] += np.minimum(0.0, log_relief - ladder.log_range[0])[:, None]
-    return read[0], read[1], read[2]
-
-
-def _below(
-    log_c: NDArray[np.float64], chance: NDArray[np.float64], log_mean: NDArray[np.float64], sd: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Probability that C_r is below exp(log_c) under the mixture, (n,)."""
-    from scipy.special import ndtr
-
-    below: NDArray[np.float64] = np.sum(chance * ndtr((log_c[:, None] - log_mean) / sd), axis=1)
-    return below
-
-
-def _quantile(
-    chance: NDArray[np.float64], log_mean: NDArray[np.float64], sd: NDArray[np.float64], q: float
-) -> NDArray[np.float64]:
-    """C_r below which a share q of the mixture lies, by bisection, (n,) rad/m."""
-    low, high = (log_mean - 6.0 * sd).min(axis=1, initial=np.inf), (log_mean + 6.0 * sd).max(axis=1, initial=-np.inf)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        left = _below(middle, chance, log_mean, sd) < q
-        low, high = np.where(left, middle, low), np.where(left, high, middle)
-    quantile: NDArray[np.float64] = np.exp(0.5 * (low + high))
-    return quantile
 
 
 def _spread(known: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float32]:

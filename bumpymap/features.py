@@ -32,7 +32,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     PatchStack
         One row a tile, in the order of ``points``.
     """
-    from bumpymap.kernels import measure_tiles
+    from bumpymap.kernels import LANES, SAMPLE, SUMS, measure_tiles
 
     grid = points.grid
     starts = points.starts
@@ -40,9 +40,10 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     if ground_only:
         easting, northing, upward = easting[points.flag], northing[points.flag], upward[points.flag]
         starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
-    tiles, px = len(points.col), grid.pixels
+    count = np.diff(starts)
+    tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
     scalars = np.empty((tiles, _SCALARS))
-    maps = np.empty((tiles, 3, px, px))
+    heights, variance, relief_map = (np.empty((tiles, px, px), np.float32) for _ in range(3))
     pixel_count = np.empty((tiles, px, px), np.int32)
     measure_tiles(
         starts,
@@ -54,15 +55,22 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         grid.tile_size,
         settings.ransac_threshold,
         settings.stray_gap,
-        settings.stray_points,
         max(1, round(settings.max_hole / grid.pixel_size)),
         scalars,
-        maps,
+        heights,
+        variance,
+        relief_map,
         pixel_count,
+        np.empty((4, most)),
+        np.empty(max(most, px * px), np.int32),
+        np.empty((3, SAMPLE), np.float32),
+        np.empty(SUMS * LANES),
+        np.empty((2, settings.stray_points + 1)),
+        np.empty((3, px * px + 1)),
+        np.empty((px, px)),
     )
-    count = np.diff(starts)
     reason = _reasons(count, scalars, settings)
-    maps[reason != Reason.OK, 2] = np.nan
+    relief_map[reason != Reason.OK] = np.nan
     z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, _ = scalars.T.copy()
     return PatchStack(
         grid=grid,
@@ -77,10 +85,10 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         z_range=z_range,
         density=count / grid.tile_size**2,
         coverage=np.nan_to_num(coverage),
-        heights=maps[:, 0].astype(np.float32),
+        heights=heights,
         spread_count=pixel_count,
-        spread_variance=maps[:, 1].astype(np.float32),
-        relief_map=maps[:, 2].astype(np.float32),
+        spread_variance=variance,
+        relief_map=relief_map,
         relief=np.where(reason == Reason.OK, relief, np.nan),
         reason=reason,
     )

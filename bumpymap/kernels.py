@@ -1,7 +1,11 @@
-"""Compiled kernels: one tile's points in, one tile's numbers out.
+"""Compiled kernels: the points of tiles in, numbers of tiles out.
 
-Points of a tile come in a canonical order (see ``bumpytiles.split``), so plain sums are reproducible, and the first k
-points are a random sample. Scalars and small arrays only; the loop over tiles is ``measure_tiles`` at the end.
+Points of a tile come in a canonical order (see ``bumpytiles.split``), and the first k are a random sample of them.
+
+How the loops stay fast and exact at once. A processor adds eight numbers as fast as one, but only where the compiler
+may choose the order of the sum, and then the bits would depend on the processor. So the order is chosen here: a long
+sum runs in ``LANES`` partial sums side by side, point i in lane ``i % LANES``, and the lanes are added at the end.
+Minima and maxima do not depend on an order at all. Nothing here allocates: scratch arrays come from the caller.
 """
 
 import math
@@ -12,26 +16,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["detrend", "fill_holes", "fit_plane_to_points", "measure_tiles", "moments", "ransac_plane", "stray_bounds"]
+__all__ = ["LANES", "SAMPLE", "SUMS", "detrend", "fill_holes", "measure_tiles", "rate_tiles", "stray_bounds"]
 
 Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Counts = NDArray[np.int32]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int32]
 Indices = NDArray[np.int64]
 Plane = tuple[float, float, float, float]
-"""Unit normal (a, b, c) and d of a x + b y + c z + d = 0."""
+"""Unit normal (a, b, c) and d of a x + b y + c z + d = 0; all zero where there is none."""
 
-
-def _compiled(function: Callable[..., Any]) -> Any:
-    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # nowhere to write: a read-only installation and no home
-        return njit(nogil=True)(function)
-
-
-_SCORED = 256
-"""Points that score a RANSAC candidate; the random order makes the first ones a fair sample."""
+LANES = 64
+"""Partial sums side by side."""
+SUMS = 10
+"""Sums that a plane fit needs at once."""
+SAMPLE = 256
+"""Points that RANSAC draws from and scores candidates on; the random order makes the first ones a fair sample."""
 _MAX_CANDIDATES = 400
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
@@ -39,25 +38,101 @@ _MIN_TRIANGLE = 1e-3
 """A candidate's three points must span at least this area, m^2."""
 _NOTHING = 1e-6
 """Relief below this is rounding, not ground, m."""
+_NO_PLANE: Plane = (0.0, 0.0, 0.0, 0.0)
 
 
-@_compiled
-def moments(z: Floats) -> tuple[float, float]:
-    """Mean and population variance, two passes about the first value (m, m^2)."""
-    n = len(z)
-    shift = z[0]
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    except RuntimeError:  # nowhere to write: a read-only installation and no home
+        return njit(nogil=True, error_model="numpy", **options)(function)
+
+
+def _inner(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile as a part of others; what is kept is the whole."""
+    return njit(nogil=True, error_model="numpy", **options)(function)
+
+
+def _order_free(function: Callable[..., Any]) -> Any:
+    """Compile a minimum or maximum over numbers without NaN: any order gives the same bits."""
+    return _inner(function, fastmath={"nnan", "nsz"})
+
+
+@_inner
+def _total(lanes: Floats) -> float:
     total = 0.0
-    for i in range(n):
-        total += z[i] - shift
-    mean = total / n
-    squares = 0.0
-    for i in range(n):
-        d = z[i] - shift - mean
-        squares += d * d
-    return shift + mean, squares / n
+    for k in range(LANES):
+        total += lanes[k]
+    return total
 
 
-@_compiled
+@_inner
+def _sum_from(values: Floats, shift: float, lanes: Floats) -> float:
+    """Sum of ``values - shift``."""
+    n = len(values)
+    for k in range(LANES):
+        lanes[k] = 0.0
+    whole = n // LANES * LANES
+    for start in range(0, whole, LANES):
+        part = values[start : start + LANES]
+        for k in range(LANES):
+            lanes[k] += part[k] - shift
+    for i in range(whole, n):
+        lanes[i - whole] += values[i] - shift
+    return _total(lanes)
+
+
+@_inner
+def _sum_of_squares(values: Floats, lanes: Floats) -> float:
+    n = len(values)
+    for k in range(LANES):
+        lanes[k] = 0.0
+    whole = n // LANES * LANES
+    for start in range(0, whole, LANES):
+        part = values[start : start + LANES]
+        for k in range(LANES):
+            lanes[k] += part[k] * part[k]
+    for i in range(whole, n):
+        lanes[i - whole] += values[i] * values[i]
+    return _total(lanes)
+
+
+@_inner
+def _sum_of_sizes(values: Floats, lanes: Floats) -> float:
+    """Sum of absolute values."""
+    n = len(values)
+    for k in range(LANES):
+        lanes[k] = 0.0
+    whole = n // LANES * LANES
+    for start in range(0, whole, LANES):
+        part = values[start : start + LANES]
+        for k in range(LANES):
+            lanes[k] += abs(part[k])
+    for i in range(whole, n):
+        lanes[i - whole] += abs(values[i])
+    return _total(lanes)
+
+
+@_inner
+def _centre(values: Floats, lanes: Floats, out: Floats) -> float:
+    """Write ``values`` minus their mean; returns the mean. The sum starts at the first value and so keeps its bits."""
+    mean: float = values[0] + _sum_from(values, values[0], lanes) / len(values)
+    for i in range(len(values)):
+        out[i] = values[i] - mean
+    return mean
+
+
+@_order_free
+def _extremes(values: Floats) -> tuple[float, float]:
+    """Least and greatest of at least one value, none of them NaN."""
+    low, high = values[0], values[0]
+    for i in range(len(values)):
+        low, high = min(low, values[i]), max(high, values[i])
+    return low, high
+
+
+@_inner
 def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     """One step of splitmix64: the new state and 64 mixed bits."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
@@ -67,36 +142,120 @@ def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     return state, z ^ (z >> np.uint64(31))
 
 
-@_compiled
-def fit_plane_to_points(x: Floats, y: Floats, z: Floats, use: Mask) -> Plane:
-    """Least-squares plane through the points where ``use``: unit normal (upward) and offset d of n . p + d = 0.
+@_inner
+def _three_below(bits: np.uint64, n: int) -> tuple[int, int, int]:
+    """Turn 63 random bits into three numbers from 0 to n - 1 (n at most ``SAMPLE``)."""
+    mask, width, size = np.uint64(0x1FFFFF), np.uint64(21), np.uint64(n)
+    i = ((bits & mask) * size) >> width
+    j = (((bits >> width) & mask) * size) >> width
+    k = (((bits >> np.uint64(42)) & mask) * size) >> width
+    return np.int64(i), np.int64(j), np.int64(k)  # type: ignore[return-value]
+
+
+@_inner
+def _hits(
+    sample: Singles, n: int, a: np.float32, b: np.float32, c: np.float32, d: np.float32, reach: np.float32
+) -> np.int32:
+    """Count the sampled points with ``|a x + b y + c z + d| <= reach``."""
+    x, y, z = sample[0, :n], sample[1, :n], sample[2, :n]
+    hits = np.int32(0)
+    for i in range(n):
+        hits = np.int32(hits + np.int32(abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach))
+    return hits
+
+
+@_inner
+def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles) -> Plane:
+    """Return the plane through three points of the sample that has the most of the sample near it.
+
+    Single precision is enough to count: coordinates start at the tile's centre, so it errs by 1e-7 of a tile's side.
+    Normals stay unnormalised; the threshold is multiplied by their length instead.
+    """
+    n = min(len(x), SAMPLE)
+    for i in range(n):
+        sample[0, i], sample[1, i], sample[2, i] = x[i], y[i], z[i]
+    best, plane = np.int32(0), _NO_PLANE
+    state = seed
+    needed, drawn = _MAX_CANDIDATES, 0
+    while drawn < needed:
+        drawn += 1
+        state, bits = _next_random(state)
+        i, j, k = _three_below(bits, n)
+        ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+        vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
+        a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = math.sqrt(a * a + b * b + c * c)
+        if length < 2.0 * _MIN_TRIANGLE:
+            continue
+        d = -(a * x[i] + b * y[i] + c * z[i])
+        reach = np.float32(threshold * length)
+        hits = _hits(sample, n, np.float32(a), np.float32(b), np.float32(c), np.float32(d), reach)
+        if hits > best:
+            best = hits
+            if c < 0.0:
+                length = -length
+            plane = (a / length, b / length, c / length, d / length)
+            clean = (hits / n) ** 3
+            if clean >= 1.0 - 1e-9:
+                break
+            needed = min(_MAX_CANDIDATES, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean)))
+    return plane
+
+
+@_inner
+def _inlier_sums(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float, lanes: Floats) -> None:
+    """Sum 1, x, y, z, xx, xy, xz, yy, yz, zz over the points within ``threshold`` of a plane: ten rows of lanes."""
+    a, b, c, d = plane
+    n = len(x)
+    for k in range(SUMS * LANES):
+        lanes[k] = 0.0
+    for start in range(0, n, LANES):
+        stop = min(n, start + LANES)
+        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
+        for k in range(stop - start):
+            px, py, pz = bx[k], by[k], bz[k]
+            w = 1.0 if abs(a * px + b * py + c * pz + d) <= threshold else 0.0
+            wx, wy, wz = w * px, w * py, w * pz
+            lanes[k] += w
+            lanes[LANES + k] += wx
+            lanes[2 * LANES + k] += wy
+            lanes[3 * LANES + k] += wz
+            lanes[4 * LANES + k] += wx * px
+            lanes[5 * LANES + k] += wx * py
+            lanes[6 * LANES + k] += wx * pz
+            lanes[7 * LANES + k] += wy * py
+            lanes[8 * LANES + k] += wy * pz
+            lanes[9 * LANES + k] += wz * pz
+
+
+@_inner
+def fit_plane(
+    x: Floats, y: Floats, z: Floats, near: Plane, threshold: float, lanes: Floats
+) -> tuple[float, float, float, float]:
+    """Least-squares plane through the points within ``threshold`` of the plane ``near``, its normal upward.
 
     Regression along the axis whose 2 x 2 minor of the scatter matrix is the largest, so that steep planes are fitted
-    as well as level ones. Returns a zero normal where the points lie on a line.
+    as well as level ones. Coordinates must be centred near zero. Returns zeros where fewer than three points are near
+    or they lie on a line.
     """
-    n = 0
-    mx = my = mz = 0.0
-    for i in range(len(x)):
-        if use[i]:
-            n += 1
-            mx += x[i]
-            my += y[i]
-            mz += z[i]
-    if n < 3:
-        return 0.0, 0.0, 0.0, 0.0
-    mx /= n
-    my /= n
-    mz /= n
-    xx = xy = xz = yy = yz = zz = 0.0
-    for i in range(len(x)):
-        if use[i]:
-            dx, dy, dz = x[i] - mx, y[i] - my, z[i] - mz
-            xx += dx * dx
-            xy += dx * dy
-            xz += dx * dz
-            yy += dy * dy
-            yz += dy * dz
-            zz += dz * dz
+    _inlier_sums(x, y, z, near, threshold, lanes)
+    n = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+    for k in range(LANES):
+        n += lanes[k]
+        sx += lanes[LANES + k]
+        sy += lanes[2 * LANES + k]
+        sz += lanes[3 * LANES + k]
+        xx += lanes[4 * LANES + k]
+        xy += lanes[5 * LANES + k]
+        xz += lanes[6 * LANES + k]
+        yy += lanes[7 * LANES + k]
+        yz += lanes[8 * LANES + k]
+        zz += lanes[9 * LANES + k]
+    if n < 3.0:
+        return _NO_PLANE
+    mx, my, mz = sx / n, sy / n, sz / n
+    xx, xy, xz = xx - sx * mx, xy - sx * my, xz - sx * mz
+    yy, yz, zz = yy - sy * my, yz - sy * mz, zz - sz * mz
     minor_z = xx * yy - xy * xy
     minor_y = xx * zz - xz * xz
     minor_x = yy * zz - yz * yz
@@ -109,88 +268,62 @@ def fit_plane_to_points(x: Floats, y: Floats, z: Floats, use: Mask) -> Plane:
     length = math.sqrt(a * a + b * b + c * c)
     scatter = xx + yy + zz
     if length <= 1e-12 * scatter * scatter:
-        return 0.0, 0.0, 0.0, 0.0
+        return _NO_PLANE
     if c < 0.0:
         length = -length
     a, b, c = a / length, b / length, c / length
     return a, b, c, -(a * mx + b * my + c * mz)
 
 
-@_compiled
-def _mark_inliers(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float, inlier: Mask) -> int:
-    a, b, c, d = plane
-    count = 0
-    for i in range(len(x)):
-        inlier[i] = abs(a * x[i] + b * y[i] + c * z[i] + d) <= threshold
-        count += inlier[i]
-    return count
+@_inner
+def _is_plane(plane: Plane) -> bool:
+    return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
 
 
-@_compiled
-def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64) -> Plane:
-    """Return the plane through three of the points that has the most of the scored points near it."""
-    n = len(x)
-    scored = min(n, _SCORED)
-    best, plane = 0, (0.0, 0.0, 0.0, 0.0)
-    state = seed
-    needed, drawn = _MAX_CANDIDATES, 0
-    while drawn < needed:
-        drawn += 1
-        state, r = _next_random(state)
-        i = np.int64(r % np.uint64(n))
-        state, r = _next_random(state)
-        j = np.int64(r % np.uint64(n))
-        state, r = _next_random(state)
-        k = np.int64(r % np.uint64(n))
-        ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
-        vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
-        a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = math.sqrt(a * a + b * b + c * c)
-        if length < 2.0 * _MIN_TRIANGLE:
-            continue
-        if c < 0.0:
-            length = -length
-        a, b, c = a / length, b / length, c / length
-        d = -(a * x[i] + b * y[i] + c * z[i])
-        hits = 0
-        for p in range(scored):
-            hits += abs(a * x[p] + b * y[p] + c * z[p] + d) <= threshold
-        if hits > best:
-            best, plane = hits, (a, b, c, d)
-            clean = (hits / scored) ** 3
-            if clean >= 1.0 - 1e-9:
-                break
-            needed = min(_MAX_CANDIDATES, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean)))
-    return plane
-
-
-@_compiled
-def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64) -> Plane:
+@_inner
+def ransac_plane(
+    x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles, lanes: Floats
+) -> Plane:
     """Plane of a tile by RANSAC (Fischler and Bolles 1981), then twice a least-squares fit to its inliers.
 
     Candidates are drawn with a generator seeded by the tile, scored on a random sample, and drawing stops when a
-    better one has become improbable. Returns (a, b, c, d), a zero normal where the points span no plane.
+    better one has become improbable. Coordinates are centred. Returns zeros where the points span no plane.
     """
-    plane = _best_candidate(x, y, z, threshold, seed)
-    inlier = np.ones(len(x), np.bool_)
-    if plane[0] == 0.0 and plane[1] == 0.0 and plane[2] == 0.0:
-        return fit_plane_to_points(x, y, z, inlier)
+    plane = _best_candidate(x, y, z, threshold, seed, sample)
+    if not _is_plane(plane):
+        return fit_plane(x, y, z, plane, np.inf, lanes)
     for _ in range(2):
-        if _mark_inliers(x, y, z, plane, threshold, inlier) < 3:
-            return plane
-        fitted = fit_plane_to_points(x, y, z, inlier)
-        if fitted[0] == 0.0 and fitted[1] == 0.0 and fitted[2] == 0.0:
+        fitted = fit_plane(x, y, z, plane, threshold, lanes)
+        if not _is_plane(fitted):
             return plane
         plane = fitted
     return plane
 
 
-@_compiled
-def stray_bounds(distance: Floats, gap: float, most: int) -> tuple[float, float, int]:
+@_inner
+def _no_strays(distance: Floats, low: float, high: float, gap: float, most: int) -> bool:
+    """Whether it is plain that ``stray_bounds`` finds none (low and high are the extremes of the distances).
+
+    The gap beside a stray is wider than ``gap`` and than the spread of all that stays. So what stays reaches neither
+    from the lowest third of the range into the highest, nor from one end of the range into the third at the other
+    end; one of the outer thirds then holds strays alone, at most ``most``.
+    """
+    if high - low <= gap:
+        return True
+    third = (high - low) / 3.0
+    above = below = 0
+    for i in range(len(distance)):
+        above += distance[i] > high - third
+        below += distance[i] < low + third
+    return above > most and below > most
+
+
+@_inner
+def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple[float, float, int]:
     """Split off stray points: at most ``most`` on one side of a tile, cut off from all others by a wide gap.
 
     The gap must be wider than ``gap`` metres and wider than the spread of everything that stays: a rock or a tree has
-    points at all its heights, a bird or a multipath echo has not.
+    points at all its heights, a bird or a multipath echo has not. ``ends`` is scratch, (2, most + 1).
 
     Returns
     -------
@@ -202,19 +335,22 @@ def stray_bounds(distance: Floats, gap: float, most: int) -> tuple[float, float,
     n = len(distance)
     if n < 2 * most + 2:
         return -np.inf, np.inf, 0
-    width = most + 1
-    top = np.full(width, -np.inf)
-    bottom = np.full(width, np.inf)
+    least, greatest = _extremes(distance)
+    if _no_strays(distance, least, greatest, gap, most):
+        return -np.inf, np.inf, 0
+    top, bottom = ends[0], ends[1]
+    top[:] = -np.inf
+    bottom[:] = np.inf
     for i in range(n):
         d = distance[i]
-        if d > top[width - 1]:
-            k = width - 1
+        if d > top[most]:
+            k = most
             while k > 0 and top[k - 1] < d:
                 top[k] = top[k - 1]
                 k -= 1
             top[k] = d
-        if d < bottom[width - 1]:
-            k = width - 1
+        if d < bottom[most]:
+            k = most
             while k > 0 and bottom[k - 1] > d:
                 bottom[k] = bottom[k - 1]
                 k -= 1
@@ -235,46 +371,78 @@ def stray_bounds(distance: Floats, gap: float, most: int) -> tuple[float, float,
     return low, high, best_t + best_b
 
 
-@_compiled
+@_inner
 def detrend(heights: Floats, out: Floats) -> bool:
     """Write ``heights`` minus their least-squares plane over the known pixels (NaN stays NaN) to ``out``, m.
 
-    Returns False where the known pixels do not span a plane.
+    ``out`` may be ``heights``. Returns False, and writes nothing, where the known pixels do not span a plane.
     """
     size = heights.shape[0]
-    n = 0
-    mx = my = mz = 0.0
+    middle = 0.5 * (size - 1)
+    n = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
     for r in range(size):
-        for c in range(size):
-            if not math.isnan(heights[r, c]):
-                n += 1
-                mx += c
-                my += r
-                mz += heights[r, c]
-    if n < 3:
-        return False
-    mx /= n
-    my /= n
-    mz /= n
-    xx = xy = yy = xz = yz = 0.0
-    for r in range(size):
+        dy = r - middle
         for c in range(size):
             h = heights[r, c]
-            if not math.isnan(h):
-                dx, dy, dz = c - mx, r - my, h - mz
-                xx += dx * dx
-                xy += dx * dy
-                yy += dy * dy
-                xz += dx * dz
-                yz += dy * dz
+            known = h == h  # noqa: PLR0124 - false for NaN; a test without a branch
+            w = 1.0 if known else 0.0
+            h = h if known else 0.0
+            dx = c - middle
+            n += w
+            sx += w * dx
+            sy += w * dy
+            sz += h
+            xx += w * dx * dx
+            xy += w * dx * dy
+            yy += w * dy * dy
+            xz += dx * h
+            yz += dy * h
+    if n < 3.0:
+        return False
+    mx, my, mz = sx / n, sy / n, sz / n
+    xx, xy, yy = xx - sx * mx, xy - sx * my, yy - sy * my
+    xz, yz = xz - mx * sz, yz - my * sz
     det = xx * yy - xy * xy
     if det <= 1e-9 * xx * yy:
         return False
     a, b = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
     for r in range(size):
+        level = mz + b * (r - middle - my)
         for c in range(size):
-            out[r, c] = heights[r, c] - mz - a * (c - mx) - b * (r - my)
+            out[r, c] = heights[r, c] - (level + a * (c - middle - mx))
     return True
+
+
+@_inner
+def _fill(heights: Floats, depth: int, holes: Integers, values: Floats) -> int:
+    """``fill_holes`` with scratch of one number a pixel: places of the holes, and what fills them."""
+    size = heights.shape[0]
+    missing = 0
+    for r in range(size):
+        for c in range(size):
+            if math.isnan(heights[r, c]):
+                holes[missing] = r * size + c
+                missing += 1
+    for _ in range(depth):
+        if missing == 0:
+            break
+        for k in range(missing):
+            row, col = holes[k] // size, holes[k] % size
+            total, known = 0.0, 0
+            for r in range(max(0, row - 1), min(size, row + 2)):
+                for c in range(max(0, col - 1), min(size, col + 2)):
+                    if not math.isnan(heights[r, c]):
+                        total += heights[r, c]
+                        known += 1
+            values[k] = total / known  # NaN where none is known
+        left = 0
+        for k in range(missing):
+            heights[holes[k] // size, holes[k] % size] = values[k]
+            if math.isnan(values[k]):
+                holes[left] = holes[k]
+                left += 1
+        missing = left
+    return missing
 
 
 @_compiled
@@ -283,133 +451,80 @@ def fill_holes(heights: Floats, depth: int) -> int:
 
     Returns the number of pixels still unknown.
     """
-    size = heights.shape[0]
-    source = heights.copy()
-    missing = 0
-    for r in range(size):
-        for c in range(size):
-            missing += math.isnan(heights[r, c])
-    for _ in range(depth):
-        if missing == 0:
-            break
-        for r in range(size):
-            for c in range(size):
-                if not math.isnan(source[r, c]):
-                    continue
-                total, known = 0.0, 0
-                for nr in range(max(0, r - 1), min(size, r + 2)):
-                    for nc in range(max(0, c - 1), min(size, c + 2)):
-                        if not math.isnan(source[nr, nc]):
-                            total += source[nr, nc]
-                            known += 1
-                if known > 0:
-                    heights[r, c] = total / known
-                    missing -= 1
-        source[:] = heights
-    return missing
+    return _fill(heights, depth, np.empty(heights.size, np.int32), np.empty(heights.size))
 
 
-@_compiled
-def _heightmap(
-    x: Floats, y: Floats, z: Floats, keep: Mask, tile_size: float, mean: Floats, variance: Floats, count: Counts
-) -> int:
-    """Mean, population variance and number of the kept points in each pixel; north row first, NaN where none fell."""
-    size = mean.shape[0]
-    shift = 0.0
-    for i in range(len(z)):
-        if keep[i]:
-            shift = z[i]
-            break
-    mean[:] = 0.0
-    variance[:] = 0.0
-    count[:] = 0
-    for i in range(len(x)):
-        if keep[i]:
-            c = min(size - 1, int(size * x[i] / tile_size))
-            r = size - 1 - min(size - 1, int(size * y[i] / tile_size))
-            d = z[i] - shift
-            count[r, c] += 1
-            mean[r, c] += d
-            variance[r, c] += d * d
-    known = 0
-    for r in range(size):
-        for c in range(size):
-            n = count[r, c]
-            if n == 0:
-                mean[r, c] = np.nan
-                variance[r, c] = np.nan
-                continue
-            known += 1
-            m = mean[r, c] / n
-            variance[r, c] = max(0.0, variance[r, c] / n - m * m)
-            mean[r, c] = shift + m
-    return known
-
-
-@_compiled
-def _relief(heights: Floats, depth: int, flat_map: Floats) -> float:
-    """Plane-removed, hole-filled heights into ``flat_map``; returns their range, NaN where holes are too deep."""
-    work = np.empty_like(heights)
-    if not detrend(heights, work) or fill_holes(work, depth) > 0:
-        flat_map[:] = np.nan
-        return np.nan
-    filled = np.empty_like(heights)
-    detrend(work, filled)
-    low, high = filled[0, 0], filled[0, 0]
-    for r in range(filled.shape[0]):
-        for c in range(filled.shape[1]):
-            low = min(low, filled[r, c])
-            high = max(high, filled[r, c])
-    if high - low < _NOTHING:
-        flat_map[:] = 0.0
-        return 0.0
-    flat_map[:] = filled
-    return high - low
-
-
-@_compiled
-def _measure_tile(
-    x: Floats,
-    y: Floats,
-    z: Floats,
-    tile_size: float,
-    threshold: float,
-    seed: np.uint64,
-    gap: float,
-    most: int,
-    depth: int,
-    scalars: Floats,
-    maps: Floats,
-    count: Counts,
+@_inner
+def _pixel_index(
+    easting: Floats, northing: Floats, west: float, south: float, tile_size: float, size: int, out: Integers
 ) -> None:
-    """Measure one tile. ``scalars`` takes z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays.
+    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size)."""
+    last, width = np.int32(size - 1), np.int32(size)
+    for i in range(len(easting)):
+        c = min(last, np.int32(size * (easting[i] - west) / tile_size))
+        r = min(last, np.int32(size * (northing[i] - south) / tile_size))
+        out[i] = np.int32((last - r) * width + c)
 
-    ``x`` and ``y`` [m] are offsets from the tile's south-west corner. ``maps`` takes heights, variance and relief map.
+
+@_inner
+def _pixel_sums(pixel: Integers, z: Floats, sums: Floats) -> None:
+    """Count, sum and sum of squares of z by pixel, into the three rows of ``sums``."""
+    sums[:] = 0.0
+    for i in range(len(pixel)):
+        k = pixel[i]
+        sums[0, k] += 1.0
+        sums[1, k] += z[i]
+        sums[2, k] += z[i] * z[i]
+
+
+@_inner
+def _heightmap(
+    sums: Floats, mean: float, level: Floats, heights: Singles, variance: Singles, count: Integers
+) -> tuple[int, float]:
+    """Mean, population variance and number of the points in each pixel; NaN where none fell.
+
+    ``level`` takes the heights above ``mean`` in double precision. Returns the known pixels and their range, m.
     """
-    n = len(x)
-    mean, variance = moments(z)
-    scalars[0] = z.min()
-    scalars[1] = z.max()
-    scalars[2] = variance
-    level = z - mean
-    a, b, c, d = ransac_plane(x, y, level, threshold, seed)
-    distance = np.empty(n)
-    if a == 0.0 and b == 0.0 and c == 0.0:
-        distance[:] = level
-    else:
-        total = 0.0
-        for i in range(n):
-            distance[i] = a * x[i] + b * y[i] + c * level[i] + d
-            total += abs(distance[i])
-        scalars[3] = total / n
-        scalars[4] = math.degrees(math.acos(min(1.0, c)))
-    low, high, strays = stray_bounds(distance, gap, most)
-    keep = (distance >= low) & (distance <= high)
-    known = _heightmap(x, y, z, keep, tile_size, maps[0], maps[1], count)
-    scalars[5] = np.nanmax(maps[0]) - np.nanmin(maps[0])
-    scalars[6] = known / count.size
-    scalars[7] = _relief(maps[0], depth, maps[2])
-    scalars[8] = strays
+    size = level.shape[0]
+    known, low, high = 0, np.inf, -np.inf
+    for r in range(size):
+        for c in range(size):
+            k = r * size + c
+            n = sums[0, k]
+            m = sums[1, k] / n  # 0 / 0: NaN, and so are those that follow from it
+            v = sums[2, k] / n - m * m
+            level[r, c] = m
+            count[r, c] = np.int32(n)
+            heights[r, c] = np.float32(mean + m)
+            variance[r, c] = np.float32(0.0 if v < 0.0 else v)  # noqa: FURB136 - NaN stays
+            known += n > 0.0
+            low = m if m < low else low  # noqa: FURB136 - NaN does not count
+            high = m if m > high else high  # noqa: FURB136
+    return known, high - low
+
+
+@_inner
+def _relief(level: Floats, depth: int, complete: bool, holes: Integers, values: Floats, relief: Singles) -> float:
+    """Plane-removed, hole-filled heights into ``relief``; returns their range, NaN where holes are too deep.
+
+    ``level`` is changed. Filled holes move the plane, so it is taken off once more.
+    """
+    if not detrend(level, level) or (not complete and (_fill(level, depth, holes, values) > 0)):
+        relief[:] = np.nan
+        return np.nan
+    if not complete:
+        detrend(level, level)
+    low, high = level[0, 0], level[0, 0]
+    for r in range(level.shape[0]):
+        for c in range(level.shape[1]):
+            low, high = min(low, level[r, c]), max(high, level[r, c])
+    if high - low < _NOTHING:
+        relief[:] = 0.0
+        return 0.0
+    for r in range(level.shape[0]):
+        for c in range(level.shape[1]):
+            relief[r, c] = np.float32(level[r, c])
+    return high - low
 
 
 @_compiled
@@ -423,11 +538,19 @@ def measure_tiles(
     tile_size: float,
     threshold: float,
     gap: float,
-    most: int,
     depth: int,
     scalars: Floats,
-    maps: Floats,
-    count: Counts,
+    heights: Singles,
+    variance: Singles,
+    relief: Singles,
+    count: Integers,
+    points: Floats,
+    pixel: Integers,
+    sample: Singles,
+    lanes: Floats,
+    ends: Floats,
+    sums: Floats,
+    level: Floats,
 ) -> None:
     """Measure every tile that has points.
 
@@ -441,25 +564,211 @@ def measure_tiles(
         Tile indices; they seed RANSAC.
     tile_size, threshold, gap : float
         Side of a tile, RANSAC inlier distance, least gap that makes a point a stray, m.
-    most, depth : int
-        Most strays on one side; deepest hole that is filled, px.
+    depth : int
+        Deepest hole that is filled, px.
     scalars : (tiles, 9) float64
-        Filled; see ``_measure_tile``. NaN where a tile has no points or no plane.
-    maps : (tiles, 3, pixels, pixels) float64
-        Filled: heights, variance inside the pixel, relief map.
+        Filled: z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays. NaN where a tile has no
+        points or no plane.
+    heights, variance, relief : (tiles, pixels, pixels) float32
+        Filled: mean height, variance inside the pixel, relief map.
     count : (tiles, pixels, pixels) int32
         Filled: points in each pixel.
+    points : (4, most points of a tile) float64
+        Scratch, as are all that follow: centred coordinates and distances to the plane.
+    pixel : (most points of a tile, at least pixels^2) int32
+        Pixel of each point; later the places of holes.
+    sample : (3, ``SAMPLE``) float32
+        Points that score RANSAC candidates.
+    lanes : (``SUMS * LANES``,) float64
+        Partial sums.
+    ends : (2, most strays on one side + 1) float64
+        Highest and lowest distances.
+    sums : (3, pixels^2 + 1) float64
+        Sums by pixel; the last column takes the strays.
+    level : (pixels, pixels) float64
+        Heights about the tile's mean.
     """
-    scalars[:] = np.nan
-    maps[:] = np.nan
-    count[:] = 0
+    size, most = level.shape[0], ends.shape[1] - 1
     for t in range(len(col)):
         first, last = starts[t], starts[t + 1]
+        scalars[t] = np.nan
         if first == last:
+            heights[t], variance[t], relief[t], count[t] = np.nan, np.nan, np.nan, 0
             continue
-        x = easting[first:last] - col[t] * tile_size
-        y = northing[first:last] - row[t] * tile_size
+        n = last - first
+        x, y, z, distance = points[0, :n], points[1, :n], points[2, :n], points[3, :n]
+        _centre(easting[first:last], lanes, x)
+        _centre(northing[first:last], lanes, y)
+        mean = _centre(upward[first:last], lanes, z)
+        scalars[t, 0], scalars[t, 1] = _extremes(upward[first:last])
+        scalars[t, 2] = _sum_of_squares(z, lanes) / n
         seed = (np.uint64(col[t]) << np.uint64(32)) ^ np.uint64(row[t])
-        _measure_tile(
-            x, y, upward[first:last], tile_size, threshold, seed, gap, most, depth, scalars[t], maps[t], count[t]
-        )
+        plane = ransac_plane(x, y, z, threshold, seed, sample, lanes)
+        if _is_plane(plane):
+            a, b, c, d = plane
+            for i in range(n):
+                distance[i] = a * x[i] + b * y[i] + c * z[i] + d
+            scalars[t, 3] = _sum_of_sizes(distance, lanes) / n
+            scalars[t, 4] = math.degrees(math.acos(min(1.0, c)))
+        else:
+            distance[:] = z
+        low, high, strays = stray_bounds(distance, gap, most, ends)
+        west, south = col[t] * tile_size, row[t] * tile_size
+        _pixel_index(easting[first:last], northing[first:last], west, south, tile_size, size, pixel)
+        if strays > 0:
+            for i in range(n):
+                if not low <= distance[i] <= high:
+                    pixel[i] = size * size
+        _pixel_sums(pixel[:n], z, sums)
+        known, scalars[t, 5] = _heightmap(sums, mean, level, heights[t], variance[t], count[t])
+        scalars[t, 6] = known / (size * size)
+        scalars[t, 7] = _relief(level, depth, known == size * size, pixel, sums[1], relief[t])
+        scalars[t, 8] = strays
+
+
+@_inner
+def _share_below(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
+    """Probability that C_r is below exp(log_c) under a mixture of log-normals."""
+    below = 0.0
+    for k in range(len(chance)):
+        below += chance[k] * 0.5 * math.erfc((log_mean[k] - log_c) / (math.sqrt(2.0) * log_sd[k]))
+    return below
+
+
+@_inner
+def _mixture_density(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
+    """Slope of ``_share_below``."""
+    density = 0.0
+    for k in range(len(chance)):
+        u = (log_c - log_mean[k]) / log_sd[k]
+        density += chance[k] * math.exp(-0.5 * u * u) / log_sd[k]
+    return density / math.sqrt(2.0 * math.pi)
+
+
+@_inner
+def mixture_quantile(share: float, normal: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
+    """Find the ln C_r with a share of the mixture below it, to 1e-10; ``normal`` is the standard normal's quantile.
+
+    Newton's steps inside a bracket, halved where a step leaves it or the density is as good as none. A mixture's
+    quantile lies between those of its parts; the margin allows for probabilities that sum to 1 but for their rounding.
+    """
+    low, high, at = np.inf, -np.inf, 0.0
+    for k in range(len(chance)):
+        if chance[k] > 0.0:
+            own = log_mean[k] + normal * log_sd[k]
+            low, high = min(low, own - 1e-2 * log_sd[k]), max(high, own + 1e-2 * log_sd[k])
+            at += chance[k] * own
+    for _ in range(100):
+        excess = _share_below(at, chance, log_mean, log_sd) - share
+        if excess < 0.0:
+            low = at
+        else:
+            high = at
+        before = at
+        at -= excess / _mixture_density(at, chance, log_mean, log_sd)
+        if not low < at < high:
+            at = 0.5 * (low + high)
+        if abs(at - before) < 1e-10:
+            break
+    return at
+
+
+@_inner
+def _read_ladder(relief: float, log_range: Floats, tables: Floats, rungs: Floats) -> None:
+    """Read the tables (ln C_r, its spread, p_fail) of every texture at a relief [m] into ``rungs``.
+
+    Straight lines between the rungs of ln z_range. Below the ladder C_r is proportional to the relief (a small vehicle
+    motion is linear in the ground's amplitude); above it the last rung is kept.
+    """
+    last = len(log_range) - 1
+    log_relief = math.log(max(relief, 1e-9))
+    x = min(max(log_relief, log_range[0]), log_range[last])
+    j = 0
+    while j < last - 1 and x >= log_range[j + 1]:
+        j += 1
+    for q in range(tables.shape[0]):
+        for k in range(tables.shape[1]):
+            value = tables[q, k, j]
+            if j < last:
+                step = (tables[q, k, j + 1] - value) / (log_range[j + 1] - log_range[j])
+                value += step * (x - log_range[j])
+            rungs[q, k] = value
+    for k in range(tables.shape[1]):
+        rungs[0, k] += min(0.0, log_relief - log_range[0])
+
+
+@_compiled
+def rate_tiles(
+    known: NDArray[np.bool_],
+    chance: Singles,
+    relief: Floats,
+    slope: Floats,
+    coverage: Floats,
+    log_range: Floats,
+    tables: Floats,
+    limits: Floats,
+    slope_limit: float,
+    fail: float,
+    tail: float,
+    normal: float,
+    klass: NDArray[np.uint8],
+    rated: Singles,
+    rungs: Floats,
+) -> None:
+    """Rate the tiles that are known; see ``bumpymap.cost`` for the model. Others keep what the results hold.
+
+    Parameters
+    ----------
+    known : (tiles,) bool
+        Tiles to rate.
+    chance : (tiles, textures) float32
+        Probability of each texture.
+    relief, slope, coverage : (tiles,) float64
+        m, degrees, 0..1.
+    log_range : (rungs,) float64
+        ln of the calibrated z ranges.
+    tables : (3, textures, rungs) float64
+        Mean of ln C_r, its standard deviation, p_fail.
+    limits : (classes - 1,) float64
+        C_r between the classes, rad/m.
+    slope_limit : float
+        Steeper tiles fail for certain, degrees.
+    fail : float
+        A tile with at least this p_fail is of the last class.
+    tail, normal : float
+        Probability below c_r_low and above c_r_high; that quantile of the standard normal.
+    klass : (tiles,) uint8
+        Filled where known.
+    rated : (5, tiles) float32
+        Filled where known: c_r, c_r_low, c_r_high, p_fail, confidence.
+    rungs : (3, textures) float64
+        Scratch.
+    """
+    last = len(limits)
+    for t in range(len(known)):
+        if not known[t]:
+            continue
+        _read_ladder(relief[t], log_range, tables, rungs)
+        mean, sd, mine = rungs[0], rungs[1], chance[t]
+        c_r = p_fail = 0.0
+        for k in range(len(mine)):
+            c_r += mine[k] * math.exp(mean[k])
+            p_fail += mine[k] * rungs[2, k]
+            mean[k] -= 0.5 * sd[k] * sd[k]  # of the logarithm, where the table's is the logarithm of the mean
+        if slope[t] > slope_limit:
+            p_fail = 1.0
+        low = math.exp(mixture_quantile(tail, normal, mine, mean, sd))
+        high = math.exp(mixture_quantile(1.0 - tail, -normal, mine, mean, sd))
+        rank = 0
+        while rank < last and c_r >= limits[rank]:
+            rank += 1
+        sure = p_fail
+        if p_fail >= fail:
+            rank = last
+        else:
+            above = 1.0 if rank == last else _share_below(math.log(limits[rank]), mine, mean, sd)
+            below = 0.0 if rank == 0 else _share_below(math.log(limits[rank - 1]), mine, mean, sd)
+            sure = above - below
+        klass[t] = rank
+        rated[0, t], rated[1, t], rated[2, t] = c_r, min(low, c_r), max(high, c_r)
+        rated[3, t], rated[4, t] = p_fail, sure * coverage[t]

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import ndtr
 
 from bumpymap.calibration import Calibration
 from bumpymap.cost import PAPER_TABLE, rate, rate_as_paper
@@ -172,3 +173,56 @@ def test_the_papers_rule_of_thirty_percent_holes():
 def test_the_paper_calls_what_it_cannot_judge_the_roughest():
     patches = stack([np.nan], reason=Reason.OUTLIER_RELIEF)
     assert rate_as_paper(patches, textures([np.nan] * 4), calibration(), HERE).klass.tolist() == [3]
+
+
+def mixtures(rng, n):
+    """Random calibration, probabilities and relief; the mean and spread of ln C_r that follow, (n, 4) each."""
+    spread = rng.uniform(0.05, 1.5, (4, 1)) * np.ones(4)
+    chance = rng.dirichlet(np.full(4, 0.3), n).astype(np.float32)
+    chance[: n // 8] = np.eye(4, dtype=np.float32)[rng.integers(0, 4, n // 8)]
+    relief = np.exp(rng.uniform(np.log(0.005), np.log(4.0), n))
+    c_r = np.array([[SCALE[t] for t in TEXTURES]]) * np.minimum(relief, LADDER[-1])[:, None]
+    mean = np.log(c_r) - 0.5 * spread[:, 0] ** 2
+    log_sd = tuple(map(tuple, spread.tolist()))
+    return calibration(c_r_log_sd=log_sd, p_fail=((0.0,) * 4,) * 4), chance, relief, mean, spread[:, 0]
+
+
+def test_quantiles_and_confidence_equal_those_of_scipy():
+    cal, chance, relief, mean, sd = mixtures(np.random.default_rng(2), 4000)
+    cost = rate(stack(relief), TextureMap(chance), cal, HERE)
+
+    def below(log_c):
+        return np.sum(chance.astype(float) * ndtr((log_c[:, None] - mean) / sd), axis=1)
+
+    def bisected(share):
+        low, high = (mean - 9 * sd).min(axis=1), (mean + 9 * sd).max(axis=1)
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            left = below(middle) < share
+            low, high = np.where(left, middle, low), np.where(left, high, middle)
+        return np.exp(low)
+
+    c_r = np.sum(chance * np.exp(mean + 0.5 * sd**2), axis=1)
+    np.testing.assert_allclose(cost.c_r, c_r, rtol=1e-6)
+    np.testing.assert_allclose(cost.c_r_low, np.minimum(bisected(0.1), c_r), rtol=1e-6)
+    np.testing.assert_allclose(cost.c_r_high, np.maximum(bisected(0.9), c_r), rtol=1e-6)
+    klass = np.digitize(c_r, cal.class_limits)
+    np.testing.assert_array_equal(cost.klass, klass)
+    edges = np.log([1e-300, *cal.class_limits, 1e300])
+    np.testing.assert_allclose(cost.confidence, below(edges[klass + 1]) - below(edges[klass]), rtol=1e-6, atol=1e-6)
+
+
+def test_a_tile_is_rated_alike_wherever_it_stands():
+    cal, chance, relief, _, _ = mixtures(np.random.default_rng(3), 300)
+    whole = rate(stack(relief), TextureMap(chance), cal, HERE)
+    order = np.random.default_rng(4).permutation(300)
+    mixed = rate(stack(relief[order]), TextureMap(chance[order]), cal, HERE)
+    for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "klass"):
+        np.testing.assert_array_equal(getattr(mixed, name), getattr(whole, name)[order])
+
+
+def test_a_ladder_of_one_rung():
+    one = calibration(z_range=(0.1,), c_r=tuple((SCALE[t],) for t in TEXTURES), c_r_log_sd=((0.2,),) * 4,
+                      p_fail=((0.0,),) * 4, drives=((9,),) * 4)  # fmt: skip
+    cost = rate(stack([0.05, 0.1, 0.7]), one_hot(2, 3), one, HERE)
+    np.testing.assert_allclose(cost.c_r, [0.2, 0.4, 0.4], rtol=1e-6)

@@ -26,7 +26,7 @@ ROOMS = {
     "kernels": (set(), {"numpy", "numba"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),
-    "cost": ({"calibration"}, {"bumpytiles", "numpy", "scipy"}),
+    "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
     "products": (
         set(),
         {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "scipy", "shapely"},
