@@ -50,7 +50,8 @@ def _processor() -> str:
 
 def tables(results: Results) -> str:
     """Return the Markdown of all tables."""
-    return "\n\n".join([_machine_text(results), _goals(results), _surveys(results), _sides(results), _patches(results)])
+    parts = [_machine_text(results), _goals(results), _surveys(results), _sides(results), _patches(results)]
+    return "\n\n".join(part for part in parts if part)
 
 
 def keep(page: Path, text: str) -> None:
@@ -79,7 +80,10 @@ def _median(results: Results, case: str, side: str, what: str) -> float | None:
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" for _ in head), *rows]
+    body = list(rows)
+    if not body:
+        return ""
+    lines = [head, tuple("---" for _ in head), *body]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
