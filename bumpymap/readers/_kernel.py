@@ -24,6 +24,7 @@ FIRST = 6
 _STRIP = 1024
 _ROUND = 1e8
 """10 to the power of the decimals that a coordinate keeps (``columns.DECIMALS``)."""
+_FINITE = np.finfo(np.float64).max
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -73,23 +74,27 @@ def sift(
     """
     west, south, east, north, highest = floats[0], floats[1], floats[2], floats[3], floats[4]
     held, noise, no_return, outside, astray, bad = ints[0], ints[1], ints[2], ints[3], ints[4], ints[5]
+    # Nothing is wrong with a point in here; the others are looked at closely.
+    inner_west, inner_south = max(box[0], cube[0], -_FINITE), max(box[1], cube[1], -_FINITE)
+    inner_east, inner_north = min(box[2], cube[2], _FINITE), min(box[3], cube[3], _FINITE)
     for i in range(len(x)):
         e, n, u = x[i], y[i], z[i]
         # In this order NaN leaves the extremes alone, as comparisons with it are false; it lies nowhere, too.
         west, east = min(west, e), max(east, e)
         south, north = min(south, n), max(north, n)
         highest = max(highest, abs(u))
-        if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
-            outside += 1
-        elif e < cube[0] or n < cube[1] or e > cube[2] or n > cube[3]:
-            astray += 1
-        if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
-            if nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
-                no_return += 1
-                continue
-            bad += 1
-            if ints[6] < 0:
-                ints[6] = start + i
+        if not (inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE):
+            if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
+                outside += 1
+            elif e < cube[0] or n < cube[1] or e > cube[2] or n > cube[3]:
+                astray += 1
+            if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
+                if nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
+                    no_return += 1
+                    continue
+                bad += 1
+                if ints[6] < 0:
+                    ints[6] = start + i
         if withheld[i]:
             held += 1
             continue

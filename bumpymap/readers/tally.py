@@ -92,13 +92,13 @@ class Tally:
         return Bounds(self.west, self.south, self.east, self.north)
 
     def to_record(self) -> dict[str, Any]:
-        """Give numbers that JSON can hold; what is infinite becomes None."""
-        return {name: None if math.isinf(value) else value for name, value in asdict(self).items()}
+        """Give what JSON can hold; what is infinite becomes text."""
+        return {name: str(value) if math.isinf(value) else value for name, value in asdict(self).items()}
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> Self:
         """Take back what ``to_record`` gave."""
-        return cls(**{name: value for name, value in record.items() if value is not None})
+        return cls(**{name: float(value) if isinstance(value, str) else value for name, value in record.items()})
 
 
 def judge(tally: Tally, path: Location, promised: int, bounds: Bounds | None) -> None:
