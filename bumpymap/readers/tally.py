@@ -98,7 +98,8 @@ class Tally:
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> Self:
         """Take back what ``to_record`` gave."""
-        return cls(**{name: float(value) if isinstance(value, str) else value for name, value in record.items()})
+        numbers: dict[str, Any] = {name: float(v) if isinstance(v, str) else v for name, v in record.items()}
+        return cls(**numbers)
 
 
 def judge(tally: Tally, path: Location, promised: int, bounds: Bounds | None) -> None:
