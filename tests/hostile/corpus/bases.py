@@ -9,7 +9,7 @@ from .copc_file import copc_file
 from .las_file import Vlr, cloud, las_file
 from .text_file import pcd_file, ply_file
 
-__all__ = ["bases", "geokeys", "wkt"]
+__all__ = ["bases", "geokeys", "utm", "wkt"]
 
 
 def wkt(text):
@@ -24,11 +24,15 @@ def geokeys(keys, count=None):
     return Vlr(b"LASF_Projection", 34735, np.array(words, "<u2").tobytes())
 
 
+def utm():
+    """Record of the CRS that the LAS 1.4 surveys have."""
+    return wkt(CRS.from_epsg(32614).to_wkt("WKT1_GDAL"))
+
+
 @cache
 def bases(count=400):
     """Name to bytes: surveys of ``count`` points, a multiple of 20 and at least 40."""
     xyz = cloud(count)
-    utm = wkt(CRS.from_epsg(32614).to_wkt("WKT1_GDAL"))
     keys = geokeys({1024: 1, 3072: 32614})
     fifth = count // 5
     uneven = [fifth // 2, fifth + fifth // 2, fifth, fifth - fifth // 4, count - 3 * fifth - (fifth - fifth // 4)]
@@ -36,11 +40,11 @@ def bases(count=400):
     varied = {"minor": 4, "wkt_bit": True}
     return {
         "las12.las": las_file(xyz, **fixed),
-        "las14.las": las_file(xyz, fmt=7, vlrs=[utm], evlrs=[Vlr(b"note", 7, b"n" * 40)], **varied),
+        "las14.las": las_file(xyz, fmt=7, vlrs=[utm()], evlrs=[Vlr(b"note", 7, b"n" * 40)], **varied),
         "laz12.laz": las_file(xyz, chunks=fifth, **fixed),
-        "laz14.laz": las_file(xyz, fmt=6, chunks=fifth, evlrs=[utm], **varied),
-        "laz14v.laz": las_file(xyz, fmt=7, chunks=uneven, vlrs=[utm], **varied),
-        "copc.copc.laz": copc_file(xyz, [utm]).data,
+        "laz14.laz": las_file(xyz, fmt=6, chunks=fifth, evlrs=[utm()], **varied),
+        "laz14v.laz": las_file(xyz, fmt=7, chunks=uneven, vlrs=[utm()], **varied),
+        "copc.copc.laz": copc_file(xyz, [utm()]).data,
         "text.ply": ply_file(xyz, "ascii"),
         "little.ply": ply_file(xyz, "binary_little_endian"),
         "big.ply": ply_file(xyz, "binary_big_endian"),

@@ -23,6 +23,8 @@ class Case:
     """File name; tells what is wrong."""
     data: bytes
     exits: frozenset[int] = REFUSED
+    base: str | None = None
+    """The valid survey whose points must come out, all of them and no others, where the file is mapped at all."""
 
 
 def patched(data, place, layout, *values):

@@ -3,6 +3,7 @@
 import struct
 from functools import partial
 
+from .bases import utm
 from .case import EITHER, REFUSED, Case, cut, patched
 from .copc_file import ENTRY, copc_file
 from .las_file import cloud, layout_of
@@ -22,11 +23,12 @@ _INFO = {
 def copc_cases():
     """Every case of COPC.
 
-    The points of a COPC file can be read without its hierarchy, as those of any LAZ file: a reader may not notice.
+    The points of a COPC file can be read without its hierarchy, as those of any LAZ file. A reader that goes by the
+    hierarchy must notice that it lies; either way no point may be lost or won.
     """
-    copc = copc_file(cloud(400))
+    copc = copc_file(cloud(400), [utm()])
     layout = layout_of(copc.data)
-    make = partial(Case, exits=EITHER)
+    make = partial(Case, exits=EITHER, base="copc.copc.laz")
     made = [
         make(f"copc-info-{field}-{word}.copc.laz", patched(copc.data, copc.info_at + place, form, value))
         for field, (place, form, values) in _INFO.items()

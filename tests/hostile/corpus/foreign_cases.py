@@ -111,7 +111,7 @@ PLACES = {
     "link_to_zeros": _link("/dev/zero"),
     "link_to_terminal": _link("/dev/tty"),
     "name_with_newline": _named("a\nb.laz"),
-    "name_with_markup": _named("[red]%s{x}[/].laz"),
+    "name_with_markup": _named("[red]%s{x}[bold].laz"),
     "name_not_utf8": _named(os.fsdecode(b"caf\xe9.laz")),
     "name_like_an_option": _named("-v.laz"),
     "longest_name": _named("a" * 250 + ".laz"),

@@ -16,13 +16,19 @@ _RECORD = {
     "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
     "one_stream": (0, "H", {"1": 1}, EITHER),
     "coder": (2, "H", {"1": 1, "65535": 65535}, EITHER),
-    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31, "2to32": 2**32 - 1}, REFUSED),
+    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31, "2to32": 2**32 - 1}, EITHER),
     "item_count": (32, "H", {"0": 0, "1": 1, "65535": 65535}, REFUSED),
-    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}, REFUSED),
+    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}, EITHER),
     "item_size": (36, "H", {"0": 0, "1": 1, "one_more": 21, "65535": 65535}, REFUSED),
     "item_version": (38, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
 }
-"""Fields of the LASzip record: place, layout, values, what may become of them."""
+"""Fields of the LASzip record: place, layout, values, what may become of them.
+
+Where a decoder goes by something else than the field, the points must be the right ones.
+"""
+
+
+_LAYERS = {"0": 0, "2to32": 2**32 - 1}
 
 
 def laz_cases():
@@ -42,7 +48,7 @@ def _record(name):
             # Chunks of 2^32 - 1 points are the sign for chunks of any size: in such a file, no lie.
             if not (field == "chunk_size" and word == "2to32" and name == "laz14v.laz"):
                 made.append(
-                    Case(f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits)
+                    Case(f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits, name)
                 )
     gone = data.replace(b"laszip encoded", b"laszip nothing")
     return [
@@ -85,7 +91,7 @@ def _table(name):
     ]
     for seed in range(6):
         place = layout.table_at + 8 + seed % (layout.table_end - layout.table_at - 8)
-        made.append(Case(f"{stem}-table-flip_{seed}.laz", flipped(data, [place], seed), EITHER))
+        made.append(Case(f"{stem}-table-flip_{seed}.laz", flipped(data, [place], seed), EITHER, name))
     return made
 
 
@@ -123,7 +129,7 @@ def _entries(name):
             "points_all_2to32": [(2**32 - 1, bytes_) for _, bytes_ in held],
         }
     return [
-        Case(f"{stem}-entries-{word}.laz", with_table(data, entries), exits.get(word, REFUSED))
+        Case(f"{stem}-entries-{word}.laz", with_table(data, entries), exits.get(word, REFUSED), name)
         for word, entries in spoilt.items()
     ]
 
@@ -134,7 +140,8 @@ def _chunks(name):
     start, end, _ = layout_of(data).chunks[2]
     made = [
         Case(f"{stem}-chunk_3-far_point.laz", patched(data, start, "i", 2**31 - 1)),
-        Case(f"{stem}-chunk_3-zeros.laz", data[:start] + bytes(end - start) + data[end:]),
+        # Point formats 0 to 5 code their points without any length: zeros are coded points too.
+        Case(f"{stem}-chunk_3-zeros.laz", data[:start] + bytes(end - start) + data[end:], EITHER),
         Case(f"{stem}-chunk_3-ones.laz", data[:start] + b"\xff" * (end - start) + data[end:]),
     ]
     for seed in range(6):
@@ -146,16 +153,14 @@ def _chunks(name):
 
 
 def _layers(data, stem, start):
-    """Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes."""
-    count, *_ = struct.unpack_from("<I", data, start + 36)
-    made = [
-        Case(f"{stem}-layer_{layer}-2to32.laz", patched(data, start + 40 + 4 * layer, "I", 2**32 - 1))
-        for layer in range(10)
-    ]
-    made += [
-        Case(f"{stem}-layer_{layer}-0.laz", patched(data, start + 40 + 4 * layer, "I", 0), EITHER) for layer in (0, 1)
-    ]
-    wild = {"0": 0, "one_more": count + 1, "2to32": 2**32 - 1}
-    return made + [
-        Case(f"{stem}-chunk_points-{word}.laz", patched(data, start + 36, "I", value)) for word, value in wild.items()
+    """Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes.
+
+    Layers that nobody decodes may lie; those that are decoded must be told from the right ones.
+    """
+    (count,) = struct.unpack_from("<I", data, start + 36)
+    lies = {f"layer_{layer}-{word}": (40 + 4 * layer, value) for layer in range(10) for word, value in _LAYERS.items()}
+    lies |= {f"chunk_points-{word}": (36, value) for word, value in (("0", 0), ("more", count + 1), ("2to32", 2**32 - 1))}
+    return [
+        Case(f"{stem}-{word}.laz", patched(data, start + place, "I", value), EITHER, f"{stem}.laz")
+        for word, (place, value) in lies.items()
     ]

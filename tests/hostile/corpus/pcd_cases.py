@@ -5,7 +5,7 @@ import struct
 import numpy as np
 
 from .bases import bases
-from .case import EITHER, Case, cut, patched
+from .case import EITHER, MAPPED, REFUSED, Case, cut, patched
 from .las_file import cloud
 from .text_file import pcd_file, pcd_header
 
@@ -46,7 +46,7 @@ def _lines(name):
     ]
     loose = _LOOSE if stem == "binary" else {}
     return made + [
-        Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body, EITHER)
+        Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body, EITHER, name)
         for line, choices in loose.items()
         for word, value in choices.items()
     ]
@@ -82,7 +82,7 @@ def _packed():
     # Bytes too many may be ignored, and a spoilt byte may still unpack to numbers.
     loose = {"packed-one_less", "plain-one_more", "plain-2to31", "plain-2to32", "body-0", "body-255"}
     made = [
-        Case(f"pcd_packed-{word}.pcd", patched(data, at + place, form, value), *([EITHER] if word in loose else []))
+        Case(f"pcd_packed-{word}.pcd", patched(data, at + place, form, value), EITHER if word in loose else REFUSED)
         for word, (place, form, value) in lies.items()
     ]
     # All of it claims: 2^32 - 1 bytes of 153 million points.
@@ -96,7 +96,7 @@ def _values():
         made.append(Case(f"pcd_values-all-{word}.pcd", pcd_file(np.full((60, 3), value), "binary")))
     some = cloud(100)
     some[:50] = np.nan
-    return [*made, Case("pcd_values-half-nan.pcd", pcd_file(some, "binary_compressed"), frozenset({0}))]
+    return [*made, Case("pcd_values-half-nan.pcd", pcd_file(some, "binary_compressed"), MAPPED)]
 
 
 def _headers():

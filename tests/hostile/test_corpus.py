@@ -1,0 +1,127 @@
+"""Every hostile file ends in time, within memory, with one message, and leaves nothing behind."""
+
+import json
+
+import pytest
+from corpus import PLACES, Case, hostile_files
+from corpus.bases import bases
+from corpus.known import KNOWN
+from corpus.runner import MEMORY, Runner
+
+FILES = hostile_files()
+NOISE = ("Traceback", "panicked at", "stack backtrace")
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory):
+    child = Runner(tmp_path_factory.mktemp("runner"))
+    yield child
+    child.close()
+
+
+@pytest.fixture(scope="module")
+def tiles_of(runner, tmp_path_factory):
+    """Bytes of tiles.parquet of a valid survey: the layer that holds every height."""
+    held = {}
+
+    def look_up(name):
+        if name not in held:
+            place = tmp_path_factory.mktemp("base")
+            (place / name).write_bytes(bases()[name])
+            assert mapped(runner, place / name, place / "out").exit == 0
+            held[name] = (place / "out" / "tiles.parquet").read_bytes()
+        return held[name]
+
+    return look_up
+
+
+def mapped(runner, path, out):
+    return runner.run("map", "--out", out, "--local", "--workers", "1", "--quiet", "--", path)
+
+
+def everything(*folders):
+    return {path for folder in folders for path in folder.rglob("*")}
+
+
+def faults_of_ending(outcome):
+    """What is wrong with how a command ended, whatever it was given."""
+    faults = [] if outcome.exit in {0, 3} else [f"exit: {outcome.exit}"]
+    faults += [f"says {word!r}" for word in NOISE if word in outcome.text]
+    if outcome.peak > MEMORY:
+        faults.append(f"takes {outcome.peak:,} bytes")
+    if outcome.threads:
+        faults.append(f"leaves threads: {', '.join(outcome.threads)}")
+    return faults
+
+
+def faults_of_refusal(outcome, shown):
+    """A refusal is one message that names the file, beside warnings."""
+    faults = []
+    if len(outcome.errors) != 1:
+        faults.append(f"{len(outcome.errors)} messages")
+    elif shown not in outcome.text[outcome.text.index("Error: ") :]:
+        faults.append("a message that does not name the file")
+    return faults
+
+
+def marked(name):
+    return [pytest.mark.xfail(reason=KNOWN[name], strict=True)] if name in KNOWN else []
+
+
+@pytest.mark.parametrize("name", bases())
+def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(bases()[name])
+    outcome = mapped(runner, path, tmp_path / "out")
+    assert (outcome.exit, faults_of_ending(outcome)) == (0, [])
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["counts"]["points"] == 400
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marked(case.name)) for case in FILES])
+def test_hostile_file(runner, tiles_of, tmp_path, case: Case):
+    path, out = tmp_path / case.name, tmp_path / "out"
+    path.write_bytes(case.data)
+    whole = tiles_of(case.base) if case.base else None
+    before = everything(tmp_path, runner.scratch)
+    told = runner.run("info", path)
+    faults = [f"info: {fault}" for fault in faults_of_ending(told)]
+    outcome = mapped(runner, path, out)
+    faults += faults_of_ending(outcome)
+    if outcome.exit not in case.exits:
+        faults.append(f"exit {outcome.exit!r:.40}, expected one of {sorted(case.exits)}")
+    if outcome.exit == 0:
+        faults += [] if told.exit == 0 else ["info refuses what map maps"]
+        if whole is not None and (out / "tiles.parquet").read_bytes() != whole:
+            faults.append("other points than the undamaged file, without a word")
+        left = {file for file in everything(out) if file.name.startswith(".")}
+    else:
+        faults += faults_of_refusal(outcome, case.name)
+        left = everything(tmp_path, runner.scratch) - before
+    faults += [f"left behind: {file.name}" for file in sorted(left)]
+    assert not faults, outcome.text[:2000]
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in PLACES])
+def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatch, name):
+    place = tmp_path / "place"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    path = PLACES[name](place)
+    before = everything(tmp_path, runner.scratch)
+    outcome = mapped(runner, path, tmp_path / "out")
+    faults = faults_of_ending(outcome)
+    if outcome.exit != 3:
+        faults.append(f"exit {outcome.exit!r:.40}, expected 3")
+    # A name with bytes that are no text is shown in some other way; what it ends in is still there.
+    faults += faults_of_refusal(outcome, "laz" if name == "name_not_utf8" else "inner.laz" if "bad_file" in name else path.name)
+    faults += [f"left behind: {file.name}" for file in sorted(everything(tmp_path, runner.scratch) - before)]
+    assert not faults, outcome.text[:2000]
+
+
+def test_the_corpus_is_the_same_every_time_and_names_are_told_apart():
+    assert [(case.name, case.data) for case in hostile_files()] == [(case.name, case.data) for case in FILES]
+    assert len({case.name for case in FILES}) == len(FILES)
+
+
+def test_known_faults_are_those_of_files_that_are_there():
+    assert set(KNOWN) <= {case.name for case in FILES} | set(PLACES)
