@@ -123,6 +123,18 @@ def _centre(values: Floats, lanes: Floats, out: Floats) -> float:
     return mean
 
 
+@_inner
+def _shift(values: Floats, out: Floats) -> None:
+    """Write ``values`` minus the mean of the first of them: close to their own, for any number is as good."""
+    n = min(len(values), SAMPLE)
+    total = 0.0
+    for i in range(n):
+        total += values[i] - values[0]
+    origin = values[0] + total / n
+    for i in range(len(values)):
+        out[i] = values[i] - origin
+
+
 @_order_free
 def _extremes(values: Floats) -> tuple[float, float]:
     """Least and greatest of at least one value, none of them NaN."""
@@ -154,12 +166,11 @@ def _three_below(bits: np.uint64, n: int) -> tuple[int, int, int]:
 
 @_inner
 def _hits(
-    sample: Singles, n: int, a: np.float32, b: np.float32, c: np.float32, d: np.float32, reach: np.float32
+    x: Singles, y: Singles, z: Singles, a: np.float32, b: np.float32, c: np.float32, d: np.float32, reach: np.float32
 ) -> np.int32:
-    """Count the sampled points with ``|a x + b y + c z + d| <= reach``."""
-    x, y, z = sample[0, :n], sample[1, :n], sample[2, :n]
+    """Count the points with ``|a x + b y + c z + d| <= reach``."""
     hits = np.int32(0)
-    for i in range(n):
+    for i in range(len(x)):
         hits = np.int32(hits + np.int32(abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach))
     return hits
 
@@ -168,12 +179,13 @@ def _hits(
 def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles) -> Plane:
     """Return the plane through three points of the sample that has the most of the sample near it.
 
-    Single precision is enough to count: coordinates start at the tile's centre, so it errs by 1e-7 of a tile's side.
+    Single precision is enough to count: coordinates start amid the points, so it errs by 1e-7 of a tile's side.
     Normals stay unnormalised; the threshold is multiplied by their length instead.
     """
     n = min(len(x), SAMPLE)
     for i in range(n):
         sample[0, i], sample[1, i], sample[2, i] = x[i], y[i], z[i]
+    sample_x, sample_y, sample_z = sample[0, :n], sample[1, :n], sample[2, :n]
     best, plane = np.int32(0), _NO_PLANE
     state = seed
     needed, drawn = _MAX_CANDIDATES, 0
@@ -188,8 +200,14 @@ def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.
         if length < 2.0 * _MIN_TRIANGLE:
             continue
         d = -(a * x[i] + b * y[i] + c * z[i])
-        reach = np.float32(threshold * length)
-        hits = _hits(sample, n, np.float32(a), np.float32(b), np.float32(c), np.float32(d), reach)
+        fa, fb, fc, fd, reach = (
+            np.float32(a),
+            np.float32(b),
+            np.float32(c),
+            np.float32(d),
+            np.float32(threshold * length),
+        )
+        hits = _hits(sample_x, sample_y, sample_z, fa, fb, fc, fd, reach)
         if hits > best:
             best = hits
             if c < 0.0:
@@ -372,31 +390,30 @@ def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple
 
 
 @_inner
-def detrend(heights: Floats, out: Floats) -> bool:
-    """Write ``heights`` minus their least-squares plane over the known pixels (NaN stays NaN) to ``out``, m.
+def detrend(heights: Floats) -> bool:
+    """Take the least-squares plane over the known pixels off ``heights`` [m] in place; NaN stays NaN.
 
-    ``out`` may be ``heights``. Returns False, and writes nothing, where the known pixels do not span a plane.
+    Returns False, and changes nothing, where the known pixels do not span a plane.
     """
     size = heights.shape[0]
     middle = 0.5 * (size - 1)
     n = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
     for r in range(size):
-        dy = r - middle
+        row_n = row_x = row_z = row_xx = row_xz = 0.0
         for c in range(size):
             h = heights[r, c]
             known = h == h  # noqa: PLR0124 - false for NaN; a test without a branch
-            w = 1.0 if known else 0.0
+            x = c - middle if known else 0.0
             h = h if known else 0.0
-            dx = c - middle
-            n += w
-            sx += w * dx
-            sy += w * dy
-            sz += h
-            xx += w * dx * dx
-            xy += w * dx * dy
-            yy += w * dy * dy
-            xz += dx * h
-            yz += dy * h
+            row_n += 1.0 if known else 0.0
+            row_x += x
+            row_z += h
+            row_xx += x * x
+            row_xz += x * h
+        y = r - middle
+        n, sx, sy, sz = n + row_n, sx + row_x, sy + y * row_n, sz + row_z
+        xx, xy, yy = xx + row_xx, xy + y * row_x, yy + y * y * row_n
+        xz, yz = xz + row_xz, yz + y * row_z
     if n < 3.0:
         return False
     mx, my, mz = sx / n, sy / n, sz / n
@@ -409,7 +426,7 @@ def detrend(heights: Floats, out: Floats) -> bool:
     for r in range(size):
         level = mz + b * (r - middle - my)
         for c in range(size):
-            out[r, c] = heights[r, c] - (level + a * (c - middle - mx))
+            heights[r, c] -= level + a * (c - middle - mx)
     return True
 
 
@@ -431,9 +448,9 @@ def _fill(heights: Floats, depth: int, holes: Integers, values: Floats) -> int:
             total, known = 0.0, 0
             for r in range(max(0, row - 1), min(size, row + 2)):
                 for c in range(max(0, col - 1), min(size, col + 2)):
-                    if not math.isnan(heights[r, c]):
-                        total += heights[r, c]
-                        known += 1
+                    h = heights[r, c]
+                    total += h if h == h else 0.0  # noqa: PLR0124 - no branch, for it could not be foreseen
+                    known += h == h  # noqa: PLR0124
             values[k] = total / known  # NaN where none is known
         left = 0
         for k in range(missing):
@@ -509,15 +526,12 @@ def _relief(level: Floats, depth: int, complete: bool, holes: Integers, values: 
 
     ``level`` is changed. Filled holes move the plane, so it is taken off once more.
     """
-    if not detrend(level, level) or (not complete and (_fill(level, depth, holes, values) > 0)):
+    if not detrend(level) or (not complete and (_fill(level, depth, holes, values) > 0)):
         relief[:] = np.nan
         return np.nan
     if not complete:
-        detrend(level, level)
-    low, high = level[0, 0], level[0, 0]
-    for r in range(level.shape[0]):
-        for c in range(level.shape[1]):
-            low, high = min(low, level[r, c]), max(high, level[r, c])
+        detrend(level)
+    low, high = _extremes(level.reshape(level.size))
     if high - low < _NOTHING:
         relief[:] = 0.0
         return 0.0
@@ -597,8 +611,8 @@ def measure_tiles(
             continue
         n = last - first
         x, y, z, distance = points[0, :n], points[1, :n], points[2, :n], points[3, :n]
-        _centre(easting[first:last], lanes, x)
-        _centre(northing[first:last], lanes, y)
+        _shift(easting[first:last], x)
+        _shift(northing[first:last], y)
         mean = _centre(upward[first:last], lanes, z)
         scalars[t, 0], scalars[t, 1] = _extremes(upward[first:last])
         scalars[t, 2] = _sum_of_squares(z, lanes) / n
