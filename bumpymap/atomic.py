@@ -1,6 +1,7 @@
 """Files that appear whole or not at all: written beside their place, synced, renamed."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from glob import escape
@@ -9,8 +10,10 @@ from uuid import uuid4
 
 from bumpymap.errors import OutputError
 
-__all__ = ["atomic"]
+__all__ = ["STAGED", "atomic", "together"]
 
+STAGED = ".bumpymap-layers-"
+"""How the names of folders begin where files wait for each other; one that a killed process left can go."""
 _SIDE = ".aux.xml"
 """What GDAL keeps beside a raster: category names, and a CRS that GeoTIFF keys cannot hold."""
 
@@ -47,6 +50,65 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
     finally:
         for left in list(target.parent.glob(f"{escape(temporary.stem)}*")) if target.parent.is_dir() else []:
             left.unlink(missing_ok=True)
+
+
+@contextmanager
+def together(folder: Path, last: str) -> Iterator[Path]:
+    """Give an empty folder to write files to; all of them move to ``folder`` at the end, or none does.
+
+    What they replace stays until all are complete. The file ``last`` moves last, and an old one goes first: whoever
+    finds it finds all that belong to it, even if the process is killed between two moves. A GDAL side file of a raster
+    that is replaced goes with it, since it would describe the wrong pixels.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder.
+    last : str
+        Name of the file that says that all are there.
+
+    Raises
+    ------
+    OutputError
+        The files could not be moved. The folder is as it was before.
+    """
+    staged = folder / f"{STAGED}{uuid4().hex}"
+    try:
+        _make_folder(staged)
+        yield staged
+        _move_all(staged, folder, last)
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir()
+    except OSError as error:
+        raise OutputError(f"cannot write to the folder {folder.parent}: {error}. Choose another with --out") from error
+
+
+def _move_all(staged: Path, folder: Path, last: str) -> None:
+    names = sorted((path.name for path in staged.iterdir()), key=lambda name: (name == last, name))
+    old = {target: None for name in names for target in (name, name + _SIDE) if (folder / target).exists()}
+    aside = staged / "old"
+    moves = [(folder / name, aside / name) for name in sorted(old, key=lambda name: name != last)]
+    moves += [(staged / name, folder / name) for name in names]
+    done: list[tuple[Path, Path]] = []
+    try:
+        aside.mkdir()
+        for source, target in moves:
+            os.replace(source, target)  # noqa: PTH105 (the name says that it replaces)
+            done.append((source, target))
+        _sync_folder(folder)
+    except BaseException as error:
+        for source, target in reversed(done):
+            os.replace(target, source)  # noqa: PTH105
+        if not isinstance(error, OSError):
+            raise
+        raise OutputError(
+            f"cannot move the new files to {folder}: {error}. Nothing was replaced; choose another --out"
+        ) from error
 
 
 def _move(temporary: Path, target: Path) -> None:

@@ -13,10 +13,10 @@ from bumpymap.config import MapConfig
 from bumpymap.cost import rate, rate_as_paper
 from bumpymap.errors import BadInputError
 from bumpymap.features import join_stacks, measure
-from bumpymap.products import check_extent, check_folder, write_products
+from bumpymap.products import MapSummary, check_extent, check_folder, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader, common_georeference, find_surveys, open_survey
-from bumpymap.types import CostMap, Georeference, PatchStack
+from bumpymap.types import CostMosaic, Georeference, PatchStack
 from bumpytiles import Grid, TileBuckets, group_points, run_blocks
 
 __all__ = ["MapResult", "map_surveys"]
@@ -33,8 +33,8 @@ class MapResult:
 
     files: tuple[Path, ...]
     """Written, in the order of writing."""
-    cost_map: CostMap
-    """The rated tiles."""
+    summary: MapSummary
+    """The rated tiles in a few numbers."""
     points: int
     """Points that count: read, and neither withheld nor noise; duplicates are still among them."""
     ground_only: bool
@@ -109,8 +109,9 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         "seconds": clock.seconds,
     }
     with clock.stage("write"):
-        files = write_products(cost_map, config.out, local=config.local, manifest=manifest)
-    return MapResult(tuple(files), cost_map, points, ground_only, inputs.skipped, clock.seconds)
+        mosaic = CostMosaic.of(cost_map)
+        files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
+    return MapResult(tuple(files), summary, points, ground_only, inputs.skipped, clock.seconds)
 
 
 def _calibration(config: MapConfig) -> Calibration:

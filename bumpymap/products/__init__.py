@@ -1,30 +1,40 @@
-"""The files of a run: rasters, regions, table and manifest. ``CostMap`` in, files out."""
+"""The files of a run: rasters, regions, table and manifest. ``CostMosaic`` in, files out."""
 
 from bumpymap.products.folder import PRODUCT_NAMES, check_folder, write_products
 from bumpymap.products.geotiff import CLASS_COLOURS, write_classes, write_heightmap, write_roughness
-from bumpymap.products.manifest import complete_manifest, describe_file, software_versions, summarise, write_manifest
+from bumpymap.products.manifest import (
+    complete_manifest,
+    describe_file,
+    describe_input,
+    software_versions,
+    write_manifest,
+)
 from bumpymap.products.placement import MAX_PIXELS, MAX_TILES, Placement, check_extent
 from bumpymap.products.regions import Regions, dissolve
+from bumpymap.products.summary import MapSummary, summarise
 from bumpymap.products.table import write_tiles
-from bumpymap.products.vector import write_flatgeobuf, write_geojson
+from bumpymap.products.vector import GeoJsonPlace, flatgeobuf_writer, geojson_writer
 
 __all__ = [
     "CLASS_COLOURS",
     "MAX_PIXELS",
     "MAX_TILES",
     "PRODUCT_NAMES",
+    "GeoJsonPlace",
+    "MapSummary",
     "Placement",
     "Regions",
     "check_extent",
     "check_folder",
     "complete_manifest",
     "describe_file",
+    "describe_input",
     "dissolve",
+    "flatgeobuf_writer",
+    "geojson_writer",
     "software_versions",
     "summarise",
     "write_classes",
-    "write_flatgeobuf",
-    "write_geojson",
     "write_heightmap",
     "write_manifest",
     "write_products",

@@ -1,6 +1,7 @@
 """Cloud-optimised GeoTIFF: a sparse scratch raster, then GDAL's COG driver, which adds overviews and statistics.
 
-The scratch raster is filled chunk by chunk, so that neither a large survey nor a large gap needs memory.
+The scratch raster is filled chunk by chunk, so that neither a large survey nor a large gap needs memory. A small one
+stays in memory.
 """
 
 import struct
@@ -15,15 +16,20 @@ import rasterio.shutil
 from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.errors import RasterioError
+from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from bumpymap.atomic import atomic
+from bumpymap.products._whole import digest, require_room, require_same
 from bumpymap.products.placement import Chunk, Placement
 
 __all__ = ["Layer", "Sheet", "write_cog"]
 
-_FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError)  # noqa: SLF001 (no public name)
-_CACHE_MB = 256
+_FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError, ET.ParseError)  # noqa: SLF001 (no public name)
+_CACHE_MB = 64
+"""GDAL's block cache; 16 MB to 256 MB were measured to take the same time on 12 and on 200 million pixels."""
+_SMALL = 16 << 20
+"""Largest scratch raster to keep in memory, bytes."""
 _SCRATCH_BLOCK = 256
 """Side of a scratch block, pixels. 11 bands of 2560 x 2560 pixels become a COG in 13 s of CPU time; with scratch blocks
 of 512, or bands mixed pixel by pixel, it was measured to take up to 3 times as long."""
@@ -64,13 +70,13 @@ class Sheet:
     about: dict[str, str] = field(default_factory=dict)
     """Metadata of the file."""
     everywhere: bool = False
-    """Paint chunks without any tile too."""
+    """Blocks without any tile are written too."""
     level: int = 6
     """How hard DEFLATE tries, 1 to 9."""
 
 
 def write_cog(
-    path: Path, placement: Placement, sheet: Sheet, paint: Callable[[Chunk], NDArray[np.generic]], side: int
+    path: Path, placement: Placement, sheet: Sheet, paint: Callable[[Chunk], NDArray[np.generic] | None], side: int
 ) -> None:
     """Write a COG, whole or not at all.
 
@@ -83,9 +89,9 @@ def write_cog(
     sheet : Sheet
         Bands, type, overviews.
     paint : callable
-        Gives the pixels of a chunk, (bands, lines * pixels, columns * pixels), north up.
+        Gives the pixels of a chunk, (bands, lines * pixels, columns * pixels), north up; None where all are nodata.
     side : int
-        Side of a chunk, tiles.
+        Side of a chunk, tiles: a multiple of a block's.
 
     Raises
     ------
@@ -93,24 +99,49 @@ def write_cog(
         The place cannot be written.
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
-        scratch = temporary.with_name(f"{temporary.stem}.scratch.tif")
-        _write_scratch(scratch, placement, sheet, paint, side)
-        virtual = temporary.with_name(f"{temporary.stem}.vrt")
-        rasterio.shutil.copy(scratch, virtual, driver="VRT")
-        _name_categories(virtual, sheet.layers)
-        options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
-        options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
-        options["NUM_THREADS"] = _THREADS
-        options["SPARSE_OK"] = "NO" if sheet.everywhere else "YES"
-        rasterio.shutil.copy(virtual, temporary, driver="COG", **options)
+        pixels = placement.window.cols * placement.window.rows * sheet.pixels**2
+        if pixels * len(sheet.layers) * np.dtype(sheet.dtype).itemsize <= _SMALL:
+            with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+                _write_scratch(scratch.name, placement, sheet, paint, side, checked=False)
+                _convert(scratch.name, layer.name, temporary, sheet)
+                if any(band.categories for band in sheet.layers):  # which GDAL keeps in a side file
+                    rasterio.shutil.copyfiles(layer.name, str(temporary))
+                temporary.write_bytes(layer.getbuffer())
+        else:
+            waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
+            painted = _write_scratch(str(waiting), placement, sheet, paint, side, checked=True)
+            require_room(path.parent, waiting.stat().st_size)
+            _convert(str(waiting), str(temporary), temporary, sheet)
+            waiting.unlink()
+            require_same(temporary, painted)
+        names = temporary.with_name(f"{temporary.name}.aux.xml")
+        if names.exists():
+            ET.parse(names)  # noqa: S314 (GDAL has just written it; a full disk may have cut it)
         if sheet.colours:
             _extra_band_is_no_alpha(temporary)
 
 
+def _convert(scratch: str, layer: str, temporary: Path, sheet: Sheet) -> None:
+    """Make the COG ``layer``; a virtual raster that may be needed on the way lies beside ``temporary``."""
+    options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
+    options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
+    options |= {"NUM_THREADS": _THREADS, "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
+    named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), sheet.layers)
+    rasterio.shutil.copy(named, layer, driver="COG", **options)
+
+
 def _write_scratch(
-    scratch: Path, placement: Placement, sheet: Sheet, paint: Callable[[Chunk], NDArray[np.generic]], side: int
-) -> None:
+    scratch: str,
+    placement: Placement,
+    sheet: Sheet,
+    paint: Callable[[Chunk], NDArray[np.generic] | None],
+    side: int,
+    *,
+    checked: bool,
+) -> list[tuple[Window, int]]:
+    """Paint the raster; give the windows that were painted, with their checksums where they will be checked."""
     pixels = sheet.pixels
+    painted = []
     with rasterio.open(
         scratch,
         "w",
@@ -138,21 +169,28 @@ def _write_scratch(
             file.update_tags(number, **({"long_name": layer.text} if layer.text else {}))
         if sheet.colours:
             file.write_colormap(1, sheet.colours)
-        for chunk in placement.chunks(side, everywhere=sheet.everywhere):
-            place = Window(chunk.column * pixels, chunk.line * pixels, chunk.columns * pixels, chunk.lines * pixels)
-            file.write(paint(chunk), window=place)
+        for chunk in placement.chunks(side, aligned=True):
+            canvas = paint(chunk)
+            if canvas is not None:
+                across, down = canvas.shape[2], canvas.shape[1]
+                window = Window(chunk.column * pixels, chunk.line * pixels, across, down)
+                file.write(canvas, window=window)
+                painted.append((window, digest(canvas) if checked else 0))
+    return painted
 
 
-def _name_categories(virtual: Path, layers: Sequence[Layer]) -> None:
+def _name_categories(scratch: str, virtual: Path, layers: Sequence[Layer]) -> str:
     # rasterio cannot set category names; GDAL takes them from a virtual raster, and the COG driver passes them on.
     if not any(layer.categories for layer in layers):
-        return
+        return scratch
+    rasterio.shutil.copy(scratch, virtual, driver="VRT")
     tree = ET.parse(virtual)  # noqa: S314 (GDAL has just written it)
     for band, layer in zip(tree.getroot().iter("VRTRasterBand"), layers, strict=True):
         names = ET.SubElement(band, "CategoryNames")
         for category in layer.categories:
             ET.SubElement(names, "Category").text = category
     tree.write(virtual, encoding="utf-8")
+    return str(virtual)
 
 
 def _extra_band_is_no_alpha(path: Path) -> None:

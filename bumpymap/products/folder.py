@@ -1,23 +1,37 @@
 """The folder of a run: checked before the long work, filled after it, the manifest last."""
 
 import logging
-import re
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from bumpymap.atomic import STAGED, together
 from bumpymap.errors import OutputError
 from bumpymap.products.geotiff import write_classes, write_heightmap, write_roughness
-from bumpymap.products.manifest import MANIFEST_NAME, complete_manifest, write_manifest
+from bumpymap.products.manifest import (
+    MANIFEST_NAME,
+    complete_manifest,
+    describe_file,
+    describe_input,
+    write_manifest,
+)
+from bumpymap.products.placement import Placement
 from bumpymap.products.regions import dissolve
+from bumpymap.products.summary import MapSummary, summarise
 from bumpymap.products.table import write_tiles
-from bumpymap.products.vector import place_regions, write_flatgeobuf, write_geojson
-from bumpymap.types import CostMap
+from bumpymap.products.vector import GeoJsonPlace, flatgeobuf_writer, geojson_writer
+from bumpymap.progress import Progress, SilentProgress
+from bumpymap.types import CostMosaic
 
 __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
 
+_THREADS = 2
+"""Layers to write at a time: GDAL, Arrow and checksums work beside each other, and each layer's memory is bounded."""
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
@@ -27,20 +41,29 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "cost.fgb",
     MANIFEST_NAME,
 )
-"""Files of a run, in the order of writing. ``class.tif.aux.xml`` belongs to class.tif: GDAL's category names."""
+"""Files of a run. ``class.tif.aux.xml`` belongs to class.tif: GDAL's category names."""
 
 _log = logging.getLogger(__name__)
 
 
-def check_folder(folder: Path, *, overwrite: bool) -> None:
+def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
     """Make sure that the products of a run can be written to a folder; create it where it is missing.
 
     What a killed run left half-written there goes away.
 
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    overwrite : bool
+        Products of any run may be replaced.
+    resume : bool
+        Products of a run that did not end (without run.json) may be replaced.
+
     Raises
     ------
     OutputError
-        It cannot be created or written, or it holds the products of a run and ``overwrite`` is False.
+        It cannot be created or written, or it holds products that may not be replaced.
     """
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another --out")
@@ -49,7 +72,8 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         probe = folder / f".bumpymap-{uuid4().hex}"
         probe.touch()
         probe.unlink()
-        _sweep(folder)
+        for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
+            shutil.rmtree(left)
         present = [name for name in PRODUCT_NAMES if (folder / name).exists()]
     except OSError as error:
         raise OutputError(
@@ -59,79 +83,117 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     blocked = [name for name in present if not (folder / name).is_file()]
     if blocked:
         raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another --out")
-    if present and not overwrite:
-        unfinished = "" if PRODUCT_NAMES[-1] in present else " of a run that did not end"
+    finished = MANIFEST_NAME in present
+    if present and not overwrite and (finished or not resume):
+        unfinished = "" if finished else " of a run that did not end"
         raise OutputError(
             f"{folder} already holds {', '.join(present)}{unfinished}. Choose another --out, "
             "or pass --overwrite to replace them"
         )
 
 
-def _sweep(folder: Path) -> None:
-    """Remove the scratch files of a run that was killed; see `atomic` for their names."""
-    stems = "|".join({re.escape(Path(name).stem) for name in PRODUCT_NAMES})
-    for left in folder.iterdir():
-        if re.match(rf"\.({stems})\.[0-9a-f]{{32}}\.", left.name) and left.is_file():
-            left.unlink(missing_ok=True)
+def write_products(
+    mosaic: CostMosaic, folder: Path, *, local: bool, manifest: Mapping[str, Any], progress: Progress | None = None
+) -> tuple[list[Path], MapSummary]:
+    """Write every file of a run, all or none; run.json comes last, so a folder that has one is complete.
 
-
-def write_products(cost_map: CostMap, folder: Path, *, local: bool, manifest: Mapping[str, Any]) -> list[Path]:
-    """Write every file of a run; run.json is the last, so a folder that has one is complete.
-
-    Files of an earlier run are replaced one by one, each whole. Nothing in the files but run.json depends on time, on
-    the order of the tiles, or on names of folders: the same map gives the same bytes.
+    Files of an earlier run stay until all the new ones are complete. Nothing in the files but run.json depends on time,
+    on the order of the tiles, or on names of folders: the same map gives the same bytes.
 
     Parameters
     ----------
-    cost_map : CostMap
-        Tiles in any order, at least one.
+    mosaic : CostMosaic
+        The tiles.
     folder : Path
         An existing folder, see `check_folder`.
     local : bool
         Write cost.geojson in the survey's own coordinates where the survey has no CRS.
     manifest : mapping
-        What the run knows about itself, see `complete_manifest`.
+        What the run knows about itself, see `complete_manifest`; ``inputs`` are records with a ``path``, to which size
+        and checksum are added, see `describe_input`.
+    progress : Progress, optional
+        Told of each layer.
 
     Returns
     -------
     list of Path
         The files, in the order of ``PRODUCT_NAMES``.
+    MapSummary
+        What they hold.
 
     Raises
     ------
     OutputError
         The place cannot be written.
     BadInputError
-        No tiles; they span too much for a raster; no CRS and ``local`` is False.
+        The tiles span too much for a raster; no CRS and ``local`` is False; an input is gone.
     """
-    paths = [folder / name for name in PRODUCT_NAMES]
     started = time.perf_counter()
-    facts = _facts(manifest)
-    tags = {key: str(value) for key, value in facts.items()}
-    roughness, klass, heightmap, tiles, geojson, flatgeobuf, run = paths
-    regions = dissolve(cost_map)
+    placement = Placement.of(mosaic)
     # First what may be refused: the survey's CRS may have no relation to longitude and latitude.
-    placed = place_regions(regions, local=local)
-    _forget(run)
-    write_geojson(regions, geojson, local=local, about=facts, placed=placed)
-    write_flatgeobuf(regions, flatgeobuf)
-    write_roughness(cost_map, roughness, tags)
-    write_classes(cost_map, klass, tags)
-    write_heightmap(cost_map, heightmap, tags)
-    write_tiles(cost_map, tiles)
-    record = complete_manifest(manifest, cost_map, paths[:-1])
-    record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
-    write_manifest(record, run)
-    _log.info("wrote %d tiles in %d regions to %s", len(cost_map.klass), len(regions.tiles), folder)
-    return paths
+    globe = GeoJsonPlace.of(placement, local=local)
+    told = progress or SilentProgress()
+    with together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as beside:
+        counting = beside.submit(summarise, mosaic)
+        inputs = [beside.submit(describe_input, record) for record in manifest.get("inputs", ())]
+        try:
+            layers = _write_layers(_layers(mosaic, globe, staged, _facts(manifest)), staged, told)
+            summary = counting.result()
+            known = [future.result() for future in inputs]
+        finally:
+            beside.shutdown(wait=False, cancel_futures=True)
+        record = complete_manifest(manifest, mosaic, summary, known, layers)
+        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
+        write_manifest(record, staged / MANIFEST_NAME)
+    _log.info("wrote %d tiles to %s", summary.tiles, folder)
+    return [folder / name for name in PRODUCT_NAMES], summary
 
 
-def _forget(run: Path) -> None:
-    """Remove the manifest of an earlier run: from here on it would describe other files."""
-    try:
-        run.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot replace {run}: {error}. Choose another --out") from error
+def _layers(
+    mosaic: CostMosaic, globe: GeoJsonPlace, folder: Path, facts: dict[str, Any]
+) -> dict[tuple[str, ...], Callable[[], None]]:
+    """Names of the layers, and what writes them; the longest work first."""
+    tags = {key: str(value) for key, value in facts.items()}
+    return {
+        ("heightmap.tif",): partial(write_heightmap, mosaic, folder / "heightmap.tif", tags),
+        ("cost.geojson", "cost.fgb"): partial(_write_regions, mosaic, globe, folder, facts),
+        ("tiles.parquet",): partial(write_tiles, mosaic, folder / "tiles.parquet"),
+        ("roughness.tif",): partial(write_roughness, mosaic, folder / "roughness.tif", tags),
+        ("class.tif",): partial(write_classes, mosaic, folder / "class.tif", tags),
+    }
+
+
+def _write_layers(
+    layers: Mapping[tuple[str, ...], Callable[[], None]], folder: Path, told: Progress
+) -> list[dict[str, Any]]:
+    """Write layers, `_THREADS` at a time; give name, size and checksum of each file, in the order of the names."""
+
+    def write(names: tuple[str, ...], layer: Callable[[], None]) -> list[dict[str, Any]]:
+        layer()
+        return [describe_file(folder / name) | {"path": name} for name in names]
+
+    told.start("writing layers", len(layers))
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            futures = [pool.submit(write, names, layer) for names, layer in layers.items()]
+            for future in as_completed(futures):
+                future.result()
+                told.advance(1)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    files = [file for future in futures for file in future.result()]
+    return sorted(files, key=lambda file: PRODUCT_NAMES.index(file["path"]))
+
+
+def _write_regions(mosaic: CostMosaic, globe: GeoJsonPlace, folder: Path, facts: Mapping[str, Any]) -> None:
+    place = globe.placement
+    with (
+        geojson_writer(folder / "cost.geojson", globe, facts) as to_globe,
+        flatgeobuf_writer(folder / "cost.fgb", place) as to_flat,
+    ):
+        for regions in dissolve(mosaic, place):
+            to_globe(regions)
+            to_flat(regions)
 
 
 def _facts(manifest: Mapping[str, Any]) -> dict[str, Any]:

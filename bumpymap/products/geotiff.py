@@ -1,6 +1,6 @@
 """The raster layers: roughness.tif, class.tif, heightmap.tif."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,8 @@ from pyproj import CRS
 
 from bumpymap.products._cog import Layer, Sheet, write_cog
 from bumpymap.products.placement import Chunk, Placement
-from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
+from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpytiles import BLOCK_TILES, Mosaic
 
 __all__ = ["CLASS_COLOURS", "write_classes", "write_heightmap", "write_roughness"]
 
@@ -24,17 +25,19 @@ CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
 
 _TILE_BLOCK = 128
 _HEIGHT_BLOCK = 512
-_TILE_CHUNK = 512
+_TILE_CHUNK = 16 * BLOCK_TILES
+"""Side of the chunks that are painted at a time, tiles: whole blocks, so that none is read twice."""
 _CHUNK_PIXELS = 1024
+"""The same for the height map, pixels: as many blocks as fit."""
 
 
-def write_roughness(cost_map: CostMap, path: Path, about: dict[str, str] | None = None) -> None:
+def write_roughness(mosaic: CostMosaic, path: Path, about: dict[str, str] | None = None) -> None:
     """Write roughness.tif: a COG, float32, one pixel a tile, one band for each of ``BANDS``, NaN where there is none.
 
     Parameters
     ----------
-    cost_map : CostMap
-        Tiles in any order.
+    mosaic : CostMosaic
+        The tiles.
     path : Path
         The file.
     about : dict, optional
@@ -45,10 +48,10 @@ def write_roughness(cost_map: CostMap, path: Path, about: dict[str, str] | None 
     OutputError
         The place cannot be written.
     BadInputError
-        No tiles, or they span too much for a raster.
+        The tiles span too much for a raster.
     """
-    place = Placement.of(cost_map)
-    values = [cost_map.band(band.name) for band in BANDS]
+    place = Placement.of(mosaic)
+    gaps = {band.name: np.nan for band in BANDS}
     sheet = Sheet(
         layers=[Layer(band.name, band.unit, band.description) for band in BANDS],
         dtype="float32",
@@ -57,19 +60,18 @@ def write_roughness(cost_map: CostMap, path: Path, about: dict[str, str] | None 
         crs=place.horizontal_crs,
         overviews="AVERAGE",
         block=_TILE_BLOCK,
-        about=_about(cost_map, "ride cost and roughness of each tile", about),
+        about=_about(mosaic, "ride cost and roughness of each tile", about),
     )
+    write_cog(path, place, sheet, _painter(mosaic.tiles, gaps, "float32"), _TILE_CHUNK)
 
-    write_cog(path, place, sheet, _painter(place, values, [np.nan] * len(values), "float32"), _TILE_CHUNK)
 
-
-def write_classes(cost_map: CostMap, path: Path, about: dict[str, str] | None = None) -> None:
+def write_classes(mosaic: CostMosaic, path: Path, about: dict[str, str] | None = None) -> None:
     """Write class.tif: a COG, uint8; band 1 the class, ``NO_CLASS`` (nodata) where there is none; band 2 the reason.
 
     Category names stand in ``class.tif.aux.xml``, where GDAL keeps them; the colour table is in the TIFF itself.
     Parameters and failures: see `write_roughness`.
     """
-    place = Placement.of(cost_map)
+    place = Placement.of(mosaic)
     sheet = Sheet(
         layers=[
             Layer("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
@@ -82,21 +84,20 @@ def write_classes(cost_map: CostMap, path: Path, about: dict[str, str] | None = 
         overviews="MODE",
         block=_TILE_BLOCK,
         colours=CLASS_COLOURS,
-        about=_about(cost_map, "roughness class of each tile", about),
+        about=_about(mosaic, "roughness class of each tile", about),
         everywhere=True,  # the reason says something about tiles without points too
     )
-    values = [cost_map.klass, cost_map.patches.reason]
-    write_cog(path, place, sheet, _painter(place, values, [NO_CLASS, Reason.NO_POINTS], "uint8"), _TILE_CHUNK)
+    gaps = {"klass": NO_CLASS, "reason": Reason.NO_POINTS}
+    write_cog(path, place, sheet, _painter(mosaic.tiles, gaps, "uint8", everywhere=True), _TILE_CHUNK)
 
 
-def write_heightmap(cost_map: CostMap, path: Path, about: dict[str, str] | None = None) -> None:
+def write_heightmap(mosaic: CostMosaic, path: Path, about: dict[str, str] | None = None) -> None:
     """Write heightmap.tif: a COG, float32, the heightmaps of all tiles side by side, NaN where no point fell.
 
     Parameters and failures: see `write_roughness`.
     """
-    place = Placement.of(cost_map)
+    place = Placement.of(mosaic)
     pixels = place.grid.pixels
-    heights = cost_map.patches.heights
     sheet = Sheet(
         layers=[Layer("height", "m", "mean height of the points in the pixel")],
         dtype="float32",
@@ -105,31 +106,38 @@ def write_heightmap(cost_map: CostMap, path: Path, about: dict[str, str] | None 
         crs=_crs_of_heights(place),
         overviews="AVERAGE",
         block=_HEIGHT_BLOCK,
-        about=_about(cost_map, "height map", about),
+        about=_about(mosaic, "height map", about),
         # Measured on 56 million pixels: level 6 takes twice the time of level 1 and saves 4 % of the bytes.
         level=1,
     )
 
-    def paint(chunk: Chunk) -> NDArray[np.float32]:
-        canvas = np.full((chunk.lines, pixels, chunk.columns, pixels), np.nan, dtype=np.float32)
-        line, column = place.line[chunk.members] - chunk.line, place.column[chunk.members] - chunk.column
-        canvas[line, :, column, :] = heights[place.order[chunk.members]]
-        return canvas.reshape(1, chunk.lines * pixels, chunk.columns * pixels)
+    def paint(chunk: Chunk) -> NDArray[np.float32] | None:
+        if not mosaic.tiles.holds(chunk.window):
+            return None
+        found = mosaic.tiles.read(("heights",), chunk.window)
+        line, column = chunk.places(found)
+        lines, columns = chunk.window.rows, chunk.window.cols
+        canvas = np.full((lines, pixels, columns, pixels), np.nan, dtype=np.float32)
+        canvas[line, :, column, :] = found["heights"]
+        return canvas.reshape(1, lines * pixels, columns * pixels)
 
-    write_cog(path, place, sheet, paint, max(1, _CHUNK_PIXELS // pixels))
+    write_cog(path, place, sheet, paint, max(1, _CHUNK_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
 
 
 def _painter(
-    place: Placement, values: Sequence[NDArray[np.generic]], gaps: Sequence[float], dtype: str
-) -> Callable[[Chunk], NDArray[np.generic]]:
-    """Give the function that lays out one value a tile and band; ``values`` are in the map's order."""
+    tiles: Mosaic, gaps: Mapping[str, float], dtype: str, *, everywhere: bool = False
+) -> Callable[[Chunk], NDArray[np.generic] | None]:
+    """Give the function that lays out one value a tile and band; ``gaps`` are what stands where there is no tile."""
 
-    def paint(chunk: Chunk) -> NDArray[np.generic]:
-        canvas = np.empty((len(values), chunk.lines, chunk.columns), dtype=dtype)
-        line, column = place.line[chunk.members] - chunk.line, place.column[chunk.members] - chunk.column
-        for band, value, gap in zip(canvas, values, gaps, strict=True):
+    def paint(chunk: Chunk) -> NDArray[np.generic] | None:
+        if not (everywhere or tiles.holds(chunk.window)):
+            return None
+        canvas = np.empty((len(gaps), chunk.window.rows, chunk.window.cols), dtype=dtype)
+        found = tiles.read(tuple(gaps), chunk.window)
+        place = chunk.places(found)
+        for band, (name, gap) in zip(canvas, gaps.items(), strict=True):
             band[...] = gap
-            band[line, column] = value[place.order[chunk.members]]
+            band[place] = found[name]
         return canvas
 
     return paint
@@ -141,7 +149,7 @@ def _crs_of_heights(place: Placement) -> CRS | None:
     return place.georeference.crs if metres else place.horizontal_crs
 
 
-def _about(cost_map: CostMap, title: str, about: dict[str, str] | None) -> dict[str, str]:
-    grid = cost_map.patches.grid
-    own = {"title": title, "tile_size_m": f"{grid.tile_size:g}", "ride_weight_m_per_rad": f"{cost_map.ride_weight:g}"}
+def _about(mosaic: CostMosaic, title: str, about: dict[str, str] | None) -> dict[str, str]:
+    grid = mosaic.tiles.grid
+    own = {"title": title, "tile_size_m": f"{grid.tile_size:g}", "ride_weight_m_per_rad": f"{mosaic.ride_weight:g}"}
     return own | (about or {})

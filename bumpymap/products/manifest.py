@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,9 +16,17 @@ from pyproj import CRS, proj_version_str
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
+from bumpymap.products.summary import MapSummary
+from bumpymap.types import CostMosaic
 
-__all__ = ["MANIFEST_NAME", "complete_manifest", "describe_file", "software_versions", "summarise", "write_manifest"]
+__all__ = [
+    "MANIFEST_NAME",
+    "complete_manifest",
+    "describe_file",
+    "describe_input",
+    "software_versions",
+    "write_manifest",
+]
 
 MANIFEST_NAME = "run.json"
 _FORMAT = "bumpymap-run"
@@ -44,57 +52,52 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def complete_manifest(manifest: Mapping[str, Any], cost_map: CostMap, files: list[Path]) -> dict[str, Any]:
+def complete_manifest(
+    manifest: Mapping[str, Any],
+    mosaic: CostMosaic,
+    summary: MapSummary,
+    inputs: Sequence[Mapping[str, Any]],
+    files: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
     """Add to a run's own record what can be told from its map and files.
 
     Parameters
     ----------
     manifest : mapping
-        What the run knows: ``inputs`` (records with a ``path``; size and checksum are added), settings, model,
-        calibration, timings. Its entries are kept.
-    cost_map : CostMap
+        What the run knows: settings, model, calibration, timings. Its entries are kept.
+    mosaic : CostMosaic
         The map.
-    files : list of Path
-        Products that were written.
+    summary : MapSummary
+        Of that map.
+    inputs, files : sequences of mappings
+        From `describe_input` and `describe_file`.
 
     Returns
     -------
     dict
         With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``counts`` and ``files`` beside.
     """
-    inputs = [_complete_input(record) for record in manifest.get("inputs", ())]
+    place, grid = mosaic.georeference, mosaic.tiles.grid
+    crs = place.crs
     return {
         "format": _FORMAT,
         "version": _VERSION,
         **manifest,
-        "inputs": inputs,
+        "inputs": list(inputs),
         "versions": software_versions() | dict(manifest.get("versions", {})),
-        **summarise(cost_map),
-        "files": [describe_file(path) | {"path": path.name} for path in files],
-    }
-
-
-def summarise(cost_map: CostMap) -> dict[str, Any]:
-    """Place and size of a map: ``crs``, ``grid``, ``counts`` by class and by reason."""
-    place, patches = cost_map.georeference, cost_map.patches
-    known = cost_map.klass[cost_map.klass != NO_CLASS]
-    by_class = np.bincount(known, minlength=len(CLASS_NAMES))
-    by_reason = np.bincount(patches.reason[cost_map.klass == NO_CLASS], minlength=len(Reason))
-    return {
-        "crs": None
-        if place.crs is None
-        else {"name": place.crs.name, "code": _code(place.crs), "wkt": place.crs.to_wkt()},
+        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
         "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
-        "grid": {"tile_size_m": patches.grid.tile_size, "pixels": patches.grid.pixels},
-        "ride_weight_m_per_rad": cost_map.ride_weight,
+        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+        "ride_weight_m_per_rad": mosaic.ride_weight,
         "counts": {
-            "tiles": len(patches.col),
-            "classified": len(known),
-            "unknown": len(patches.col) - len(known),
-            "points": int(patches.count.sum()),
-            "by_class": {name: int(count) for name, count in zip(CLASS_NAMES, by_class, strict=True)},
-            "by_reason": {REASON_TEXT[code]: int(by_reason[code]) for code in Reason if by_reason[code]},
+            "tiles": summary.tiles,
+            "classified": summary.tiles - summary.unknown,
+            "unknown": summary.unknown,
+            "points": summary.points,
+            "by_class": summary.classes,
+            "by_reason": summary.reasons,
         },
+        "files": [dict(file) for file in files],
     }
 
 
@@ -125,9 +128,18 @@ def describe_file(path: Path) -> dict[str, Any]:
         raise BadInputError(f"cannot read {path} to take its checksum: {error}") from error
 
 
-def _complete_input(record: Any) -> dict[str, Any]:
-    known = dict(record) if isinstance(record, Mapping) else {"path": record}
-    return describe_file(Path(known["path"])) | known
+def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Add size and checksum to what a run knows of an input.
+
+    A record that has both already (None where nobody knows, as for an URL) is not read again.
+
+    Raises
+    ------
+    BadInputError
+        It cannot be read.
+    """
+    known = dict(record)
+    return known if {"bytes", "sha256"} <= known.keys() else describe_file(Path(known["path"])) | known
 
 
 def _code(crs: CRS) -> str | None:

@@ -1,5 +1,6 @@
 """Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,12 +8,21 @@ import rasterio.features
 import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
-from scipy import ndimage
 
-from bumpymap.products.placement import Placement
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMap, Reason
+from bumpymap.products._label import label
+from bumpymap.products.placement import Chunk, Placement
+from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpytiles import TileWindow
 
-__all__ = ["Regions", "dissolve"]
+__all__ = ["CELL", "Regions", "dissolve"]
+
+CELL = 2_048
+"""Side of the cells that regions are cut at, tiles: 6 km of 3 m tiles."""
+_BATCH = 32_768
+"""Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
+_STRIP = 65_536
+"""Most tiles to read at a time."""
+_VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
 _UNKNOWN = 100
 """Key of an unknown tile: this plus its reason. A class's key is the class plus one; 0 is a tile without points."""
@@ -20,7 +30,7 @@ _UNKNOWN = 100
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """One row a region, the one with the northmost (then westmost) tile first."""
+    """Regions of a map, one row each."""
 
     placement: Placement
     outlines: NDArray[np.object_]
@@ -59,77 +69,86 @@ class Regions:
         return np.asarray(self.tiles * self.placement.grid.tile_size**2, dtype=np.float64)
 
 
-def dissolve(cost_map: CostMap, placement: Placement | None = None) -> Regions:
+def dissolve(mosaic: CostMosaic, placement: Placement | None = None) -> Iterator[Regions]:
     """Join neighbouring tiles of one class, or unknown for one reason, into regions.
 
     Tiles are neighbours when they share a side. Outlines run along tile sides; vertices are whole numbers of tiles.
+    A large map is dissolved cell by cell, `CELL` x `CELL` tiles counted from its north-west corner: a region that
+    crosses the border of a cell is cut there, and memory does not depend on the size of the map.
 
     Parameters
     ----------
-    cost_map : CostMap
-        Tiles in any order.
+    mosaic : CostMosaic
+        The tiles.
     placement : Placement, optional
         Where they lie, if that is known already.
 
-    Returns
-    -------
+    Yields
+    ------
     Regions
+        Some thousand at a time: the cells north-west first, in each the region with the northmost (then westmost)
+        tile first.
 
     Raises
     ------
     BadInputError
-        No tiles, or they span too much for a raster.
+        The tiles span too much for a raster.
     """
-    place = placement or Placement.of(cost_map)
-    klass, reason = cost_map.klass[place.order], cost_map.patches.reason[place.order]
-    keys = np.where(cost_map.klass == NO_CLASS, _UNKNOWN + cost_map.patches.reason, cost_map.klass + 1)
-    labels = _label(place.raster(keys, 0))
-    found, first, region, tiles = np.unique(
-        labels[place.line, place.column], return_index=True, return_inverse=True, return_counts=True
-    )
-    by_first = np.argsort(first)  # tiles stand in canonical order, so this one does not depend on how labels were given
-    first, tiles = first[by_first], tiles[by_first]
-
-    def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
-        total = np.bincount(region, weights=values[place.order].astype(np.float64), minlength=len(found))
-        return np.asarray(total[by_first] / tiles, dtype=np.float64)
-
-    c_r = mean(cost_map.c_r)
-    return Regions(
-        placement=place,
-        outlines=_outlines(labels, place, found[by_first]),
-        klass=klass[first],
-        reason=reason[first],
-        tiles=tiles.astype(np.int64),
-        c_r=c_r,
-        c_r_low=mean(cost_map.c_r_low),
-        c_r_high=mean(cost_map.c_r_high),
-        p_fail=mean(cost_map.p_fail),
-        cost=1.0 + cost_map.ride_weight * c_r,
-    )
+    place = placement or Placement.of(mosaic)
+    for chunk in place.chunks(CELL, aligned=False):
+        if mosaic.tiles.holds(chunk.window):
+            yield from _dissolve_cell(mosaic, place, chunk)
 
 
-def _label(keys: NDArray[np.generic]) -> NDArray[np.int32]:
-    """Give a number to each of the 4-connected areas of equal key, from 1; 0 where the key is 0."""
-    labels = np.zeros(keys.shape, dtype=np.int32)
-    known = 0
-    for key in np.unique(keys):
-        if key == 0:
-            continue
-        part, count = ndimage.label(keys == key)
-        np.add(part, known, out=labels, where=part > 0)
-        known += count
-    return labels
+def _dissolve_cell(mosaic: CostMosaic, place: Placement, chunk: Chunk) -> Iterator[Regions]:
+    keys, values = _lay_out(mosaic, chunk)
+    labels, first, last, tiles, totals = label(keys, values)
+    del values
+    key = keys.ravel()[first]
+    means = totals / tiles
+    klass = np.where(key >= _UNKNOWN, NO_CLASS, key - 1).astype(np.uint8)
+    reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
+    for start in range(0, len(first), _BATCH):
+        some = slice(start, start + _BATCH)
+        rows = slice(int(first[start]) // chunk.window.cols, int(last[some].max()) // chunk.window.cols + 1)
+        c_r, c_r_low, c_r_high, p_fail = means[:, some]
+        yield Regions(
+            placement=place,
+            outlines=_outlines(labels, chunk.window, rows, range(start + 1, start + len(first[some]) + 1)),
+            klass=klass[some],
+            reason=reason[some],
+            tiles=tiles[some],
+            c_r=c_r,
+            c_r_low=c_r_low,
+            c_r_high=c_r_high,
+            p_fail=p_fail,
+            cost=1.0 + mosaic.ride_weight * c_r,
+        )
 
 
-def _outlines(labels: NDArray[np.int32], place: Placement, wanted: NDArray[np.int32]) -> NDArray[np.object_]:
-    """Trace the outline of each label, in the order of ``wanted``, in grid coordinates."""
-    window = place.window
-    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows)
-    by_label = np.empty(int(labels.max()) + 1, dtype=object)
-    for shape, label in rasterio.features.shapes(labels, mask=labels > 0, connectivity=4, transform=grid):
+def _lay_out(mosaic: CostMosaic, chunk: Chunk) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Keys (rows, cols) of a cell, 0 where there is no tile, and values (4, rows, cols), north row first."""
+    window = chunk.window
+    keys = np.zeros((window.rows, window.cols), dtype=np.uint8)
+    values = np.zeros((len(_VALUES), window.rows, window.cols), dtype=np.float32)
+    for strip in mosaic.tiles.strips(_STRIP, window):
+        found = mosaic.tiles.read(("klass", "reason", *_VALUES), strip)
+        place = chunk.places(found)
+        keys[place] = np.where(found["klass"] == NO_CLASS, _UNKNOWN + found["reason"], found["klass"] + 1)
+        for canvas, name in zip(values, _VALUES, strict=True):
+            canvas[place] = found[name]
+    return keys, values
+
+
+def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
+    """Trace the outlines of some labels of a cell, which lie in some of its rows, in grid coordinates."""
+    part = labels[rows]
+    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
+    mask = (part >= wanted.start) & (part < wanted.stop)
+    traced = np.empty(len(wanted), dtype=object)
+    for shape, number in rasterio.features.shapes(part, mask=mask, connectivity=4, transform=grid):
         outer, *holes = shape["coordinates"]
-        by_label[int(label)] = shapely.Polygon(outer, holes)
+        traced[int(number) - wanted.start] = shapely.Polygon(outer, holes)
     # GEOS's normal form runs clockwise; right-hand rings are its reverse. It also fixes where a ring starts.
-    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(by_label[wanted]))
+    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))
     return outlines

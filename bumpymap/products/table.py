@@ -1,6 +1,7 @@
 """tiles.parquet: GeoParquet, one row a tile, everything that is known about it."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +13,32 @@ from numpy.typing import NDArray
 
 from bumpymap.atomic import atomic
 from bumpymap.products.placement import Placement
-from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, Band, CostMap, Reason
+from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostMosaic, Reason, tile_columns
+from bumpytiles import Mosaic
 
 __all__ = ["write_tiles"]
 
 _ROW_GROUP = 16_384
-"""Tiles a row group: 15 MB of heights at 15 x 15 pixels."""
-_NUMBERS = ("z_min", "z_max", "relief")
+"""Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
+_NUMBERS = ("count", "reason", "z_min", "z_max", "relief")
 
 
-def write_tiles(cost_map: CostMap, path: Path) -> None:
-    """Write tiles.parquet: GeoParquet 1.1, tiles north first, then west first.
+def write_tiles(mosaic: CostMosaic, path: Path) -> None:
+    """Write tiles.parquet: GeoParquet 1.1, one row a tile.
 
-    Numbers that are unknown are null; the pixels of ``heights`` where no point fell are NaN.
+    Tiles come strip by strip, as `Mosaic.strips` cuts them: strips are a row of blocks high, north first, then west
+    first; inside a strip tiles stand north first, then west first. Numbers that are unknown are null; the pixels of
+    ``heights`` where no point fell are NaN.
 
     Raises
     ------
     OutputError
         The place cannot be written.
     BadInputError
-        No tiles.
+        The tiles span too much for a raster.
     """
-    place = Placement.of(cost_map)
-    schema = _schema(cost_map, place)
+    place = Placement.of(mosaic)
+    schema = _schema(place)
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
         pq.ParquetWriter(
@@ -46,16 +50,30 @@ def write_tiles(cost_map: CostMap, path: Path) -> None:
             column_encoding={"heights.list.element": "BYTE_STREAM_SPLIT"},
         ) as writer,
     ):
-        for start in range(0, len(place.order), _ROW_GROUP):
-            writer.write_table(_rows(cost_map, place, schema, place.order[start : start + _ROW_GROUP]))
+        for found in _groups(mosaic.tiles):
+            writer.write_table(_rows(found, place, schema))
 
 
-def _schema(cost_map: CostMap, place: Placement) -> pa.Schema:
+def _groups(tiles: Mosaic) -> Iterator[dict[str, NDArray[Any]]]:
+    """Columns of the tiles, row group by row group: as many strips as fit."""
+    names = [column.name for column in tile_columns(tiles.grid.pixels)]
+    held: list[dict[str, NDArray[Any]]] = []
+    for strip in tiles.strips(_ROW_GROUP):
+        found = tiles.read(names, strip)
+        if sum(len(part["col"]) for part in [*held, found]) > _ROW_GROUP:
+            yield {name: np.concatenate([part[name] for part in held]) for name in names}
+            held = []
+        held.append(found)
+    yield {name: np.concatenate([part[name] for part in held]) for name in names}
+
+
+def _schema(place: Placement) -> pa.Schema:
+    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
     fields = [
         _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
         _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
         _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
-        *(_field(band.name, _kind(cost_map, band), band.description, band.unit) for band in BANDS),
+        *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
         _field("count", pa.int64(), "points that were measured", nullable=False),
         _field("z_min", pa.float64(), "lowest point", "m"),
         _field("z_max", pa.float64(), "highest point", "m"),
@@ -68,10 +86,6 @@ def _schema(cost_map: CostMap, place: Placement) -> pa.Schema:
         _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
     ]
     return pa.schema(fields, metadata={"geo": json.dumps(_geo(place))})
-
-
-def _kind(cost_map: CostMap, band: Band) -> pa.DataType:
-    return pa.from_numpy_dtype(cost_map.band(band.name).dtype)
 
 
 def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
@@ -95,26 +109,21 @@ def _geo(place: Placement) -> dict[str, Any]:
     return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
 
 
-def _rows(cost_map: CostMap, place: Placement, schema: pa.Schema, members: NDArray[np.int64]) -> pa.Table:
-    """Columns of some tiles; ``members`` are their positions in the map."""
-    patches = cost_map.patches
-    col, row = patches.col[members], patches.row[members]
+def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -> pa.Table:
+    """Columns of the file from those of some tiles."""
+    col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
-    klass, reason = cost_map.klass[members], patches.reason[members]
-    chance = cost_map.textures.probability[members]
+    chance = found["probability"]
     columns: dict[str, Any] = {
         "col": col,
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
-        "count": patches.count[members],
         "texture": _texture(chance),
-        "class": pa.array(klass.astype(np.int16), mask=klass == NO_CLASS),
-        "reason": reason,
-        "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[reason],
-        "heights": pa.FixedSizeListArray.from_arrays(patches.heights[members].ravel(), place.grid.pixels**2),
+        "class": pa.array(found["klass"].astype(np.int16), mask=found["klass"] == NO_CLASS),
+        "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
+        "heights": pa.FixedSizeListArray.from_arrays(found["heights"].ravel(), place.grid.pixels**2),
     }
-    columns |= {band.name: cost_map.band(band.name)[members] for band in BANDS}
-    columns |= {name: getattr(patches, name)[members] for name in _NUMBERS}
+    columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
 

@@ -1,131 +1,212 @@
-"""The cost map as regions: cost.geojson on the globe, cost.fgb in the survey's CRS."""
+"""The cost map as regions: cost.geojson on the globe, cost.fgb in the survey's CRS.
+
+Both are fed some thousand regions at a time, so that neither the regions nor the files need memory.
+"""
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import shapely
 from numpy.typing import NDArray
+from pyproj import Transformer
 from shapely.geometry import mapping
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
-from bumpymap.products.lonlat import bounding_box, outlines_in_crs, outlines_on_globe
+from bumpymap.products.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
+from bumpymap.products.placement import Placement
 from bumpymap.products.regions import Regions
 from bumpymap.types import NO_CLASS
 
-__all__ = ["place_regions", "write_flatgeobuf", "write_geojson"]
+__all__ = ["GeoJsonPlace", "flatgeobuf_writer", "geojson_writer"]
 
 _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
     "known. This file is therefore not RFC 7946 GeoJSON"
 )
+_KINDS = {"class": pa.int32(), "tiles": pa.int64(), "class_name": pa.string(), "reason": pa.string()}
+"""Types of columns of cost.fgb; the others are float64."""
+_GEOMETRY = "geometry"
+_IN_MEMORY = 16 << 20
+"""Most bytes of regions that become FlatGeobuf in memory."""
 
 
-def write_geojson(
-    regions: Regions,
-    path: Path,
-    *,
-    local: bool,
-    about: Mapping[str, Any] | None = None,
-    placed: tuple[NDArray[np.object_], dict[str, Any]] | None = None,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class GeoJsonPlace:
+    """Where cost.geojson lies: on the globe, or in the survey's own coordinates."""
+
+    placement: Placement
+    to_degrees: Transformer | None
+    """None: the survey's own coordinates."""
+
+    @classmethod
+    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonPlace":
+        """Settle it.
+
+        Raises
+        ------
+        BadInputError
+            The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
+        """
+        try:
+            return cls(placement, globe_transformer(placement))
+        except BadInputError:
+            if not local:
+                raise
+            return cls(placement, None)
+
+    @property
+    def members(self) -> dict[str, Any]:
+        """Members of the collection that say so."""
+        if self.to_degrees is not None:
+            return {}
+        return {"local_coordinates": _LOCAL, "metres_per_unit": self.placement.georeference.metres_per_unit}
+
+    def outlines(self, regions: Regions) -> NDArray[np.object_]:
+        """Outlines of regions, there."""
+        if self.to_degrees is not None:
+            return outlines_on_globe(regions, self.to_degrees)
+        own: NDArray[np.object_] = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
+        return own
+
+    def sides(self, box: BoundingBox) -> list[float]:
+        """West, south, east, north of a box around outlines."""
+        return box.sides() if self.to_degrees is None else box.sides_on_globe()
+
+
+@contextmanager
+def geojson_writer(
+    path: Path, place: GeoJsonPlace, about: Mapping[str, Any] | None = None
+) -> Iterator[Callable[[Regions], None]]:
     """Write cost.geojson: RFC 7946, one feature a region, WGS 84 with 7 decimals.
+
+    Where the survey has no CRS: its own coordinates, rounded to 1 mm, with a member that says so.
 
     Parameters
     ----------
-    regions : Regions
-        From `dissolve`.
     path : Path
-        The file.
-    local : bool
-        Where the survey has no CRS, write its own coordinates, rounded to 1 mm, with a member that says so.
+        The file. It appears when the ``with`` ends.
+    place : GeoJsonPlace
+        Where it lies.
     about : mapping, optional
         Further members of the feature collection, such as vehicle and calibration.
-    placed : tuple, optional
-        What `place_regions` gives, where it was asked already.
+
+    Yields
+    ------
+    callable
+        Call it with regions, some at a time.
 
     Raises
     ------
-    BadInputError
-        The survey has no CRS and ``local`` is False; or its CRS has no relation to longitude and latitude.
     OutputError
         The place cannot be written.
     """
-    outlines, place = placed or place_regions(regions, local=local)
-    head = {"type": "FeatureCollection", "name": "cost", **place, **(about or {})}
-    columns = _columns(regions)
+    head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
+    box = BoundingBox()
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(json.dumps(head, ensure_ascii=False, allow_nan=False)[:-1])
-        file.write(', "features": [\n')
-        for number, outline in enumerate(outlines):
-            properties = {name: values[number] for name, values in columns.items()}
-            feature = {"type": "Feature", "properties": properties, "geometry": mapping(outline)}
-            file.write(",\n" if number else "")
-            file.write(json.dumps(feature, ensure_ascii=False, allow_nan=False))
-        file.write("\n]}\n")
+        file.write(', "features": [')
+        separator = "\n"
+
+        def add(regions: Regions) -> None:
+            nonlocal separator
+            outlines, columns = place.outlines(regions), _columns(regions)
+            box.add(outlines)
+            for number, outline in enumerate(outlines):
+                properties = {name: values[number] for name, values in columns.items()}
+                feature = {"type": "Feature", "properties": properties, "geometry": mapping(outline)}
+                file.write(separator + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+                separator = ",\n"
+
+        yield add
+        file.write(f'\n], "bbox": {json.dumps(place.sides(box))}}}\n')
 
 
-def place_regions(regions: Regions, *, local: bool) -> tuple[NDArray[np.object_], dict[str, Any]]:
-    """Place outlines as cost.geojson has them, with the members of the collection that say where they are.
+@contextmanager
+def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Regions], None]]:
+    """Write cost.fgb: the regions of `geojson_writer`, in the survey's CRS (none where it has none).
 
-    Raises
+    Regions wait in a file of Arrow batches: FlatGeobuf begins with an index of all of them.
+
+    Parameters
+    ----------
+    path : Path
+        The file. It appears when the ``with`` ends.
+    placement : Placement
+        Where the tiles lie.
+
+    Yields
     ------
-    BadInputError
-        The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
-    """
-    try:
-        outlines = outlines_on_globe(regions)
-    except BadInputError:
-        if not local:
-            raise
-        outlines = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
-        return outlines, {
-            "bbox": [float(side) for side in shapely.total_bounds(outlines)],
-            "local_coordinates": _LOCAL,
-            "metres_per_unit": regions.placement.georeference.metres_per_unit,
-        }
-    return outlines, {"bbox": bounding_box(outlines)}
-
-
-def write_flatgeobuf(regions: Regions, path: Path) -> None:
-    """Write cost.fgb: the regions of `write_geojson`, in the survey's CRS (none where it has none).
+    callable
+        Call it with regions, some at a time.
 
     Raises
     ------
     OutputError
         The place cannot be written.
     """
+    with atomic(path, (pa.ArrowException,)) as temporary:
+        waiting = temporary.with_name(f"{temporary.stem}.arrow")
+        schema, count = _schema(), 0
+        with pa.OSFile(str(waiting), "wb") as file, pa.ipc.new_stream(file, schema) as stream:
+
+            def add(regions: Regions) -> None:
+                nonlocal count
+                count += len(regions.tiles)
+                stream.write_batch(_batch(regions, schema))
+
+            yield add
+        _convert(waiting, count, temporary, placement)
+
+
+def _schema() -> pa.Schema:
+    names = ("class", "class_name", "reason", "c_r", "c_r_low", "c_r_high", "p_fail", "cost", "area_m2", "tiles")
+    return pa.schema([*((name, _KINDS.get(name, pa.float64())) for name in names), (_GEOMETRY, pa.binary())])
+
+
+def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
+    columns: dict[str, Any] = _columns(regions)
+    columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
+    return pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+
+
+def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
+    """Turn the regions that wait, so many, into FlatGeobuf."""
     # pyogrio loads pandas and geopandas where they are installed, which takes a while: only when it is needed.
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
-    from pyogrio.raw import write
+    from pyogrio.raw import read, write_arrow
 
-    failures = (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError)
-    crs = regions.placement.horizontal_crs
-    columns = _columns(regions)
-    kinds = {"class": np.int32, "tiles": np.int64, "class_name": object, "reason": object}
-    masks = [np.array([value is None for value in values]) for values in columns.values()]
-    # Through memory: GDAL does not notice when a disk fills up in the last few bytes (seen in 3.8 and 3.12), and takes
-    # what follows a '!' in a path for a part of an archive.
-    content = BytesIO()
-    with atomic(path, failures) as temporary, warnings.catch_warnings():
+    crs = placement.horizontal_crs
+    # Small ones through memory. GDAL takes what follows a '!' in a path for a part of an archive, and does not notice
+    # when a disk fills up in the last few bytes (seen in 3.8 and 3.12): so the last feature of a large one is read.
+    straight = waiting.stat().st_size > _IN_MEMORY and "!" not in str(temporary)
+    target = temporary if straight else BytesIO()
+    with pa.OSFile(str(waiting), "rb") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="'crs' was not provided")
-        write(
-            content,
-            geometry=shapely.to_wkb(outlines_in_crs(regions), byte_order=1),
-            field_data=[_filled(values, kinds.get(name, np.float64)) for name, values in columns.items()],
-            field_mask=masks,
-            fields=list(columns),
-            layer="cost",
-            driver="FlatGeobuf",
-            geometry_type="Polygon",
-            crs=None if crs is None else crs.to_wkt(),
-        )
-        temporary.write_bytes(content.getbuffer())
+        try:
+            write_arrow(
+                pa.ipc.open_stream(file),
+                target,
+                layer="cost",
+                driver="FlatGeobuf",
+                geometry_name=_GEOMETRY,
+                geometry_type="Polygon",
+                crs=None if crs is None else crs.to_wkt(),
+            )
+            if isinstance(target, BytesIO):
+                temporary.write_bytes(target.getbuffer())
+            else:
+                read(temporary, skip_features=regions - 1, max_features=1)
+        except (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError, ValueError) as error:
+            raise OSError(str(error)) from error
 
 
 def _columns(regions: Regions) -> dict[str, list[Any]]:
@@ -148,9 +229,3 @@ def _columns(regions: Regions) -> dict[str, list[Any]]:
 def _numbers(values: NDArray[np.float64], decimals: int) -> list[float | None]:
     rounded: list[float] = values.round(decimals).tolist()
     return [value if is_number else None for value, is_number in zip(rounded, np.isfinite(values), strict=True)]
-
-
-def _filled(values: list[Any], kind: type) -> NDArray[Any]:
-    """Make an array of a column; what stands in for None is masked."""
-    blank = "" if kind is object else 0
-    return np.array([blank if value is None else value for value in values], dtype=kind)

@@ -29,7 +29,7 @@ ROOMS = {
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
     "products": (
         set(),
-        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "scipy", "shapely"},
+        {"bumpytiles", "numba", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
     ),
     "pipeline": ({"calibration", "classify", "cost", "features", "products", "readers"}, {"bumpytiles"}),
     "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),

@@ -4,17 +4,36 @@ from contextlib import contextmanager
 
 import pytest
 
-from bumpymap.atomic import atomic
+from bumpymap.atomic import atomic, together
 from bumpymap.errors import OutputError
 from bumpymap.products import (
+    GeoJsonPlace,
     dissolve,
+    flatgeobuf_writer,
+    geojson_writer,
     write_classes,
-    write_flatgeobuf,
-    write_geojson,
     write_heightmap,
     write_roughness,
     write_tiles,
 )
+from bumpymap.types import CostMosaic
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(CostMosaic.of(cost_map))
+    return regions
+
+
+def write_geojson(regions, path, *, local, about=None):
+    place = GeoJsonPlace.of(regions.placement, local=local)
+    with geojson_writer(path, place, about) as add:
+        add(regions)
+
+
+def write_flatgeobuf(regions, path):
+    with flatgeobuf_writer(path, regions.placement) as add:
+        add(regions)
 
 
 def names(folder):
@@ -80,19 +99,23 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
 
 
 WRITERS = {
-    "roughness.tif": write_roughness,
-    "class.tif": write_classes,
-    "heightmap.tif": write_heightmap,
-    "tiles.parquet": write_tiles,
-    "cost.geojson": lambda cost_map, path: write_geojson(dissolve(cost_map), path, local=False),
-    "cost.fgb": lambda cost_map, path: write_flatgeobuf(dissolve(cost_map), path),
+    "roughness.tif": lambda cost_map, path: write_roughness(CostMosaic.of(cost_map), path),
+    "class.tif": lambda cost_map, path: write_classes(CostMosaic.of(cost_map), path),
+    "heightmap.tif": lambda cost_map, path: write_heightmap(CostMosaic.of(cost_map), path),
+    "tiles.parquet": lambda cost_map, path: write_tiles(CostMosaic.of(cost_map), path),
+    "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
+    "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),
 }
 
 
 @pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
 @pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
+@pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", WRITERS)
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, product, missing):
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, missing, small):
+    if not small:  # what large layers do
+        monkeypatch.setattr("bumpymap.products.vector._IN_MEMORY", 0)
+        monkeypatch.setattr("bumpymap.products._cog._SMALL", 0)
     cost_map, path = make_field(20, 15), tmp_path / product
     WRITERS[product](cost_map, path)
     whole = path.stat().st_size
@@ -102,3 +125,73 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, product,
     with pytest.raises(OutputError, match="cannot write"), largest_file(size):
         WRITERS[product](cost_map, path)
     assert names(tmp_path) == []
+
+
+OLD = {"a.tif": "old a", "a.tif.aux.xml": "old side", "b.tif": "old b", "run.json": "old run", "notes.txt": "mine"}
+NEW = {"a.tif": "new a", "b.tif": "new b", "b.tif.aux.xml": "new side", "c.tif": "new c", "run.json": "new run"}
+
+
+def content(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def write_all(folder, files):
+    for name, text in files.items():
+        (folder / name).write_text(text)
+
+
+def test_files_appear_together_and_the_last_one_last(tmp_path, monkeypatch):
+    write_all(tmp_path, OLD)
+    moved = []
+    replace = os.replace
+    monkeypatch.setattr("os.replace", lambda source, target: (moved.append(target), replace(source, target)))
+    with together(tmp_path, "run.json") as staged:
+        write_all(staged, NEW)
+        assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
+    assert content(tmp_path) == {"notes.txt": "mine", **NEW}
+    assert moved[0].name == "run.json"
+    assert moved[0].parent != tmp_path
+    assert moved[-1] == tmp_path / "run.json"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, error):
+    write_all(tmp_path, OLD)
+    replace, moves = os.replace, len(OLD) - 1 + len(NEW)
+
+    def move_all_but(number):
+        left = iter([True] * number)
+
+        def move(source, target):
+            if next(left, None) is None and "armed" in state:
+                state.clear()
+                raise error
+            replace(source, target)
+
+        state = {"armed": True}
+        monkeypatch.setattr("os.replace", move)
+        with together(tmp_path, "run.json") as staged:
+            write_all(staged, NEW)
+
+    for number in range(moves):
+        with pytest.raises((OutputError, KeyboardInterrupt)) as caught:
+            move_all_but(number)
+        assert isinstance(caught.value, KeyboardInterrupt) or "Nothing was replaced" in str(caught.value)
+        assert content(tmp_path) == OLD
+    move_all_but(moves)
+    assert content(tmp_path) == {"notes.txt": "mine", **NEW}
+
+
+def test_failure_while_writing_leaves_the_folder_as_it_was(tmp_path):
+    write_all(tmp_path, OLD)
+
+    def write_half():
+        with together(tmp_path, "run.json") as staged:
+            write_all(staged, {"a.tif": "half"})
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert content(tmp_path) == OLD
+    with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"), together(tmp_path / "no", "run.json"):
+        pass

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from bumpymap.products import CLASS_COLOURS, MAX_PIXELS, MAX_TILES, PRODUCT_NAMES, write_products
-from bumpymap.types import BANDS, CLASS_NAMES, REASON_TEXT, Reason
+from bumpymap.types import BANDS, CLASS_NAMES, REASON_TEXT, CostMosaic, Reason
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "pages"
 STYLES = PAGES / "styles"
@@ -22,7 +22,7 @@ def page_fixture():
 def layers_fixture(tmp_path_factory, cost_map):
     folder = tmp_path_factory.mktemp("docs") / "OUT"
     folder.mkdir()
-    write_products(cost_map, folder, local=False, manifest={})
+    write_products(CostMosaic.of(cost_map), folder, local=False, manifest={})
     return folder
 
 

@@ -9,11 +9,15 @@ import pytest
 
 from bumpymap.errors import BadInputError, OutputError
 from bumpymap.products import PRODUCT_NAMES, check_folder, write_products
-from bumpymap.types import NO_CLASS, Georeference
+from bumpymap.types import NO_CLASS, CostMosaic, Georeference
 from bumpytiles import Grid
 
 SIDE = "class.tif.aux.xml"
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
+
+
+def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
+    return write_products(CostMosaic.of(cost_map), folder, local=local, manifest=manifest, progress=progress)
 
 
 def hashes(folder):
@@ -38,7 +42,8 @@ def shuffled(cost_map, seed=0):
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
-    paths = write_products(cost_map, tmp_path, local=False, manifest=RUN)
+    paths, summary = write(cost_map, tmp_path)
+    assert summary.tiles == len(cost_map.klass)
     assert [path.name for path in paths] == list(PRODUCT_NAMES)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, SIDE])
     record = json.loads((tmp_path / "run.json").read_text())
@@ -58,7 +63,7 @@ def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_fiel
     seen = []
     for name, twin in {"a": cost_map, "b": cost_map, "other_name": shuffled(cost_map)}.items():
         (tmp_path / name).mkdir()
-        write_products(twin, tmp_path / name, local=False, manifest=RUN)
+        write(twin, tmp_path / name)
         seen.append({key: value for key, value in hashes(tmp_path / name).items() if key != "run.json"})
     assert not np.array_equal(shuffled(cost_map).patches.col, cost_map.patches.col)
     assert seen[0] == seen[1] == seen[2]
@@ -70,12 +75,13 @@ def test_same_bytes_in_another_process(tmp_path, cost_map):
         "spec = importlib.util.spec_from_file_location('maps', sys.argv[1])\n"
         "maps = importlib.util.module_from_spec(spec); spec.loader.exec_module(maps)\n"
         "from bumpymap.products import write_products\n"
-        "write_products(maps.make_field(40, 30), pathlib.Path(sys.argv[2]), local=False, manifest={})\n"
+        "from bumpymap.types import CostMosaic\n"
+        "write_products(CostMosaic.of(maps.make_field(40, 30)), pathlib.Path(sys.argv[2]), local=False, manifest={})\n"
     )
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     there.mkdir()
-    write_products(cost_map, here, local=False, manifest={})
+    write(cost_map, here, manifest={})
     conftest = __file__.replace("test_folder.py", "conftest.py")
     subprocess.run([sys.executable, "-c", code, conftest, str(there)], check=True, env={"PYTHONHASHSEED": "7"})
     first, second = hashes(here), hashes(there)
@@ -91,12 +97,12 @@ def test_folder_is_created_and_left_empty(tmp_path):
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     code = (
         "import os, pathlib, sys\n"
-        "from bumpymap.atomic import atomic\n"
-        "with atomic(pathlib.Path(sys.argv[1]) / 'heightmap.tif') as path:\n"
-        "    path.write_text('half'); path.with_name(path.stem + '.scratch.tif').write_text('scratch'); os._exit(1)\n"
+        "from bumpymap.atomic import together\n"
+        "with together(pathlib.Path(sys.argv[1]), 'run.json') as staged:\n"
+        "    (staged / 'heightmap.tif').write_text('half'); (staged / 'old').mkdir(); os._exit(1)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 1
     mine = [tmp_path / ".heightmap.notes", tmp_path / ".class.txt", tmp_path / "heightmap.bak"]
     for path in mine:
         path.write_text("mine")
@@ -112,6 +118,11 @@ def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     with pytest.raises(OutputError, match=f"already holds {name}.*--overwrite"):
         check_folder(tmp_path, overwrite=False)
     check_folder(tmp_path, overwrite=True)
+    if name == "run.json":
+        with pytest.raises(OutputError, match=r"already holds run\.json"):
+            check_folder(tmp_path, overwrite=False, resume=True)
+    else:
+        check_folder(tmp_path, overwrite=False, resume=True)
     assert (tmp_path / name).read_text() == "ours"
 
 
@@ -125,27 +136,25 @@ def test_places_that_cannot_be_written(tmp_path):
         check_folder(tmp_path / "out", overwrite=True)
 
 
-def test_a_run_that_breaks_leaves_no_manifest_and_no_half_file(tmp_path, cost_map, monkeypatch):
-    write_products(cost_map, tmp_path, local=False, manifest=RUN)
+def test_a_run_that_breaks_leaves_the_folder_as_it_was(tmp_path, cost_map, monkeypatch):
+    write(cost_map, tmp_path)
     old = hashes(tmp_path)
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("bumpymap.products._cog._write_scratch", full)
-    with pytest.raises(OutputError, match=r"roughness\.tif.*No space left"):
-        write_products(cost_map, tmp_path, local=False, manifest=RUN)
-    new = hashes(tmp_path)
-    assert "run.json" not in new
-    assert {name: new[name] for name in new} == {name: old[name] for name in old if name != "run.json"}
+    with pytest.raises(OutputError, match=r"\.tif.*No space left"):
+        write(cost_map, tmp_path)
+    assert hashes(tmp_path) == old
 
 
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
     with pytest.raises(BadInputError, match="--local"):
-        write_products(cost_map, tmp_path, local=False, manifest={})
+        write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
-    assert len(write_products(cost_map, tmp_path, local=True, manifest={})) == len(PRODUCT_NAMES)
+    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES)
 
 
 def test_single_tile_and_nothing_known(tmp_path, make_map):
@@ -154,13 +163,55 @@ def test_single_tile_and_nothing_known(tmp_path, make_map):
         "unknown": make_map([110_000, 110_003], [680_000, 680_001], [NO_CLASS] * 2, [2, 4]),
     }.items():
         (tmp_path / name).mkdir()
-        write_products(cost_map, tmp_path / name, local=False, manifest=RUN)
+        write(cost_map, tmp_path / name)
         assert (tmp_path / name / "run.json").exists()
 
 
 def test_overwriting_forgets_statistics_that_a_viewer_left(tmp_path, cost_map):
-    write_products(cost_map, tmp_path, local=False, manifest=RUN)
+    write(cost_map, tmp_path)
     (tmp_path / "roughness.tif.aux.xml").write_text("<PAMDataset/>")
-    write_products(cost_map, tmp_path, local=False, manifest=RUN)
+    write(cost_map, tmp_path)
     assert not (tmp_path / "roughness.tif.aux.xml").exists()
     assert (tmp_path / SIDE).exists()
+
+
+class Steps:
+    """A progress that counts."""
+
+    def __init__(self):
+        self.total, self.done = None, 0
+
+    def start(self, stage, total):
+        self.total = total
+
+    def advance(self, steps):
+        self.done += steps
+
+
+def test_progress_is_told_of_each_layer(tmp_path, cost_map):
+    steps = Steps()
+    write(cost_map, tmp_path, progress=steps)
+    assert steps.done == steps.total > 1
+
+
+def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
+    class Impatient(Steps):
+        def advance(self, steps):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(cost_map, tmp_path, progress=Impatient())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_inputs_get_size_and_checksum_unless_they_have_them(tmp_path, cost_map):
+    survey = tmp_path / "survey.laz"
+    survey.write_bytes(b"points")
+    url = {"path": "https://host/survey.laz", "bytes": 12, "sha256": None}
+    (tmp_path / "out").mkdir()
+    write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": survey}, url]})
+    first, second = json.loads((tmp_path / "out" / "run.json").read_text())["inputs"]
+    assert first == {"path": str(survey), "bytes": 6, "sha256": hashlib.sha256(b"points").hexdigest()}
+    assert second == url
+    with pytest.raises(BadInputError, match=r"gone\.laz"):
+        write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": tmp_path / "gone.laz"}]})

@@ -7,10 +7,15 @@ from pyproj import CRS
 from rio_cogeo import cog_validate
 
 from bumpymap.products import CLASS_COLOURS, write_classes, write_heightmap, write_roughness
-from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, Georeference
+from bumpymap.products._whole import digest, require_room, require_same
+from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Georeference
 from bumpytiles import Grid
 
-WRITERS = {"roughness": write_roughness, "class": write_classes, "heightmap": write_heightmap}
+WRITERS = {
+    "roughness": lambda cost_map, *rest: write_roughness(CostMosaic.of(cost_map), *rest),
+    "class": lambda cost_map, *rest: write_classes(CostMosaic.of(cost_map), *rest),
+    "heightmap": lambda cost_map, *rest: write_heightmap(CostMosaic.of(cost_map), *rest),
+}
 US_FOOT = 1200 / 3937
 FEET = Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)
 
@@ -171,8 +176,8 @@ def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z,
     crs = CRS.from_user_input(code)
     unit = crs.axis_info[0].unit_conversion_factor
     cost_map = make_field(4, 4, georeference=Georeference(crs, unit, unit_z))
-    write_heightmap(cost_map, tmp_path / "h.tif")
-    write_roughness(cost_map, tmp_path / "r.tif")
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
+    WRITERS["roughness"](cost_map, tmp_path / "r.tif")
     for name, compound in (("h.tif", heights), ("r.tif", others)):
         with rasterio.open(tmp_path / name) as file:
             assert CRS.from_wkt(file.crs.to_wkt()).is_compound is compound
@@ -215,7 +220,7 @@ def test_nothing_but_unknown_tiles(tmp_path, make_map, n):
 
 def test_other_tile_size_and_pixels(tmp_path, make_field):
     cost_map = make_field(30, 20, grid=Grid(1.5, 30))
-    write_heightmap(cost_map, tmp_path / "h.tif")
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
     with rasterio.open(tmp_path / "h.tif") as file:
         assert file.res == pytest.approx((0.05, 0.05))
         pixels = file.read(1)
@@ -236,5 +241,33 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
 def test_writing_does_not_change_the_map(tmp_path, make_field):
     cost_map = make_field(6, 6)
     before = replace(cost_map.patches, heights=cost_map.patches.heights.copy())
-    write_heightmap(cost_map, tmp_path / "h.tif")
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
     np.testing.assert_array_equal(before.heights, cost_map.patches.heights)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
+    monkeypatch.setattr("bumpymap.products._cog._SMALL", 0)
+    WRITERS[name](cost_map, tmp_path / rasters[name].name, {"vehicle": "warthog"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        path.name for path in rasters[name].parent.iterdir() if path.name.startswith(name)
+    )
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (rasters[name].parent / path.name).read_bytes()
+
+
+def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
+    with rasterio.open(rasters["heightmap"]) as file:
+        windows = [window for _, window in file.block_windows(1)]
+        painted = [(window, digest(file.read(window=window))) for window in windows]
+        blank = rasterio.open(tmp_path / "blank.tif", "w", **file.profile)
+    require_same(rasters["heightmap"], painted)
+    blank.close()
+    with pytest.raises(OSError, match="disk seems to be full"):
+        require_same(tmp_path / "blank.tif", painted)
+
+
+def test_room_is_asked_for(tmp_path):
+    require_room(tmp_path, 1)
+    with pytest.raises(OSError, match=r"1,?000000000\.0 GB are needed"):
+        require_room(tmp_path, 10**18)

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from bumpymap.errors import BadInputError, OutputError
-from bumpymap.products import complete_manifest, describe_file, software_versions, summarise, write_manifest
-from bumpymap.types import CLASS_NAMES, NO_CLASS, Georeference
+from bumpymap.products import (
+    complete_manifest,
+    describe_file,
+    describe_input,
+    software_versions,
+    summarise,
+    write_manifest,
+)
+from bumpymap.types import CLASS_NAMES, NO_CLASS, CostMosaic, Georeference
 
 
 @dataclass(frozen=True)
@@ -36,24 +43,34 @@ def test_anything_becomes_plain_json(tmp_path):
     }
 
 
-def test_inputs_get_size_and_checksum_and_keep_the_rest(tmp_path, cost_map):
-    survey = tmp_path / "survey.laz"
-    survey.write_bytes(b"points" * 1000)
-    product = tmp_path / "class.tif"
-    product.write_bytes(b"x")
-    run = {"inputs": [{"path": survey, "points": 12}], "settings": {"a": 1}, "versions": {"model": "7"}}
-    record = complete_manifest(run, cost_map, [product])
-    digest = hashlib.sha256(b"points" * 1000).hexdigest()
-    assert record["inputs"] == [{"path": survey, "points": 12, "bytes": 6000, "sha256": digest}]
+def complete(cost_map, run=None, inputs=(), files=()):
+    mosaic = CostMosaic.of(cost_map)
+    return complete_manifest(run or {}, mosaic, summarise(mosaic), inputs, files)
+
+
+def test_a_record_keeps_what_the_run_knows(cost_map):
+    run = {"inputs": [], "settings": {"a": 1}, "versions": {"model": "7"}}
+    record = complete(cost_map, run, [{"path": "a.laz", "bytes": 7}], [{"path": "class.tif"}])
+    assert record["inputs"] == [{"path": "a.laz", "bytes": 7}]
     assert record["settings"] == {"a": 1}
     assert record["versions"]["model"] == "7"
-    assert record["files"] == [{"path": "class.tif", "bytes": 1, "sha256": hashlib.sha256(b"x").hexdigest()}]
+    assert record["files"] == [{"path": "class.tif"}]
     assert (record["format"], record["version"]) == ("bumpymap-run", 1)
+
+
+def test_inputs_get_size_and_checksum_and_keep_the_rest(tmp_path):
+    survey = tmp_path / "survey.laz"
+    survey.write_bytes(b"points" * 1000)
+    digest = hashlib.sha256(b"points" * 1000).hexdigest()
+    found = describe_input({"path": survey, "points": 12})
+    assert found == {"path": survey, "points": 12, "bytes": 6000, "sha256": digest}
+    known = {"path": "s3://bucket/survey.laz", "bytes": None, "sha256": None}
+    assert describe_input(known) == known
 
 
 def test_counts_by_class_and_reason(make_map):
     cost_map = make_map(range(6), [0] * 6, [0, 0, 3, NO_CLASS, NO_CLASS, NO_CLASS], [0, 0, 0, 2, 5, 5])
-    counts = summarise(cost_map)["counts"]
+    counts = complete(cost_map)["counts"]
     assert counts["by_class"] == dict(zip(CLASS_NAMES, [2, 0, 0, 1], strict=True))
     assert counts["by_reason"] == {"too few points": 1, "outlier-only relief": 2}
     assert (counts["tiles"], counts["classified"], counts["unknown"]) == (6, 3, 3)
@@ -61,10 +78,10 @@ def test_counts_by_class_and_reason(make_map):
 
 
 def test_place_of_the_map(make_field):
-    record = summarise(make_field(3, 3))
+    record = complete(make_field(3, 3))
     assert record["crs"]["code"] == "EPSG:32614"
     assert record["grid"] == {"tile_size_m": 3.0, "pixels": 15}
-    assert summarise(make_field(3, 3, georeference=Georeference(None, 0.3048, 0.3048)))["crs"] is None
+    assert complete(make_field(3, 3, georeference=Georeference(None, 0.3048, 0.3048)))["crs"] is None
 
 
 def test_versions_of_what_has_a_say_in_the_numbers():

@@ -1,44 +1,49 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bumpymap.errors import BadInputError
 from bumpymap.products import MAX_TILES, Placement, check_extent
+from bumpymap.products.placement import Chunk
+from bumpymap.types import CostMosaic, Georeference
 from bumpytiles import Grid, TileWindow
 
 
-def test_order_is_north_first_then_west(make_map):
-    place = Placement.of(make_map([5, 4, 5, 4], [1, 2, 2, 1], [0, 1, 2, 3], [0] * 4))
-    assert place.order.tolist() == [1, 2, 3, 0]
-    assert place.line.tolist() == [0, 0, 1, 1]
-    assert place.column.tolist() == [0, 1, 0, 1]
-    assert place.window == TileWindow(4, 1, 2, 2)
+@pytest.mark.parametrize("aligned", [False, True])
+@given(
+    window=st.builds(TileWindow, st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 50), st.integers(1, 50)),
+    side=st.integers(1, 20),
+)
+def test_chunks_cover_the_raster_once(aligned, window, side):
+    place = Placement(Georeference(None), Grid(), window)
+    raster = np.zeros((window.rows, window.cols), int)
+    corners = []
+    for chunk in place.chunks(side, aligned=aligned):
+        part = chunk.window
+        assert 1 <= part.cols <= side
+        assert 1 <= part.rows <= side
+        assert part.col - window.col == chunk.column
+        assert window.row + window.rows - part.row - part.rows == chunk.line
+        west, north = (0, 0) if aligned else (window.col, window.row + window.rows)
+        assert (part.col - west) % side == 0 or chunk.column == 0
+        assert (part.row + part.rows - north) % side == 0 or chunk.line == 0
+        raster[chunk.line : chunk.line + part.rows, chunk.column : chunk.column + part.cols] += 1
+        corners.append((chunk.line, chunk.column))
+    assert (raster == 1).all()
+    assert corners == sorted(corners)
 
 
-def test_raster_lies_north_up_with_gaps_filled(make_map):
-    place = Placement.of(make_map([5, 4, 4], [1, 2, 1], [0, 1, 2], [0] * 3))
-    np.testing.assert_array_equal(place.raster(np.array([7, 8, 9]), -1), [[8, -1], [9, 7]])
-
-
-@pytest.mark.parametrize("everywhere", [False, True])
-def test_chunks_hold_every_tile_once(make_field, everywhere):
-    place = Placement.of(make_field(50, 35, holes=0.97))
-    chunks = list(place.chunks(8, everywhere=everywhere))
-    members = np.concatenate([chunk.members for chunk in chunks])
-    assert sorted(members) == list(range(len(place.order)))
-    for chunk in chunks:
-        assert everywhere or len(chunk.members)
-        inside = place.line[chunk.members] - chunk.line
-        assert ((inside >= 0) & (inside < chunk.lines)).all()
-        inside = place.column[chunk.members] - chunk.column
-        assert ((inside >= 0) & (inside < chunk.columns)).all()
-    covered = sum(chunk.lines * chunk.columns for chunk in chunks)
-    assert (covered == place.window.cols * place.window.rows) is everywhere
+def test_tiles_find_their_places_in_a_chunk():
+    chunk = Chunk(TileWindow(4, 1, 2, 2), 0, 0)
+    line, column = chunk.places({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
+    assert (line.tolist(), column.tolist()) == ([1, 0, 0], [1, 0, 1])
 
 
 def test_far_apart_sites_are_refused_before_anything_is_laid_out(make_map):
     far = make_map([0, 333_333], [0, 333_333], [0, 0], [0, 0])  # 1000 km
     with pytest.raises(BadInputError, match=r"1,000\.0 km x 1,000\.0 km.*100,000,000 tiles.*separate runs"):
-        Placement.of(far)
+        Placement.of(CostMosaic.of(far))
 
 
 def test_limits_hold_for_tiles_and_for_pixels():
@@ -48,10 +53,3 @@ def test_limits_hold_for_tiles_and_for_pixels():
         check_extent(Grid(3.0, 1), TileWindow(0, 0, side + 1, side))
     with pytest.raises(BadInputError, match="pixels"):
         check_extent(Grid(3.0, 60), TileWindow(0, 0, side // 3, side // 3))
-
-
-def test_no_tiles_and_double_tiles(make_map):
-    with pytest.raises(BadInputError, match="nothing to map"):
-        Placement.of(make_map([], [], [], []))
-    with pytest.raises(ValueError, match="same tile"):
-        Placement.of(make_map([1, 2, 1], [4, 4, 4], [0, 0, 0], [0, 0, 0]))

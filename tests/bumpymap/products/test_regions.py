@@ -1,11 +1,22 @@
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import ndimage
 
 from bumpymap.products import dissolve
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Reason
+from bumpymap.products._label import label
+from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(CostMosaic.of(cost_map))
+    return regions
 
 
 def key_of(klass, reason):
@@ -40,7 +51,7 @@ def check_against_boxes(cost_map, regions):
 @pytest.mark.parametrize("seed", range(4))
 def test_regions_are_unions_of_touching_tiles(make_field, seed):
     cost_map = make_field(14, 11, seed=seed)
-    check_against_boxes(cost_map, dissolve(cost_map))
+    check_against_boxes(cost_map, regions_of(cost_map))
 
 
 @settings(max_examples=60, deadline=None)
@@ -54,7 +65,7 @@ def test_any_small_map_gives_valid_right_hand_regions(make_map, data, cols, rows
     present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
     col, row, klass = zip(*present, strict=True)
     cost_map = make_map(col, row, klass, [3 if cell == NO_CLASS else 0 for cell in klass])
-    regions = dissolve(cost_map)
+    regions = regions_of(cost_map)
     check_against_boxes(cost_map, regions)
     assert shapely.is_valid(regions.outlines).all()
     for outline in regions.outlines:
@@ -64,7 +75,7 @@ def test_any_small_map_gives_valid_right_hand_regions(make_map, data, cols, rows
 
 def test_numbers_are_means_over_the_tiles(make_map):
     cost_map = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
-    regions = dissolve(cost_map)
+    regions = regions_of(cost_map)
     # North first: the lonely tile, then the two unknown ones (for different reasons), then the pair.
     assert regions.tiles.tolist() == [1, 1, 1, 2]
     assert regions.klass.tolist() == [2, NO_CLASS, NO_CLASS, 2]
@@ -80,7 +91,74 @@ def test_numbers_are_means_over_the_tiles(make_map):
 
 
 def test_area_of_all_regions_is_that_of_all_tiles(cost_map):
-    regions = dissolve(cost_map)
+    regions = regions_of(cost_map)
     assert regions.tiles.sum() == len(cost_map.klass)
     assert regions.area_m2.sum() == 9.0 * len(cost_map.klass)
     np.testing.assert_array_equal(shapely.area(regions.outlines), regions.tiles)
+
+
+def joined(batches):
+    """Outlines as text, and every column, of all regions in their order."""
+    names = ("klass", "reason", "tiles", "c_r", "c_r_low", "c_r_high", "p_fail", "cost")
+    columns = {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names}
+    return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
+
+
+def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
+    mosaic = CostMosaic.of(make_field(45, 30))
+    whole = joined(list(dissolve(mosaic)))
+    for size in (1, 7, 100):
+        monkeypatch.setattr("bumpymap.products.regions._BATCH", size)
+        monkeypatch.setattr("bumpymap.products.regions._STRIP", size)
+        batches = list(dissolve(mosaic))
+        assert max(len(batch.tiles) for batch in batches) <= size
+        for name, values in joined(batches).items():
+            np.testing.assert_array_equal(values, whole[name])
+
+
+def test_a_large_map_is_cut_into_cells_from_its_north_west_corner(make_field, monkeypatch):
+    cost_map = make_field(45, 30, holes=0.3)
+    monkeypatch.setattr("bumpymap.products.regions.CELL", 20)
+    found = joined(list(dissolve(CostMosaic.of(cost_map))))
+    patches = cost_map.patches
+    west, north = patches.col.min(), patches.row.max()
+    cell = np.stack([(north - patches.row) // 20, (patches.col - west) // 20], axis=1)
+    expected = []
+    for key in np.unique(cell, axis=0):  # each cell as a map of its own
+        chosen = (cell == key).all(axis=1)
+        part = dissolve(CostMosaic.of(only(cost_map, chosen)))
+        expected += list(part)
+    assert len(expected) == 6
+    for name, values in joined(expected).items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def only(cost_map, chosen):
+    """The map of some of its tiles."""
+
+    def cut(record):
+        arrays = {field.name: getattr(record, field.name) for field in fields(record)}
+        return replace(
+            record, **{name: array[chosen] for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        )
+
+    return replace(cut(cost_map), patches=cut(cost_map.patches), textures=cut(cost_map.textures))
+
+
+@settings(max_examples=60, deadline=None)
+@given(keys=arrays(np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 2)))
+def test_areas_are_those_of_scipy_in_reading_order(keys):
+    values = np.arange(keys.size, dtype=np.float32).reshape(1, *keys.shape)
+    labels, first, last, pixels, totals = label(keys, values)
+    expected = np.zeros(keys.shape, int)
+    for key in (1, 2):
+        part, _ = ndimage.label(keys == key)
+        expected += np.where(part, part + expected.max(), 0)
+    assert (labels > 0).tolist() == (keys > 0).tolist()
+    pairs = set(zip(labels.ravel().tolist(), expected.ravel().tolist(), strict=True)) - {(0, 0)}
+    assert len(pairs) == len(first) == expected.max()  # one to one
+    assert (np.diff(first) > 0).all()
+    for number in range(len(first)):
+        inside = np.flatnonzero(labels == number + 1)
+        assert (inside[0], inside[-1], len(inside)) == (first[number], last[number], pixels[number])
+        assert totals[0, number] == inside.sum()

@@ -9,7 +9,7 @@ import shapely
 from pyproj import CRS
 
 from bumpymap.products import write_tiles
-from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, Georeference, Reason
+from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostMosaic, Georeference, Reason
 from bumpytiles import Grid
 
 COLUMNS = [
@@ -21,7 +21,7 @@ COLUMNS = [
 @pytest.fixture(name="written", scope="module")
 def written_fixture(tmp_path_factory, cost_map):
     path = tmp_path_factory.mktemp("table") / "tiles.parquet"
-    write_tiles(cost_map, path)
+    write_tiles(CostMosaic.of(cost_map), path)
     return path
 
 
@@ -104,19 +104,19 @@ def test_geo_metadata(written, cost_map):
 def test_feet_and_no_crs(tmp_path, make_field):
     foot = 1200 / 3937
     feet = make_field(9, 9, west=130_000, south=60_000, georeference=Georeference(CRS.from_epsg(2271), foot, foot))
-    write_tiles(feet, tmp_path / "feet.parquet")
+    write_tiles(CostMosaic.of(feet), tmp_path / "feet.parquet")
     frame = geopandas.read_parquet(tmp_path / "feet.parquet")
     assert frame.crs.to_epsg() == 2271
     assert (frame.area * foot**2).to_numpy() == pytest.approx(9.0, rel=1e-6)
     assert frame["z_min"].min() == feet.patches.z_min.min()  # heights stay metres
-    write_tiles(make_field(9, 9, georeference=Georeference(None)), tmp_path / "local.parquet")
+    write_tiles(CostMosaic.of(make_field(9, 9, georeference=Georeference(None))), tmp_path / "local.parquet")
     assert geopandas.read_parquet(tmp_path / "local.parquet").crs is None
     assert json.loads(pq.read_schema(tmp_path / "local.parquet").metadata[b"geo"])["columns"]["geometry"]["crs"] is None
 
 
 def test_many_tiles_make_several_row_groups(tmp_path, make_field):
     cost_map = make_field(220, 160, grid=Grid(3.0, 2))
-    write_tiles(cost_map, tmp_path / "t.parquet")
+    write_tiles(CostMosaic.of(cost_map), tmp_path / "t.parquet")
     file = pq.ParquetFile(tmp_path / "t.parquet")
     assert file.metadata.num_row_groups == 2
     np.testing.assert_array_equal(file.read()["col"], cost_map.patches.col[canonical(cost_map)])
@@ -124,7 +124,7 @@ def test_many_tiles_make_several_row_groups(tmp_path, make_field):
 
 
 def test_map_of_unknown_tiles_only(tmp_path, make_map):
-    write_tiles(make_map([1, 2], [3, 3], [NO_CLASS] * 2, [2, 5]), tmp_path / "t.parquet")
+    write_tiles(CostMosaic.of(make_map([1, 2], [3, 3], [NO_CLASS] * 2, [2, 5])), tmp_path / "t.parquet")
     frame = geopandas.read_parquet(tmp_path / "t.parquet")
     assert frame["class"].isna().all()
     assert frame["reason"].tolist() == [2, 5]

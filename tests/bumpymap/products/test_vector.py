@@ -7,8 +7,8 @@ import shapely
 from pyproj import CRS, Transformer
 
 from bumpymap.errors import BadInputError
-from bumpymap.products import dissolve, write_flatgeobuf, write_geojson
-from bumpymap.types import Georeference
+from bumpymap.products import GeoJsonPlace, dissolve, flatgeobuf_writer, geojson_writer
+from bumpymap.types import CostMosaic, Georeference
 
 US_FOOT = 1200 / 3937
 SITES = {
@@ -19,6 +19,23 @@ SITES = {
     "northing_first": (Georeference(CRS.from_epsg(2193)), 530_000, 1_730_000),
     "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
 }
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(CostMosaic.of(cost_map))
+    return regions
+
+
+def write_geojson(regions, path, *, local, about=None):
+    place = GeoJsonPlace.of(regions.placement, local=local)
+    with geojson_writer(path, place, about) as add:
+        add(regions)
+
+
+def write_flatgeobuf(regions, path):
+    with flatgeobuf_writer(path, regions.placement) as add:
+        add(regions)
 
 
 def check_rfc7946(text):
@@ -77,7 +94,7 @@ def back_to_tiles(cost_map, outlines):
 
 
 def test_geojson_holds_the_standard_and_the_place(tmp_path, site):
-    regions = dissolve(site)
+    regions = regions_of(site)
     write_geojson(regions, tmp_path / "cost.geojson", local=False, about={"vehicle": "warthog"})
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
     assert collection["vehicle"] == "warthog"
@@ -89,7 +106,7 @@ def test_geojson_holds_the_standard_and_the_place(tmp_path, site):
 
 
 def test_properties(tmp_path, cost_map):
-    regions = dissolve(cost_map)
+    regions = regions_of(cost_map)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
     names = ["class", "class_name", "reason", "c_r", "c_r_low", "c_r_high", "p_fail", "cost", "area_m2", "tiles"]
@@ -109,7 +126,7 @@ def test_properties(tmp_path, cost_map):
 
 
 def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path, site):
-    regions = dissolve(site)
+    regions = regions_of(site)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
     write_flatgeobuf(regions, tmp_path / "cost.fgb")
     globe, flat = (geopandas.read_file(tmp_path / name) for name in ("cost.geojson", "cost.fgb"))
@@ -140,7 +157,7 @@ def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     cost_map = make_map(
         col.ravel(), row.ravel(), np.zeros(2000), np.zeros(2000), georeference=Georeference(CRS.from_epsg(32633))
     )
-    regions = dissolve(cost_map)
+    regions = regions_of(cost_map)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
     (feature,) = check_rfc7946((tmp_path / "cost.geojson").read_text())["features"]
     ring = np.array(feature["geometry"]["coordinates"][0])
@@ -157,7 +174,7 @@ def test_antimeridian_is_cut(tmp_path, make_map):
     x, y = Transformer.from_crs(4326, 32701, always_xy=True).transform(-180.0, -17.0)
     middle, row = int(x // 3), int(y // 3)
     cost_map = make_map(np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9, georeference=place)
-    write_geojson(dissolve(cost_map), tmp_path / "cost.geojson", local=False)
+    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
     assert [feature["geometry"]["type"] for feature in collection["features"]] == ["MultiPolygon", "Polygon"]
     west, _, east, _ = collection["bbox"]
@@ -170,7 +187,7 @@ def test_antimeridian_is_cut(tmp_path, make_map):
 
 def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
-    regions, path = dissolve(cost_map), tmp_path / "cost.geojson"
+    regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
     with pytest.raises(BadInputError, match=r"no CRS.*--crs EPSG:CODE.*--local"):
         write_geojson(regions, path, local=False)
     assert not path.exists()
@@ -188,7 +205,7 @@ def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
 def test_crs_without_a_place_on_earth(tmp_path, make_field):
     site = CRS.from_wkt('ENGCRS["mine grid",EDATUM["mine"],CS[Cartesian,2],'
                         'AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]')  # fmt: skip
-    regions = dissolve(make_field(5, 5, georeference=Georeference(site)))
+    regions = regions_of(make_field(5, 5, georeference=Georeference(site)))
     with pytest.raises(BadInputError, match=r"mine grid.*no known relation.*--local"):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
     write_geojson(regions, tmp_path / "cost.geojson", local=True)
@@ -196,13 +213,42 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
 
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
-    regions = dissolve(make_field(5, 5, west=300_000_000, south=300_000_000))
+    regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside of what its CRS.*--crs"):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
 
 
 def test_single_tile(tmp_path, make_map):
     cost_map = make_map([110_000], [680_000], [3], [0])
-    write_geojson(dissolve(cost_map), tmp_path / "cost.geojson", local=False)
+    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
     (feature,) = check_rfc7946((tmp_path / "cost.geojson").read_text())["features"]
     assert feature["properties"]["c_r"] == pytest.approx(float(cost_map.c_r[0]), abs=5e-7)
+
+
+def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
+    mosaic = CostMosaic.of(make_field(30, 20, west=166_600))
+    for name, most in {"whole": 10_000, "bits": 5}.items():
+        monkeypatch.setattr("bumpymap.products.regions._BATCH", most)
+        batches = list(dissolve(mosaic))
+        place = batches[0].placement
+        with (
+            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonPlace.of(place, local=False)) as to_globe,
+            flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
+        ):
+            for regions in batches:
+                to_globe(regions)
+                to_flat(regions)
+    for kind in ("geojson", "fgb"):
+        assert (tmp_path / f"whole.{kind}").read_bytes() == (tmp_path / f"bits.{kind}").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_large_flatgeobuf_goes_straight_to_its_file(tmp_path, make_field, monkeypatch):
+    regions = regions_of(make_field(30, 20))
+    write_flatgeobuf(regions, tmp_path / "memory.fgb")
+    monkeypatch.setattr("bumpymap.products.vector._IN_MEMORY", 0)
+    write_flatgeobuf(regions, tmp_path / "straight.fgb")
+    (tmp_path / "a!b").mkdir()
+    write_flatgeobuf(regions, tmp_path / "a!b" / "straight.fgb")
+    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "straight.fgb").read_bytes()
+    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "a!b" / "straight.fgb").read_bytes()

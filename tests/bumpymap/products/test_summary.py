@@ -1,0 +1,43 @@
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bumpymap.products import summarise
+from bumpymap.types import NO_CLASS, CostMosaic
+
+klasses = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30), st.integers(0, 9), st.integers(1, 40)
+)
+def test_counts_and_medians_are_those_of_all_tiles(make_map, klass, seed, cols):
+    tiles = np.arange(len(klass))
+    cost_map = make_map(tiles % cols, tiles // cols, klass, [3 if k == NO_CLASS else 0 for k in klass], seed=seed)
+    summary = summarise(CostMosaic.of(cost_map))
+    assert summary.tiles == len(klass)
+    assert summary.points == cost_map.patches.count.sum()
+    assert summary.median_count == np.median(cost_map.patches.count)
+    assert summary.by_class == tuple(klass.count(k) for k in range(4))
+    assert summary.by_reason == (0, 0, 0, klass.count(NO_CLASS), 0, 0)
+    for number, group in enumerate([0, 1, 2, 3, NO_CLASS]):
+        chosen = cost_map.klass == group
+        for found, values, near in (
+            (summary.median_c_r, cost_map.c_r, 1e-4),
+            (summary.median_slope, cost_map.patches.slope, 1e-3),
+        ):
+            known = values[chosen][np.isfinite(values[chosen])].astype(float)
+            expected = np.median(known) if len(known) else np.nan
+            assert found[number] == pytest.approx(expected, abs=near, nan_ok=True)
+
+
+def test_strips_do_not_change_the_summary(make_field, monkeypatch):
+    mosaic = CostMosaic.of(make_field(50, 40))
+    whole = summarise(mosaic)
+    monkeypatch.setattr("bumpymap.products.summary._STRIP", 1)
+    for found, expected in zip(astuple(summarise(mosaic)), astuple(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)
