@@ -56,9 +56,9 @@ def _wild(name, fields, values):
         place, layout = fields[field]
         own = int.from_bytes(data[place : place + 8], "little") % 256 ** {"B": 1, "H": 2, "I": 4}.get(layout, 8)
         for word, value in choices.items():
-            value = own + int(value) if isinstance(value, str) else value
+            told = own + int(value) if isinstance(value, str) else value
             exits = EITHER if word == "tiny" else REFUSED  # all points in one corner of the header's box
-            made.append(Case(f"{stem}-{field}-{word}{dot}{suffix}", patched(data, place, layout, value), exits))
+            made.append(Case(f"{stem}-{field}-{word}{dot}{suffix}", patched(data, place, layout, told), exits))
     return made
 
 
@@ -137,7 +137,7 @@ def _systems():
     """Coordinate systems that are none."""
     utm = CRS.from_epsg(32614).to_wkt("WKT1_GDAL")
     texts = {
-        "garbage": (b"PROJCS[;;[\"x\",,]]\0", REFUSED),
+        "garbage": (b'PROJCS[;;["x",,]]\0', REFUSED),
         "cut": (utm[:200].encode(), REFUSED),
         "empty": (b"", EITHER),
         "zeros": (bytes(400), EITHER),

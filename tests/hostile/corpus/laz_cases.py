@@ -48,7 +48,9 @@ def _record(name):
             # Chunks of 2^32 - 1 points are the sign for chunks of any size: in such a file, no lie.
             if not (field == "chunk_size" and word == "2to32" and name == "laz14v.laz"):
                 made.append(
-                    Case(f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits, name)
+                    Case(
+                        f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits, name
+                    )
                 )
     gone = data.replace(b"laszip encoded", b"laszip nothing")
     return [
@@ -84,7 +86,9 @@ def _table(name):
         "2to63": 2**63 - 1,
     }
     counts = {"0": 0, "4": 4, "6": 6, "10to7": 10**7, "2to31": 2**31, "2to32": 2**32 - 1}
-    made = [Case(f"{stem}-table_at-{word}.laz", patched(data, layout.points_at, "q", at)) for word, at in places.items()]
+    made = [
+        Case(f"{stem}-table_at-{word}.laz", patched(data, layout.points_at, "q", at)) for word, at in places.items()
+    ]
     made += [
         Case(f"{stem}-table_count-{word}.laz", patched(data, layout.table_at + 4, "I", count))
         for word, count in counts.items()
@@ -159,7 +163,9 @@ def _layers(data, stem, start):
     """
     (count,) = struct.unpack_from("<I", data, start + 36)
     lies = {f"layer_{layer}-{word}": (40 + 4 * layer, value) for layer in range(10) for word, value in _LAYERS.items()}
-    lies |= {f"chunk_points-{word}": (36, value) for word, value in (("0", 0), ("more", count + 1), ("2to32", 2**32 - 1))}
+    lies |= {
+        f"chunk_points-{word}": (36, value) for word, value in (("0", 0), ("more", count + 1), ("2to32", 2**32 - 1))
+    }
     return [
         Case(f"{stem}-{word}.laz", patched(data, start + place, "I", value), EITHER, f"{stem}.laz")
         for word, (place, value) in lies.items()

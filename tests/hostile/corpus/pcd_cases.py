@@ -17,9 +17,11 @@ _LINES = {
     "FIELDS": {"no_z": "x y w intensity", "one_less": "x y z", "x_twice": "x x y z", "empty": "", "gone": None},
     "SIZE": {"0": "0 8 8 4", "3": "3 8 8 4", "10to9": "1000000000 8 8 4", "negative": "-8 8 8 4", "gone": None},
     "TYPE": {"unknown": "Q F F F", "one_less": "F F F", "gone": None},
-    "COUNT": {"0": "0 1 1 1", "10to6": "1 1 1 1000000", "10to9": "1 1 1 1000000000", "2to63": f"1 1 1 {2**63}"},
+    "COUNT": {"0": "0 1 1 1"},
     "DATA": {"unknown": "zipped", "gone": None},
 }
+_COUNTS = {"text": 2**63, "binary": 10**6, "packed": 10**9}
+"""Values a point in one field. One lie an encoding: the header is read by the same code."""
 _LOOSE = {
     "WIDTH": {"0": 0, "10to12": 10**12, "one_less": 399, "negative": -1, "gone": None},
     "HEIGHT": {"0": 0, "2to63": 2**63, "2": 2, "gone": None},
@@ -44,6 +46,8 @@ def _lines(name):
         for line, choices in _LINES.items()
         for word, value in choices.items()
     ]
+    wild = pcd_header(400, encoding, COUNT=f"1 1 1 {_COUNTS[stem]}")
+    made.append(Case(f"pcd_{stem}-COUNT-{_COUNTS[stem]}.pcd", wild + body))
     loose = _LOOSE if stem == "binary" else {}
     return made + [
         Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body, EITHER, name)

@@ -38,7 +38,9 @@ def _vertex(row, order, *, listed):
 
 def _row(values, order, kinds):
     if order == "=":
-        return (" ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in values) + "\n").encode()
+        return (
+            " ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in values) + "\n"
+        ).encode()
     return struct.pack(order + kinds, *values)
 
 
