@@ -49,8 +49,10 @@ def read_rows(path: Location, data_at: int, dtype: np.dtype[np.void], first: int
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
-    value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
-    return value if unit == 1.0 else value * unit
+    # What overflows becomes infinite, and is refused for it; NaN of any kind is watched for later.
+    with np.errstate(over="ignore", invalid="ignore"):
+        value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
+        return value if unit == 1.0 else value * unit
 
 
 def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any]) -> tuple[str, ...]:

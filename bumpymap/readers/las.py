@@ -121,10 +121,10 @@ def _middle(low: Numbers, high: Numbers) -> Numbers | None:
 
 
 def _bounds(low: Numbers, high: Numbers, place: Georeference) -> Bounds:
-    west, south, east, north = (
-        float(np.round(value, DECIMALS) * place.metres_per_unit) for value in (low[0], low[1], high[0], high[1])
-    )
-    return Bounds(west, south, east, north)
+    # What overflows becomes infinite, and is refused for it.
+    with np.errstate(over="ignore"):
+        sides = np.round(np.array([low[0], low[1], high[0], high[1]]), DECIMALS) * place.metres_per_unit
+    return Bounds(*sides.tolist())
 
 
 def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:

@@ -81,17 +81,8 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
     record = header.find(b"laszip encoded", 22204)
     if record is None or len(record) < 34:
         raise BadInputError(f"{path} is compressed and has no LASzip record to decode it by. Copy or download it again")
-    # An empty table of chunks: the decoder looks at the record alone.
-    nothing = io.BytesIO(struct.pack("<qII", 8, 0, 0))
-    with decoding(path, "the LASzip record"):
-        try:
-            lazrs.LasZipDecompressor(nothing, record)
-        except lazrs.LazrsError as error:
-            raise BadInputError(
-                f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
-                "codec, such as with: pdal translate IN OUT.laz"
-            ) from error
-    items = [struct.unpack_from("<HH", record, at) for at in range(34, len(record) - 5, 6)][: record[32]]
+    (count,) = struct.unpack_from("<H", record, 32)
+    items = [struct.unpack_from("<HH", record, at) for at in range(34, len(record) - 5, 6)][:count]
     extra = header.point_size - header.base_size
     wanted = [
         *_ITEMS[header.point_format],
@@ -102,6 +93,16 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
             f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
             f"{header.point_size} bytes: the file is damaged. Copy or download it again"
         )
+    # An empty table of chunks: the decoder looks at the record alone.
+    nothing = io.BytesIO(struct.pack("<qII", 8, 0, 0))
+    with decoding(path, "the LASzip record"):
+        try:
+            lazrs.LasZipDecompressor(nothing, record)
+        except lazrs.LazrsError as error:
+            raise BadInputError(
+                f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
+                "codec, such as with: pdal translate IN OUT.laz"
+            ) from error
     return record
 
 

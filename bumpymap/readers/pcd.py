@@ -1,5 +1,6 @@
 """PCD: text and binary are read piece by piece, compressed is unpacked whole by pypcd4. Scans, mostly."""
 
+import io
 import struct
 from collections.abc import Sequence
 from functools import cached_property
@@ -26,6 +27,8 @@ _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _AT_REST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _DENSEST = 100
 """LZF packs 264 bytes into 3 at best."""
+_MOST_VALUES = 10_000
+"""No descriptor of a point is longer."""
 _LOOKED_AT = 100_000
 """Rows that are searched for a first point."""
 
@@ -83,7 +86,10 @@ class PcdSurvey(Survey):
     def _unpacked(self) -> NDArray[np.void]:
         """All rows; kept, since they are packed column by column."""
         with decoding(self._path, "the points"), open_source(self._path) as stream:
-            rows: NDArray[np.void] = PointCloud.from_fileobj(stream).pc_data
+            stream.seek(self._data_at)
+            # The header that was checked, not the one that another parser would find in the file.
+            whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
+            rows: NDArray[np.void] = PointCloud.from_fileobj(whole).pc_data
             return rows
 
     def _text_rows(self) -> TextRows:
@@ -97,7 +103,8 @@ class PcdSurvey(Survey):
         rows = self._rows(0, min(_LOOKED_AT, self._head.points))
         if self._text is not None:
             self._text.close()
-        table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in self._columns])
+        with np.errstate(invalid="ignore"):  # NaN of any kind are beams without return
+            table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in self._columns])
         good = np.isfinite(table).all(axis=1)
         if not good.any():
             return None
@@ -121,8 +128,15 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
     head = MetaData.parse_header(lines)
     if not len(head.fields) == len(head.size) == len(head.type) == len(head.count):
         raise BadInputError(f"the header of {path} has FIELDS, SIZE, TYPE and COUNT of different length")
-    if head.points == 0:
-        raise BadInputError(f"{path} holds no points (its header promises 0): nothing to map. Was it exported fully?")
+    if min(head.count) < 1 or sum(head.count) > _MOST_VALUES:
+        raise BadInputError(
+            f"the header of {path} gives a point {sum(head.count):,} values (COUNT); 1 to {_MOST_VALUES:,} are read. "
+            "The file is damaged; export it again"
+        )
+    if head.points <= 0:
+        raise BadInputError(
+            f"{path} holds no points (its header promises {head.points:,}): nothing to map. Was it exported fully?"
+        )
     return head
 
 
