@@ -72,10 +72,10 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     rated = np.full((5, tiles), np.nan, np.float32)
     rate_tiles(
         patches.reason == Reason.OK,
-        textures.probability,
-        patches.relief,
-        patches.slope,
-        patches.coverage,
+        np.ascontiguousarray(textures.probability, np.float32),
+        np.ascontiguousarray(patches.relief, np.float64),
+        np.ascontiguousarray(patches.slope, np.float64),
+        np.ascontiguousarray(patches.coverage, np.float64),
         ladder.log_range,
         np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail)),
         np.array(calibration.class_limits),

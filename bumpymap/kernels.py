@@ -9,12 +9,12 @@ Minima and maxima do not depend on an order at all. Nothing here allocates: scra
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from bumpymap.native import entry, inner, order_free
 
 __all__ = ["LANES", "SAMPLE", "SUMS", "detrend", "fill_holes", "measure_tiles", "rate_tiles", "stray_bounds"]
 
@@ -41,25 +41,21 @@ _NOTHING = 1e-6
 _NO_PLANE: Plane = (0.0, 0.0, 0.0, 0.0)
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy", **options)(function)
-    except RuntimeError:  # nowhere to write: a read-only installation and no home
-        return njit(nogil=True, error_model="numpy", **options)(function)
+@inner
+def _set(values: Any, value: float) -> None:
+    """Write one number everywhere; ``values[:] = value`` would bring the code of its error messages along."""
+    for i in range(len(values)):
+        values[i] = value
 
 
-def _inner(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile as a part of others; what is kept is the whole."""
-    return njit(nogil=True, error_model="numpy", **options)(function)
+@inner
+def _set_map(pixels: Any, value: float) -> None:
+    for r in range(pixels.shape[0]):
+        for c in range(pixels.shape[1]):
+            pixels[r, c] = value
 
 
-def _order_free(function: Callable[..., Any]) -> Any:
-    """Compile a minimum or maximum over numbers without NaN: any order gives the same bits."""
-    return _inner(function, fastmath={"nnan", "nsz"})
-
-
-@_inner
+@inner
 def _total(lanes: Floats) -> float:
     total = 0.0
     for k in range(LANES):
@@ -67,7 +63,7 @@ def _total(lanes: Floats) -> float:
     return total
 
 
-@_inner
+@inner
 def _sum_from(values: Floats, shift: float, lanes: Floats) -> float:
     """Sum of ``values - shift``."""
     n = len(values)
@@ -83,7 +79,7 @@ def _sum_from(values: Floats, shift: float, lanes: Floats) -> float:
     return _total(lanes)
 
 
-@_inner
+@inner
 def _sum_of_squares(values: Floats, lanes: Floats) -> float:
     n = len(values)
     for k in range(LANES):
@@ -98,7 +94,7 @@ def _sum_of_squares(values: Floats, lanes: Floats) -> float:
     return _total(lanes)
 
 
-@_inner
+@inner
 def _sum_of_sizes(values: Floats, lanes: Floats) -> float:
     """Sum of absolute values."""
     n = len(values)
@@ -114,7 +110,7 @@ def _sum_of_sizes(values: Floats, lanes: Floats) -> float:
     return _total(lanes)
 
 
-@_inner
+@inner
 def _centre(values: Floats, lanes: Floats, out: Floats) -> float:
     """Write ``values`` minus their mean; returns the mean. The sum starts at the first value and so keeps its bits."""
     mean: float = values[0] + _sum_from(values, values[0], lanes) / len(values)
@@ -123,7 +119,7 @@ def _centre(values: Floats, lanes: Floats, out: Floats) -> float:
     return mean
 
 
-@_inner
+@inner
 def _shift(values: Floats, out: Floats) -> None:
     """Write ``values`` minus the mean of the first of them: close to their own, for any number is as good."""
     n = min(len(values), SAMPLE)
@@ -135,7 +131,7 @@ def _shift(values: Floats, out: Floats) -> None:
         out[i] = values[i] - origin
 
 
-@_order_free
+@order_free
 def _extremes(values: Floats) -> tuple[float, float]:
     """Least and greatest of at least one value, none of them NaN."""
     low, high = values[0], values[0]
@@ -144,7 +140,7 @@ def _extremes(values: Floats) -> tuple[float, float]:
     return low, high
 
 
-@_inner
+@inner
 def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     """One step of splitmix64: the new state and 64 mixed bits."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
@@ -154,7 +150,7 @@ def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
     return state, z ^ (z >> np.uint64(31))
 
 
-@_inner
+@inner
 def _three_below(bits: np.uint64, n: int) -> tuple[int, int, int]:
     """Turn 63 random bits into three numbers from 0 to n - 1 (n at most ``SAMPLE``)."""
     mask, width, size = np.uint64(0x1FFFFF), np.uint64(21), np.uint64(n)
@@ -164,7 +160,7 @@ def _three_below(bits: np.uint64, n: int) -> tuple[int, int, int]:
     return np.int64(i), np.int64(j), np.int64(k)  # type: ignore[return-value]
 
 
-@_inner
+@inner
 def _hits(
     x: Singles, y: Singles, z: Singles, a: np.float32, b: np.float32, c: np.float32, d: np.float32, reach: np.float32
 ) -> np.int32:
@@ -175,7 +171,7 @@ def _hits(
     return hits
 
 
-@_inner
+@inner
 def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles) -> Plane:
     """Return the plane through three points of the sample that has the most of the sample near it.
 
@@ -220,7 +216,7 @@ def _best_candidate(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.
     return plane
 
 
-@_inner
+@inner
 def _inlier_sums(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float, lanes: Floats) -> None:
     """Sum 1, x, y, z, xx, xy, xz, yy, yz, zz over the points within ``threshold`` of a plane: ten rows of lanes."""
     a, b, c, d = plane
@@ -246,7 +242,7 @@ def _inlier_sums(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float
             lanes[9 * LANES + k] += wz * pz
 
 
-@_inner
+@inner
 def fit_plane(
     x: Floats, y: Floats, z: Floats, near: Plane, threshold: float, lanes: Floats
 ) -> tuple[float, float, float, float]:
@@ -293,12 +289,12 @@ def fit_plane(
     return a, b, c, -(a * mx + b * my + c * mz)
 
 
-@_inner
+@inner
 def _is_plane(plane: Plane) -> bool:
     return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
 
 
-@_inner
+@inner
 def ransac_plane(
     x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles, lanes: Floats
 ) -> Plane:
@@ -318,7 +314,7 @@ def ransac_plane(
     return plane
 
 
-@_inner
+@inner
 def _no_strays(distance: Floats, low: float, high: float, gap: float, most: int) -> bool:
     """Whether it is plain that ``stray_bounds`` finds none (low and high are the extremes of the distances).
 
@@ -336,7 +332,7 @@ def _no_strays(distance: Floats, low: float, high: float, gap: float, most: int)
     return above > most and below > most
 
 
-@_inner
+@inner
 def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple[float, float, int]:
     """Split off stray points: at most ``most`` on one side of a tile, cut off from all others by a wide gap.
 
@@ -357,8 +353,8 @@ def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple
     if _no_strays(distance, least, greatest, gap, most):
         return -np.inf, np.inf, 0
     top, bottom = ends[0], ends[1]
-    top[:] = -np.inf
-    bottom[:] = np.inf
+    _set(top, -np.inf)
+    _set(bottom, np.inf)
     for i in range(n):
         d = distance[i]
         if d > top[most]:
@@ -389,7 +385,7 @@ def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple
     return low, high, best_t + best_b
 
 
-@_inner
+@inner
 def detrend(heights: Floats) -> bool:
     """Take the least-squares plane over the known pixels off ``heights`` [m] in place; NaN stays NaN.
 
@@ -430,7 +426,7 @@ def detrend(heights: Floats) -> bool:
     return True
 
 
-@_inner
+@inner
 def _fill(heights: Floats, depth: int, holes: Integers, values: Floats) -> int:
     """``fill_holes`` with scratch of one number a pixel: places of the holes, and what fills them."""
     size = heights.shape[0]
@@ -451,7 +447,7 @@ def _fill(heights: Floats, depth: int, holes: Integers, values: Floats) -> int:
                     h = heights[r, c]
                     total += h if h == h else 0.0  # noqa: PLR0124 - no branch, for it could not be foreseen
                     known += h == h  # noqa: PLR0124
-            values[k] = total / known  # NaN where none is known
+            values[k] = total / known if known > 0 else np.nan
         left = 0
         for k in range(missing):
             heights[holes[k] // size, holes[k] % size] = values[k]
@@ -462,7 +458,7 @@ def _fill(heights: Floats, depth: int, holes: Integers, values: Floats) -> int:
     return missing
 
 
-@_compiled
+@inner
 def fill_holes(heights: Floats, depth: int) -> int:
     """Fill NaN pixels in place with the mean of their known 8 neighbours, from the rim inwards, ``depth`` rings deep.
 
@@ -471,7 +467,7 @@ def fill_holes(heights: Floats, depth: int) -> int:
     return _fill(heights, depth, np.empty(heights.size, np.int32), np.empty(heights.size))
 
 
-@_inner
+@inner
 def _pixel_index(
     easting: Floats, northing: Floats, west: float, south: float, tile_size: float, size: int, out: Integers
 ) -> None:
@@ -483,10 +479,10 @@ def _pixel_index(
         out[i] = np.int32((last - r) * width + c)
 
 
-@_inner
+@inner
 def _pixel_sums(pixel: Integers, z: Floats, sums: Floats) -> None:
     """Count, sum and sum of squares of z by pixel, into the three rows of ``sums``."""
-    sums[:] = 0.0
+    _set_map(sums, 0.0)
     for i in range(len(pixel)):
         k = pixel[i]
         sums[0, k] += 1.0
@@ -494,7 +490,7 @@ def _pixel_sums(pixel: Integers, z: Floats, sums: Floats) -> None:
         sums[2, k] += z[i] * z[i]
 
 
-@_inner
+@inner
 def _heightmap(
     sums: Floats, mean: float, level: Floats, heights: Singles, variance: Singles, count: Integers
 ) -> tuple[int, float]:
@@ -520,20 +516,23 @@ def _heightmap(
     return known, high - low
 
 
-@_inner
+@inner
 def _relief(level: Floats, depth: int, complete: bool, holes: Integers, values: Floats, relief: Singles) -> float:
     """Plane-removed, hole-filled heights into ``relief``; returns their range, NaN where holes are too deep.
 
     ``level`` is changed. Filled holes move the plane, so it is taken off once more.
     """
     if not detrend(level) or (not complete and (_fill(level, depth, holes, values) > 0)):
-        relief[:] = np.nan
+        _set_map(relief, np.nan)
         return np.nan
     if not complete:
         detrend(level)
-    low, high = _extremes(level.reshape(level.size))
+    low, high = np.inf, -np.inf
+    for r in range(level.shape[0]):
+        least, greatest = _extremes(level[r])
+        low, high = min(low, least), max(high, greatest)
     if high - low < _NOTHING:
-        relief[:] = 0.0
+        _set_map(relief, 0.0)
         return 0.0
     for r in range(level.shape[0]):
         for c in range(level.shape[1]):
@@ -541,7 +540,9 @@ def _relief(level: Floats, depth: int, complete: bool, holes: Integers, values: 
     return high - low
 
 
-@_compiled
+@entry(
+    "i8:1 f8:1 f8:1 f8:1 i8:1 i8:1 f8 f8 f8 i8 f8:2 f4:3 f4:3 f4:3 i4:3 f8:2 i4:1 f4:2 f8:1 f8:2 f8:2 f8:2",
+)
 def measure_tiles(
     starts: Indices,
     easting: Floats,
@@ -605,9 +606,12 @@ def measure_tiles(
     size, most = level.shape[0], ends.shape[1] - 1
     for t in range(len(col)):
         first, last = starts[t], starts[t + 1]
-        scalars[t] = np.nan
+        _set(scalars[t], np.nan)
         if first == last:
-            heights[t], variance[t], relief[t], count[t] = np.nan, np.nan, np.nan, 0
+            _set_map(heights[t], np.nan)
+            _set_map(variance[t], np.nan)
+            _set_map(relief[t], np.nan)
+            _set_map(count[t], 0)
             continue
         n = last - first
         x, y, z, distance = points[0, :n], points[1, :n], points[2, :n], points[3, :n]
@@ -625,7 +629,8 @@ def measure_tiles(
             scalars[t, 3] = _sum_of_sizes(distance, lanes) / n
             scalars[t, 4] = math.degrees(math.acos(min(1.0, c)))
         else:
-            distance[:] = z
+            for i in range(n):
+                distance[i] = z[i]
         low, high, strays = stray_bounds(distance, gap, most, ends)
         west, south = col[t] * tile_size, row[t] * tile_size
         _pixel_index(easting[first:last], northing[first:last], west, south, tile_size, size, pixel)
@@ -640,7 +645,7 @@ def measure_tiles(
         scalars[t, 8] = strays
 
 
-@_inner
+@inner
 def _share_below(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Probability that C_r is below exp(log_c) under a mixture of log-normals."""
     below = 0.0
@@ -649,7 +654,7 @@ def _share_below(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats
     return below
 
 
-@_inner
+@inner
 def _mixture_density(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Slope of ``_share_below``."""
     density = 0.0
@@ -659,7 +664,7 @@ def _mixture_density(log_c: float, chance: Singles, log_mean: Floats, log_sd: Fl
     return density / math.sqrt(2.0 * math.pi)
 
 
-@_inner
+@inner
 def mixture_quantile(share: float, normal: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Find the ln C_r with a share of the mixture below it, to 1e-10; ``normal`` is the standard normal's quantile.
 
@@ -687,7 +692,7 @@ def mixture_quantile(share: float, normal: float, chance: Singles, log_mean: Flo
     return at
 
 
-@_inner
+@inner
 def _read_ladder(relief: float, log_range: Floats, tables: Floats, rungs: Floats) -> None:
     """Read the tables (ln C_r, its spread, p_fail) of every texture at a relief [m] into ``rungs``.
 
@@ -711,7 +716,7 @@ def _read_ladder(relief: float, log_range: Floats, tables: Floats, rungs: Floats
         rungs[0, k] += min(0.0, log_relief - log_range[0])
 
 
-@_compiled
+@entry("?:1 f4:2 f8:1 f8:1 f8:1 f8:1 f8:3 f8:1 f8 f8 f8 f8 u1:1 f4:2 f8:2")
 def rate_tiles(
     known: NDArray[np.bool_],
     chance: Singles,

@@ -1,15 +1,14 @@
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bumpymap.config import FeatureSettings
+from bumpymap.native import compiled_twin
 from bumpymap.types import Reason
 from bumpytiles import Grid
 
+KERNELS = compiled_twin("bumpymap.kernels")
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
 
@@ -71,14 +70,12 @@ def test_all_fifteen_rows_and_columns_are_used_and_north_is_up(measure_points):
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 14), st.integers(0, 14), st.integers(-1000, 1000), st.sampled_from([0.1, 0.9, 1.5, 3.0, 7.3]))
 def test_a_point_on_a_tile_or_pixel_edge_falls_to_the_north_east(c, r, tile, size):
-    from bumpymap.kernels import _pixel_index
-
     # Coordinates as the pipeline has them; a rounded offset can never leave the tile.
     grid = Grid(tile_size=size)
     corner = grid.bounds(tile, tile).west
     x, y = np.array([corner + c * size / 15]), np.array([corner + r * size / 15])
     pixel = np.empty(1, np.int32)
-    _pixel_index(x, y, tile * size, tile * size, size, 15, pixel)
+    KERNELS._pixel_index(x, y, tile * size, tile * size, size, 15, pixel)
     across, up = int(15 * (x[0] - tile * size) / size), int(15 * (y[0] - tile * size) / size)
     assert divmod(int(pixel[0]), 15) == (14 - up, across)
 
@@ -272,29 +269,15 @@ def test_other_tile_sizes_and_pixels(measure_points):
     assert np.all(stack.density == stack.count / 2.25)
 
 
-def test_kernels_work_where_no_cache_can_be_written():
-    # What numba does under a read-only installation and without a home: no place for its cache is found.
-    code = (
-        "from numba.core import caching; caching.CompileResultCacheImpl._locator_classes = []\n"
-        "import numpy as np; from bumpymap.kernels import fill_holes; a = np.array([[1.0, np.nan]] * 2); "
-        "print(fill_holes(a, 1), a.tolist())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "0 [[1.0, 1.0], [1.0, 1.0]]"
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4), st.sampled_from([1e-3, 0.1, 1.0, 5.0]))
 def test_strays_equal_those_of_the_definition(seed, most, spread):
-    from bumpymap.kernels import stray_bounds
-
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2 * most + 2, 300))
     distance = rng.normal(scale=spread, size=n)
     lifted = rng.integers(0, n, rng.integers(0, 2 * most + 2))
     distance[lifted] += rng.uniform(-30, 30, len(lifted))
-    low, high, strays = stray_bounds(distance, 0.5, most, np.empty((2, most + 1)))
+    low, high, strays = KERNELS.stray_bounds(distance, 0.5, most, np.empty((2, most + 1)))
     kept = (distance >= low) & (distance <= high)
     rank = np.sort(distance)
     fits = {(0, 0)}
@@ -312,15 +295,13 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
 
 @pytest.mark.parametrize("n", [3, 63, 64, 65, 1000])
 def test_a_plane_fit_equals_numpys_on_the_inliers(n):
-    from bumpymap.kernels import LANES, SUMS, fit_plane
-
     rng = np.random.default_rng(n)
     x, y = rng.uniform(-1.5, 1.5, (2, n))
     z = 0.3 * x - 0.2 * y + 0.05 * rng.normal(size=n)
     near = np.array([-0.3, 0.2, 1.0, 0.0]) / np.sqrt(1.13)
     inlier = np.abs(near[0] * x + near[1] * y + near[2] * z) <= 0.06
     assert n == 3 or 3 < inlier.sum() < n
-    fitted = fit_plane(x, y, z, tuple(near), 0.06 if n > 3 else np.inf, np.empty(SUMS * LANES))
+    fitted = KERNELS.fit_plane(x, y, z, tuple(near), 0.06 if n > 3 else np.inf, np.empty(KERNELS.SUMS * KERNELS.LANES))
     used = inlier if n > 3 else np.ones(3, bool)
     (east, north, level), *_ = np.linalg.lstsq(np.column_stack((x, y, np.ones(n)))[used], z[used])
     expected = np.array([-east, -north, 1.0, -level]) / np.hypot(1.0, np.hypot(east, north))
@@ -344,3 +325,18 @@ def test_tiles_are_measured_alike_in_any_company(measure_points):
         alone = measure_points(x[mine], y[mine], z[mine])
         for name in ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map"):
             np.testing.assert_array_equal(getattr(alone, name)[0], getattr(whole, name)[k])
+
+
+def test_compiled_kernels_and_plain_python_agree(measure_points, monkeypatch):
+    from bumpymap import kernels
+
+    x, y, rng = tile_points(21, n=120)
+    z = 0.2 * (x - EAST) + 0.05 * rng.normal(size=120)
+    z[5] += 9.0
+    compiled = measure_points(x, y, z)
+    monkeypatch.setattr(kernels, "measure_tiles", kernels.measure_tiles.plain)
+    with np.errstate(all="ignore"):
+        plain = measure_points(x, y, z)
+    for name in ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map"):
+        np.testing.assert_allclose(getattr(plain, name), getattr(compiled, name), rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(plain.spread_count, compiled.spread_count)

@@ -23,7 +23,8 @@ ROOMS = {
         {"crs"},
         {"bumpytiles", "fsspec", "laspy", "lazrs", "numba", "numpy", "plyfile", "pypcd4", "pyproj"},
     ),
-    "kernels": (set(), {"numpy", "numba"}),
+    "native": (set(), {"llvmlite", "numba", "numpy"}),
+    "kernels": ({"native"}, {"numpy"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
@@ -37,9 +38,9 @@ ROOMS = {
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {
-    "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "matplotlib", "numba", "numpy",
-    "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio", "scipy",
-    "shapely", "skimage", "sklearn", "torch",
+    "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
+    "numpy", "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
+    "scipy", "shapely", "skimage", "sklearn", "torch",
 }  # fmt: skip
 
 

@@ -1,0 +1,168 @@
+"""Machine code kept between runs: the same numbers as numba's and Python's, and never the code of another source."""
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bumpymap.native import Entry, compiled_twin
+
+SOURCE = """
+import math
+import numpy as np
+from bumpymap.native import entry, inner
+
+@inner
+def square(x):
+    return x * x
+
+@entry("f8:1 f4:2 i8 f8 ?:1 f8:1")
+def weigh(x, table, times, shift, use, out):
+    for i in range(len(x)):
+        if use[i]:
+            out[i] = shift + times * square(x[i]) + table[i, 1] + math.erfc(x[i])
+
+@entry("f8:1 f8:1")
+def allocates(x, out):
+    twice = np.empty(len(x))
+    for i in range(len(x)):
+        twice[i] = 2.0 * x[i]
+    for i in range(len(x)):
+        out[i] = twice[len(x) - 1 - i]
+"""
+RUN = """
+import sys
+import numpy as np
+import tiny
+out = np.zeros(3)
+tiny.weigh(np.array([0.5, 1.0, 2.0]), np.ones((3, 2), np.float32), 3, 0.25, np.array([True, False, True]), out)
+print(out.tolist(), "numba" in sys.modules)
+"""
+NUMBERS = "[2.479500122"
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Folder with a kernel module and an empty cache."""
+    (tmp_path / "tiny.py").write_text(SOURCE)
+    return tmp_path
+
+
+def run(place, code=RUN, cache="cache"):
+    paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
+    env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(place / cache)}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def kept(place):
+    (file,) = (place / "cache").iterdir()
+    return file
+
+
+def test_the_second_run_gives_the_same_without_the_compiler(place):
+    first, second = run(place), run(place)
+    assert first.startswith(NUMBERS)
+    assert first.endswith("True")
+    assert second == first.replace("True", "False")
+
+
+@pytest.mark.parametrize("keep", [0, 10, 400, -1])
+def test_a_damaged_file_is_made_anew(place, keep):
+    first = run(place)
+    whole = kept(place).read_bytes()
+    kept(place).write_bytes(whole[:keep])
+    assert run(place) == first
+    assert kept(place).read_bytes()[:100] == whole[:100]
+    flipped = bytearray(kept(place).read_bytes())
+    flipped[-200] ^= 1
+    kept(place).write_bytes(flipped)
+    assert run(place) == first
+
+
+def test_another_source_is_compiled_anew_and_takes_the_place(place):
+    run(place)
+    (place / "tiny.py").write_text(SOURCE.replace("x * x", "x * x * 0.0"))
+    again = run(place)
+    assert not again.startswith(NUMBERS)
+    assert again.endswith("True")
+    kept(place)
+
+
+def test_without_a_place_for_the_cache_it_compiles_every_time(place):
+    (place / "no folder").write_text("")
+    first, second = run(place, cache="no folder"), run(place, cache="no folder")
+    assert first == second
+    assert first.startswith(NUMBERS)
+    assert first.endswith("True")
+
+
+def test_a_kernel_that_needs_the_interpreter_works_through_numba(place):
+    code = "import numpy as np, tiny; out = np.zeros(3); tiny.allocates(np.arange(3.0), out); print(out.tolist())"
+    assert run(place, code) == "[4.0, 2.0, 0.0]"
+    assert not (place / "cache").exists()
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kernels")
+    (folder / "tiny_here.py").write_text(SOURCE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.setenv("NUMBA_CACHE_DIR", str(folder / "cache"))
+        yield compiled_twin("tiny_here"), __import__("tiny_here")
+
+
+def arguments(n=50):
+    rng = np.random.default_rng(0)
+    return [rng.normal(size=n), np.ones((n, 2), np.float32), 2, 0.5, rng.random(n) < 0.5, np.zeros(n)]
+
+
+def test_machine_code_numba_and_python_agree(tiny):
+    compiled, module = tiny
+    outs = []
+    for kernel in (module.weigh, compiled.weigh, module.weigh.plain):
+        given = arguments()
+        kernel(*given)
+        outs.append(given[-1])
+    assert np.count_nonzero(outs[0]) > 10
+    np.testing.assert_array_equal(outs[0], outs[1])
+    np.testing.assert_allclose(outs[0], outs[2], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("place_of", "wrong", "message"),
+    [
+        (0, np.zeros(50, np.float32), "argument 0 of weigh is float32"),
+        (1, np.zeros((50, 4), np.float32)[:, ::2], "C-contiguous"),
+        (5, np.zeros((50, 1)), "with 2 dimensions"),
+    ],
+)
+def test_arrays_of_another_kind_are_refused(tiny, place_of, wrong, message):
+    given = arguments()
+    given[place_of] = wrong
+    with pytest.raises(TypeError, match=message):
+        tiny[1].weigh(*given)
+
+
+def test_a_missing_argument_is_refused(tiny):
+    with pytest.raises(TypeError, match="takes 6 arguments, not 5"):
+        tiny[1].weigh(*arguments()[:-1])
+
+
+def test_threads_that_come_at_once_get_the_same(tiny):
+    fresh = Entry(tiny[1].weigh.plain, "f8:1 f4:2 i8 f8 ?:1 f8:1")
+    given = [arguments() for _ in range(4)]
+    threads = [threading.Thread(target=fresh, args=each) for each in given]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for each in given[1:]:
+        np.testing.assert_array_equal(each[-1], given[0][-1])
+    assert given[0][-1].any()
