@@ -128,15 +128,13 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
     head = MetaData.parse_header(lines)
     if not len(head.fields) == len(head.size) == len(head.type) == len(head.count):
         raise BadInputError(f"the header of {path} has FIELDS, SIZE, TYPE and COUNT of different length")
-    if min(head.count) < 1 or sum(head.count) > _MOST_VALUES:
+    if sum(head.count) > _MOST_VALUES:
         raise BadInputError(
-            f"the header of {path} gives a point {sum(head.count):,} values (COUNT); 1 to {_MOST_VALUES:,} are read. "
+            f"the header of {path} gives a point {sum(head.count):,} values (COUNT); up to {_MOST_VALUES:,} are read. "
             "The file is damaged; export it again"
         )
-    if head.points <= 0:
-        raise BadInputError(
-            f"{path} holds no points (its header promises {head.points:,}): nothing to map. Was it exported fully?"
-        )
+    if head.points == 0:
+        raise BadInputError(f"{path} holds no points (its header promises 0): nothing to map. Was it exported fully?")
     return head
 
 
