@@ -140,7 +140,7 @@ def test_a_run_that_breaks_leaves_the_folder_as_it_was(tmp_path, cost_map, monke
     write(cost_map, tmp_path)
     old = hashes(tmp_path)
 
-    def full(*_):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("bumpymap.products._cog._write_scratch", full)
