@@ -93,6 +93,9 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
             f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
             f"{header.point_size} bytes: the file is damaged. Copy or download it again"
         )
+    if not is_chunked(record):
+        # The size of chunks means nothing here, yet lazrs panics on 0 and on the value for "any size".
+        record = record[:12] + struct.pack("<I", 0xFFFFFFFE) + record[16:]
     # An empty table of chunks: the decoder looks at the record alone.
     nothing = io.BytesIO(struct.pack("<qII", 8, 0, 0))
     with decoding(path, "the LASzip record"):

@@ -136,6 +136,15 @@ def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches
         assert np.array_equal(in_order(table(back)), in_order(table(whole)))
 
 
+@pytest.mark.parametrize("size", [0, 1, 50_000, 2**32 - 1])
+def test_a_stream_without_chunks_does_not_mind_their_size(las, laz, batches, table, size):
+    plain = survey(las, fmt=3, version="1.2", count=200)
+    path = laz.pack(plain)
+    record = path.read_bytes().index(b"laszip encoded") - 2 + 54
+    las.patch(path, record + 12, "<I", size)
+    assert np.array_equal(table(batches(open_survey(path), 70)), oracle(plain)[0])
+
+
 def test_a_piece_of_no_points(las):
     with pytest.raises(UsageError, match="at least 1"):
         open_survey(las.write()).pieces(0)
