@@ -1,5 +1,6 @@
 """Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ __all__ = ["CELL", "Regions", "dissolve"]
 
 CELL = 2_048
 """Side of the cells that regions are cut at, tiles: 6 km of 3 m tiles."""
-_BATCH = 32_768
+_BATCH = 8_192
 """Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
 _STRIP = 65_536
 """Most tiles to read at a time."""
@@ -145,10 +146,16 @@ def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted
     part = labels[rows]
     grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
     mask = (part >= wanted.start) & (part < wanted.stop)
-    traced = np.empty(len(wanted), dtype=object)
+    order, sizes, rings = [], [], []
     for shape, number in rasterio.features.shapes(part, mask=mask, connectivity=4, transform=grid):
-        outer, *holes = shape["coordinates"]
-        traced[int(number) - wanted.start] = shapely.Polygon(outer, holes)
+        order.append(int(number) - wanted.start)
+        sizes.append(len(shape["coordinates"]))
+        rings += shape["coordinates"]
+    # All at once: one by one takes three times as long.
+    points = np.array(list(itertools.chain.from_iterable(rings)))
+    lines = shapely.linearrings(points, indices=np.repeat(np.arange(len(rings)), [len(ring) for ring in rings]))
+    traced = np.empty(len(wanted), dtype=object)
+    traced[order] = shapely.polygons(lines, indices=np.repeat(np.arange(len(sizes)), sizes))
     # GEOS's normal form runs clockwise; right-hand rings are its reverse. It also fixes where a ring starts.
     outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))
     return outlines
