@@ -1,8 +1,8 @@
-"""Connected areas of equal tiles, with sums over each: one compiled pass over a cell of the map.
+"""Connected areas of equal tiles in a cell of the map, and sums over each, compiled.
 
 Union-find over the pixels themselves: the root of an area is its first pixel in reading order (north row first, west
 first), so areas get their numbers in that order whatever their shape, and no second sorting is needed. Sums are made
-in reading order too: the same tiles give the same bits.
+one tile after the other: the same tiles in the same order give the same bits.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["label"]
+__all__ = ["add_up", "label"]
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
@@ -23,17 +23,13 @@ def _compiled(function: Callable[..., Any]) -> Any:
         return njit(nogil=True)(function)
 
 
-def label(
-    keys: NDArray[np.uint8], values: NDArray[np.float32]
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
     """Give a number to each of the 4-connected areas of equal key, from 1, in the order of their first pixels.
 
     Parameters
     ----------
     keys : array (rows, cols) uint8
         0 belongs to no area.
-    values : array (k, rows, cols) float32
-        What to add up.
 
     Returns
     -------
@@ -41,17 +37,12 @@ def label(
         Number of the area of each pixel; 0 where the key is 0.
     first, last : arrays (m,) int64
         First and last pixel of each area, as positions in ``keys.ravel()``.
-    pixels : array (m,) int64
-        How many pixels each area has.
-    totals : array (k, m) float64
-        Sums of the values of its pixels.
     """
     labels = np.zeros(keys.shape, dtype=np.int32)
     count = _number(keys, labels)
-    first, last, pixels = (np.zeros(count, dtype=np.int64) for _ in range(3))
-    totals = np.zeros((len(values), count))
-    _add_up(labels.ravel(), values.reshape(len(values), -1), first, last, pixels, totals)
-    return labels, first, last, pixels, totals
+    first, last = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    _find_ends(labels.ravel(), first, last)
+    return labels, first, last
 
 
 @_compiled
@@ -102,22 +93,18 @@ def _number(keys: NDArray[np.uint8], labels: NDArray[np.int32]) -> int:
 
 
 @_compiled
-def _add_up(
-    labels: NDArray[np.int32],
-    values: NDArray[np.float32],
-    first: NDArray[np.int64],
-    last: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    totals: NDArray[np.float64],
-) -> None:
+def _find_ends(labels: NDArray[np.int32], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
     """Fill what `label` returns of each area."""
     for pixel in range(len(labels)):
         area = labels[pixel] - 1
-        if area < 0:
-            continue
-        if pixels[area] == 0:
-            first[area] = pixel
-        last[area] = pixel
-        pixels[area] += 1
-        for k in range(len(values)):
-            totals[k, area] += values[k, pixel]
+        if area >= 0:
+            last[area] = pixel
+            if first[area] < 0:
+                first[area] = pixel
+
+
+@_compiled
+def add_up(area: NDArray[np.int32], values: NDArray[np.float32], total: NDArray[np.float64]) -> None:
+    """Add (n,) values to the (m,) totals of their areas, one after the other."""
+    for n in range(len(area)):
+        total[area[n]] += values[n]

@@ -10,10 +10,10 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from bumpymap.products._label import label
+from bumpymap.products._label import add_up, label
 from bumpymap.products.placement import Chunk, Placement
 from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
-from bumpytiles import TileWindow
+from bumpytiles import BLOCK_TILES, TileWindow
 
 __all__ = ["CELL", "Regions", "dissolve"]
 
@@ -21,8 +21,8 @@ CELL = 2_048
 """Side of the cells that regions are cut at, tiles: 6 km of 3 m tiles."""
 _BATCH = 8_192
 """Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
-_STRIP = 65_536
-"""Most tiles to read at a time."""
+_STRIP = CELL * BLOCK_TILES
+"""Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a cell."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
 _UNKNOWN = 100
@@ -102,11 +102,11 @@ def dissolve(mosaic: CostMosaic, placement: Placement | None = None) -> Iterator
 
 
 def _dissolve_cell(mosaic: CostMosaic, place: Placement, chunk: Chunk) -> Iterator[Regions]:
-    keys, values = _lay_out(mosaic, chunk)
-    labels, first, last, tiles, totals = label(keys, values)
-    del values
+    keys = _lay_out(mosaic, chunk)
+    labels, first, last = label(keys)
     key = keys.ravel()[first]
-    means = totals / tiles
+    tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
+    means = _add_up(mosaic, chunk, labels, len(first)) / tiles
     klass = np.where(key >= _UNKNOWN, NO_CLASS, key - 1).astype(np.uint8)
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
     for start in range(0, len(first), _BATCH):
@@ -127,18 +127,25 @@ def _dissolve_cell(mosaic: CostMosaic, place: Placement, chunk: Chunk) -> Iterat
         )
 
 
-def _lay_out(mosaic: CostMosaic, chunk: Chunk) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Keys (rows, cols) of a cell, 0 where there is no tile, and values (4, rows, cols), north row first."""
-    window = chunk.window
-    keys = np.zeros((window.rows, window.cols), dtype=np.uint8)
-    values = np.zeros((len(_VALUES), window.rows, window.cols), dtype=np.float32)
-    for strip in mosaic.tiles.strips(_STRIP, window):
-        found = mosaic.tiles.read(("klass", "reason", *_VALUES), strip)
-        place = chunk.places(found)
-        keys[place] = np.where(found["klass"] == NO_CLASS, _UNKNOWN + found["reason"], found["klass"] + 1)
-        for canvas, name in zip(values, _VALUES, strict=True):
-            canvas[place] = found[name]
-    return keys, values
+def _lay_out(mosaic: CostMosaic, chunk: Chunk) -> NDArray[np.uint8]:
+    """Keys (rows, cols) of a cell, 0 where there is no tile, north row first."""
+    keys = np.zeros((chunk.window.rows, chunk.window.cols), dtype=np.uint8)
+    for strip in mosaic.tiles.strips(_STRIP, chunk.window):
+        found = mosaic.tiles.read(("klass", "reason"), strip)
+        key = np.where(found["klass"] == NO_CLASS, _UNKNOWN + found["reason"], found["klass"] + 1)
+        keys[chunk.places(found)] = key
+    return keys
+
+
+def _add_up(mosaic: CostMosaic, chunk: Chunk, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Give sums (4, count) over the tiles of each label; reading twice takes less memory than values laid out."""
+    totals = np.zeros((len(_VALUES), count))
+    for strip in mosaic.tiles.strips(_STRIP, chunk.window):
+        found = mosaic.tiles.read(_VALUES, strip)
+        area = labels[chunk.places(found)] - 1
+        for total, name in zip(totals, _VALUES, strict=True):
+            add_up(area, found[name], total)
+    return totals
 
 
 def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
