@@ -1,30 +1,29 @@
 """Records to metres, and which points count: one pass over the bytes, without the interpreter's lock.
 
-``convert_records`` decodes LAS records in strips that stay in the processor's cache and hands each to ``sift``, which
+``convert_records`` decodes LAS records in strips that stay in the processor's cache and hands each to ``_sift``, which
 watches every point and moves those that count to the front. Tables (PLY, PCD) come with their coordinates and need
-``sift`` alone. Points keep their order.
+``sift_points`` alone. Points keep their order.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["FIRST", "FLOATS", "INTS", "convert_records", "sift"]
+from bumpymap.native import entry, inner
 
-FLOATS = 5
-"""Numbers that ``sift`` keeps as float64: lowest easting and northing, highest easting and northing, highest height."""
-INTS = 7
-"""Numbers that ``sift`` keeps as int64, in the order of the counts in ``Tally``; the first bad point comes last."""
-FIRST = 6
-"""Place of the first bad point among them; -1 where there is none."""
+__all__ = ["KEPT", "STRIP", "convert_records", "sift_points"]
 
-_STRIP = 1024
+_FIRST = 6
+"""Place in ``counts`` of the number of the first point that is not finite; -1 where there is none."""
+KEPT = 7
+"""Place in ``counts`` of the points that count, so far."""
+STRIP = 1024
+"""Points that are decoded at once."""
+
 _ROUND = 1e8
 """10 to the power of the decimals that a coordinate keeps (``columns.DECIMALS``)."""
-_FINITE = np.finfo(np.float64).max
+_FINITE = float(np.finfo(np.float64).max)
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -32,21 +31,57 @@ Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 
-def _compiled(function: Callable[..., Any]) -> Any:
-    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # nowhere to write: a read-only installation and no home
-        return njit(nogil=True)(function)
+@inner
+def _sift(
+    x: Any, y: Any, z: Any, klass: Any, withheld: Any, total: int,
+    box: Any, cube: Any, nan_is_no_return: bool, start: int,
+    to_x: Any, to_y: Any, to_z: Any, to_ground: Any,
+    extremes: Any, counts: Any,
+) -> None:  # fmt: skip
+    """Watch ``total`` points and append those that count; see ``sift_points``."""
+    west, south, east, north, highest = extremes[0], extremes[1], extremes[2], extremes[3], extremes[4]
+    # Nothing is wrong with a point in here; the others are looked at closely.
+    inner_west, inner_south = max(box[0], cube[0], -_FINITE), max(box[1], cube[1], -_FINITE)
+    inner_east, inner_north = min(box[2], cube[2], _FINITE), min(box[3], cube[3], _FINITE)
+    to = counts[KEPT]
+    for i in range(total):
+        e, n, u = x[i], y[i], z[i]
+        # In this order NaN leaves the extremes alone, as comparisons with it are false; it lies nowhere, too.
+        west, east = min(west, e), max(east, e)
+        south, north = min(south, n), max(north, n)
+        highest = max(highest, abs(u))
+        if not (inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE):
+            if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
+                counts[3] += 1
+            elif e < cube[0] or n < cube[1] or e > cube[2] or n > cube[3]:
+                counts[4] += 1
+            if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
+                if nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
+                    counts[2] += 1
+                    continue
+                counts[5] += 1
+                if counts[_FIRST] < 0:
+                    counts[_FIRST] = start + i
+        if withheld[i]:
+            counts[0] += 1
+            continue
+        code = klass[i]
+        if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
+            counts[1] += 1
+            continue
+        to_x[to], to_y[to], to_z[to], to_ground[to] = e, n, u, code == 2
+        to += 1
+    counts[KEPT] = to
+    extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
 
 
-@_compiled
-def sift(
+@entry("f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 ? i8 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
+def sift_points(
     x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
     box: Floats, cube: Floats, nan_is_no_return: bool, start: int,
-    to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags, to: int,
-    floats: Floats, ints: Counts,
-) -> int:  # fmt: skip
+    to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
+    extremes: Floats, counts: Counts,
+) -> None:  # fmt: skip
     """Watch points and keep those that count.
 
     Parameters
@@ -62,80 +97,50 @@ def sift(
         A row with NaN does not count; otherwise it is bad, as infinite ones are.
     start : int
         Number of the first point in the file.
-    to_x, to_y, to_z : float64 (m,), to_ground : bool (m,)
-        Where points that count go, from ``to`` on; may be the arrays that they come from.
-    floats : float64 (FLOATS,), ints : int64 (INTS,)
-        Brought up to date.
-
-    Returns
-    -------
-    int
-        ``to`` behind the last point that was kept.
+    to_x, to_y, to_z : float64 (n,), to_ground : bool (n,)
+        Where points that count go; may be the arrays that they come from.
+    extremes : float64 (5,)
+        Lowest easting and northing, highest easting and northing, largest distance of a height from zero, m; brought
+        up to date, as are the counts.
+    counts : int64 (8,)
+        Withheld, noise, not a number, outside, astray, not finite, first not finite: as in ``Tally``; last, those kept.
     """
-    west, south, east, north, highest = floats[0], floats[1], floats[2], floats[3], floats[4]
-    held, noise, no_return, outside, astray, bad = ints[0], ints[1], ints[2], ints[3], ints[4], ints[5]
-    # Nothing is wrong with a point in here; the others are looked at closely.
-    inner_west, inner_south = max(box[0], cube[0], -_FINITE), max(box[1], cube[1], -_FINITE)
-    inner_east, inner_north = min(box[2], cube[2], _FINITE), min(box[3], cube[3], _FINITE)
-    for i in range(len(x)):
-        e, n, u = x[i], y[i], z[i]
-        # In this order NaN leaves the extremes alone, as comparisons with it are false; it lies nowhere, too.
-        west, east = min(west, e), max(east, e)
-        south, north = min(south, n), max(north, n)
-        highest = max(highest, abs(u))
-        if not (inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE):
-            if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
-                outside += 1
-            elif e < cube[0] or n < cube[1] or e > cube[2] or n > cube[3]:
-                astray += 1
-            if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
-                if nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
-                    no_return += 1
-                    continue
-                bad += 1
-                if ints[6] < 0:
-                    ints[6] = start + i
-        if withheld[i]:
-            held += 1
-            continue
-        code = klass[i]
-        if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
-            noise += 1
-            continue
-        to_x[to], to_y[to], to_z[to], to_ground[to] = e, n, u, code == 2
-        to += 1
-    floats[0], floats[1], floats[2], floats[3], floats[4] = west, south, east, north, highest
-    ints[0], ints[1], ints[2], ints[3], ints[4], ints[5] = held, noise, no_return, outside, astray, bad
-    return to
+    _sift(
+        x, y, z, klass, withheld, len(x), box, cube, nan_is_no_return, start,
+        to_x, to_y, to_z, to_ground, extremes, counts,
+    )  # fmt: skip
 
 
-@_compiled
-def _axis(records: Bytes, at: int, first: int, scale: float, offset: float, unit: float, out: Floats) -> None:
+@inner
+def _axis(
+    records: Any, at: int, first: int, count: int, scale: float, offset: float, unit: float, out: Any
+) -> None:  # fmt: skip
     """Coordinates of a strip: ``integer * scale + offset``, rounded to 1e-8 units, in metres.
 
     The same steps as ``numpy.round`` takes, so the same bits.
     """
-    for i in range(len(out)):
-        record = records[first + i]
+    for i in range(count):
+        record = first + i
         word = (
-            np.uint32(record[at])
-            | np.uint32(record[at + 1]) << np.uint32(8)
-            | np.uint32(record[at + 2]) << np.uint32(16)
-            | np.uint32(record[at + 3]) << np.uint32(24)
+            np.uint32(records[record, at])
+            | np.uint32(records[record, at + 1]) << np.uint32(8)
+            | np.uint32(records[record, at + 2]) << np.uint32(16)
+            | np.uint32(records[record, at + 3]) << np.uint32(24)
         )
         out[i] = np.rint((np.int32(word) * scale + offset) * _ROUND) / _ROUND
     if unit != 1.0:
-        for i in range(len(out)):
+        for i in range(count):
             out[i] *= unit
 
 
-@_compiled
+@entry("u1:2 f8:1 i8:1 f8:1 f8:1 i8 f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
 def convert_records(
     records: Bytes, place: Floats, layout: Counts, box: Floats, cube: Floats, start: int,
+    x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
     to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
-    floats: Floats, ints: Counts,
-) -> int:  # fmt: skip
-    """Turn LAS records into points in metres and keep those that count; see ``sift``.
+    extremes: Floats, counts: Counts,
+) -> None:  # fmt: skip
+    """Turn LAS records into points in metres and keep those that count; see ``sift_points``.
 
     Parameters
     ----------
@@ -144,22 +149,19 @@ def convert_records(
         Scales, offsets and metres per unit of x, y and z.
     layout : int64 (4,)
         Byte and mask of the class, byte and mask of the withheld flag.
+    x, y, z : float64 (STRIP,), klass : uint8 (STRIP,), withheld : bool (STRIP,)
+        Scratch.
     """
     total = len(records)
-    size = min(_STRIP, total)
-    x, y, z = np.empty(size), np.empty(size), np.empty(size)
-    klass, withheld = np.empty(size, np.uint8), np.empty(size, np.bool_)
-    to = 0
-    for first in range(0, total, _STRIP):
-        count = min(_STRIP, total - first)
-        _axis(records, 0, first, place[0], place[3], place[6], x[:count])
-        _axis(records, 4, first, place[1], place[4], place[7], y[:count])
-        _axis(records, 8, first, place[2], place[5], place[8], z[:count])
+    for first in range(0, total, STRIP):
+        count = min(STRIP, total - first)
+        _axis(records, 0, first, count, place[0], place[3], place[6], x)
+        _axis(records, 4, first, count, place[1], place[4], place[7], y)
+        _axis(records, 8, first, count, place[2], place[5], place[8], z)
         for i in range(count):
             klass[i] = records[first + i, layout[0]] & layout[1]
             withheld[i] = (records[first + i, layout[2]] & layout[3]) != 0
-        to = sift(
-            x[:count], y[:count], z[:count], klass[:count], withheld[:count],
-            box, cube, False, start + first, to_x, to_y, to_z, to_ground, to, floats, ints,
+        _sift(
+            x, y, z, klass, withheld, count, box, cube, False, start + first,
+            to_x, to_y, to_z, to_ground, extremes, counts,
         )  # fmt: skip
-    return to

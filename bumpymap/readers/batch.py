@@ -1,13 +1,11 @@
-"""What was fetched, made into batches: points that count, in metres, and the tally of all.
-
-numba is imported when the first piece comes, so that a look at headers does not wait for it.
-"""
+"""What was fetched, made into batches: points that count, in metres, and the tally of all."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.readers._kernel import KEPT, STRIP, convert_records, sift_points
 from bumpymap.readers.protocol import Batch
 from bumpymap.readers.tally import OUTSIDE, Tally
 from bumpymap.types import Georeference, PointCloud
@@ -62,42 +60,37 @@ def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Ge
         Gives the units.
     watch : Watch
     """
-    from bumpymap.readers._kernel import convert_records
-
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
     places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
     box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
-    out, (floats, counts) = _empty(len(records)), _start()
-    kept = convert_records(records, numbers, places, box, cube, watch.first, *out, floats, counts)
-    return _batch(out, kept, len(records), floats, counts)
+    scratch = (*np.empty((3, STRIP)), np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
+    size = len(records)
+    out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
+    extremes, counts = _start()
+    convert_records(records, numbers, places, box, cube, watch.first, *scratch, *out, extremes, counts)
+    return _batch(out, size, extremes, counts)
 
 
 def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
     """Convert rows of a table; the coordinates of ``raw`` are used up."""
-    from bumpymap.readers._kernel import sift
-
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
     ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
     box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
-    floats, counts = _start()
+    extremes, counts = _start()
     no_return = watch.nan_is_no_return
-    kept = sift(*axes, _codes(raw), withheld, box, cube, no_return, watch.first, *axes, ground, 0, floats, counts)
-    return _batch((*axes, ground), kept, size, floats, counts)
+    sift_points(*axes, _codes(raw), withheld, box, cube, no_return, watch.first, *axes, ground, extremes, counts)
+    return _batch((*axes, ground), size, extremes, counts)
 
 
 _Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
 
 
-def _empty(size: int) -> _Out:
-    return np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_)
-
-
 def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     empty = Tally()
-    floats = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
-    return floats, np.array([0, 0, 0, 0, 0, 0, empty.first_not_finite])
+    extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
+    return extremes, np.array([0, 0, 0, 0, 0, 0, empty.first_not_finite, 0])
 
 
 def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
@@ -114,10 +107,9 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     return codes
 
 
-def _batch(out: _Out, kept: int, seen: int, floats: NDArray[np.float64], counts: NDArray[np.int64]) -> Batch:
-    tally = Tally(seen, *counts.tolist(), *floats.tolist())
-    if tally.bad:
-        kept = 0
+def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> Batch:
+    tally = Tally(seen, *counts[:KEPT].tolist(), *extremes.tolist())
+    kept = 0 if tally.bad else int(counts[KEPT])
     cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
     if kept < seen // 2:
         # A view would keep the room of the points that were left out.

@@ -20,8 +20,8 @@ ROOMS = {
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
     "readers": (
-        {"crs"},
-        {"bumpytiles", "fsspec", "laspy", "lazrs", "numba", "numpy", "plyfile", "pypcd4", "pyproj"},
+        {"crs", "native"},
+        {"bumpytiles", "fsspec", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"},
     ),
     "native": (set(), {"llvmlite", "numba", "numpy"}),
     "kernels": ({"native"}, {"numpy"}),
