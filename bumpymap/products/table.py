@@ -61,10 +61,16 @@ def _groups(tiles: Mosaic) -> Iterator[dict[str, NDArray[Any]]]:
     for strip in tiles.strips(_ROW_GROUP):
         found = tiles.read(names, strip)
         if sum(len(part["col"]) for part in [*held, found]) > _ROW_GROUP:
-            yield {name: np.concatenate([part[name] for part in held]) for name in names}
-            held = []
+            yield _join(held)
         held.append(found)
-    yield {name: np.concatenate([part[name] for part in held]) for name in names}
+        del found
+    yield _join(held)
+
+
+def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Join strips and forget them."""
+    parts, held[:] = held[:], []
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
 def _schema(place: Placement) -> pa.Schema:

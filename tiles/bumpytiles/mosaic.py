@@ -70,13 +70,17 @@ class Mosaic:
         if not parts:
             some = (int(self._rows[0]), int(self._cols[0]))
             parts = [self._home[some].read(some, wanted, 0, 0)]
-        joined = {name: np.concatenate([part[name] for part in parts]) for name in wanted}
+        # Pieces go as soon as they are joined: they are most of what is in memory.
+        col, row = (np.concatenate([part.pop(name) for part in parts]) for name in ("col", "row"))
         # One number a tile that grows in canonical order: sorting it takes a third of the time of sorting two columns.
-        place = (window.row + window.rows - joined["row"]) * window.cols + (joined["col"] - window.col)
+        place = (window.row + window.rows - row) * window.cols + (col - window.col)
         order = np.argsort(place, kind="stable")
         if np.any(np.diff(place[order]) == 0):
             raise ValueError("two rows of the mosaic are the same tile")
-        return {name: array[order] for name, array in joined.items()}
+        found = {"col": col[order], "row": row[order]}
+        for name in wanted[2:]:
+            found[name] = np.concatenate([part.pop(name) for part in parts])[order]
+        return found
 
     def strips(self, most: int, window: TileWindow | None = None) -> Iterator[TileWindow]:
         """Cut the tiles in a window (None: all) into windows of at most ``most`` tiles (but at least a block).

@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from bumpymap.products import write_tiles
 from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostMosaic, Georeference, Reason
-from bumpytiles import Grid
+from bumpytiles import Grid, Mosaic
 
 COLUMNS = [
     "col", "row", "geometry", *(band.name for band in BANDS), "count", "z_min", "z_max", "relief", "texture",
@@ -121,6 +121,33 @@ def test_many_tiles_make_several_row_groups(tmp_path, make_field):
     assert file.metadata.num_row_groups == 2
     np.testing.assert_array_equal(file.read()["col"], cost_map.patches.col[canonical(cost_map)])
     assert file.schema_arrow.field("heights").type.list_size == 4
+
+
+def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
+    cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
+    mosaic = CostMosaic.of(cost_map)
+    write_tiles(mosaic, tmp_path / "one.parquet")
+    found = pq.read_table(tmp_path / "one.parquet", columns=["col", "row"]).to_pandas()
+    assert sorted(zip(found["col"], found["row"], strict=True)) == sorted(
+        zip(cost_map.patches.col, cost_map.patches.row, strict=True)
+    )
+    block = -(found["row"] // 16)
+    assert block.is_monotonic_increasing
+    for _, strip in found.groupby(block):  # each in two pieces: the western one first, both north first
+        piece = (strip["row"].diff() > 0).cumsum()
+        assert piece.max() <= 1
+        assert strip[piece == 0]["col"].max() < strip[piece == 1]["col"].min() or piece.max() == 0
+        for _, part in strip.groupby(piece):
+            assert part.sort_values(["row", "col"], ascending=[False, True]).index.equals(part.index)
+    columns = cost_map.columns()
+    east = columns["col"] // 16 > 40
+    packs = []
+    for chosen in (east, ~east):
+        part = Mosaic.of(mosaic.tiles.grid, {name: array[chosen] for name, array in columns.items()})
+        packs += {id(pack): pack for pack in part._home.values()}.values()
+    twin = CostMosaic(mosaic.georeference, mosaic.ride_weight, Mosaic(mosaic.tiles.grid, packs))
+    write_tiles(twin, tmp_path / "two.parquet")
+    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
 
 
 def test_map_of_unknown_tiles_only(tmp_path, make_map):
