@@ -36,7 +36,7 @@ def laz_cases():
     made = []
     for name in ("laz12.laz", "laz14v.laz"):
         made += _record(name) + _table(name) + _entries(name) + _chunks(name)
-    return made + _fixed_sizes()
+    return [*made, *_fixed_sizes(), _endless()]
 
 
 def _record(name):
@@ -58,6 +58,17 @@ def _record(name):
         Case(f"{stem}-laszip-missing.laz", gone),
         Case(f"{stem}-laszip-short.laz", patched(data, at + 20, "H", 10)),
     ]
+
+
+def _endless():
+    """Times that go on and on: each asks the decoder of point formats 1 and 3 for one more, deeper in the stack.
+
+    A large chunk, since how deep it goes follows the bytes of the chunk.
+    """
+    data = bases(20_000)["laz12.laz"]
+    start, end, _ = layout_of(data).chunks[0]
+    at = start + 40
+    return Case("laz12-chunk_1-endless_times.laz", data[:at] + b"\xbe\x04" + b"\xff" * (end - at - 2) + data[end:])
 
 
 def _fixed_sizes():

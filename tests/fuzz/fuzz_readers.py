@@ -1,0 +1,194 @@
+"""Fuzz the readers: damaged surveys in, nothing out but points or one message.
+
+``python tests/fuzz/fuzz_readers.py --minutes 60 --seed 1 --report journal.json`` damages valid surveys; those that
+reach new lines of the readers are damaged further. What the readers cannot deal with is made small and kept in
+``seeds/``; ``--keep`` keeps what reached new lines too. ``--replay`` runs the files in ``seeds/`` instead, and prints a
+verdict each as JSON.
+
+The same seed gives the same inputs, as far as it gets in the time.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+# Before libraries are loaded: a pool of threads would not live through a fork.
+os.environ["RAYON_NUM_THREADS"] = "1"
+sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
+
+import numpy as np
+from mutate import Start, applied, mutated, starts
+from trial import judged, read_whole
+
+SEEDS = Path(__file__).parent / "seeds"
+BATCH = 400
+_JOURNAL_EVERY = 30.0
+_SMALL_FILE = 4096
+
+
+class Fuzzer:
+    """Inputs, verdicts, and what was learnt from them."""
+
+    def __init__(self, seed: int, folder: Path, seeds: Path) -> None:
+        self._seed, self._folder, self._seeds = seed, folder, seeds
+        self._bases = starts()
+        self._pool = list(self._bases)
+        self._lines: set[tuple[str, int]] = set()
+        self._made = 0
+        self._counts: Counter[str] = Counter()
+        self._faults: dict[str, dict[str, object]] = {}
+        self._unconfirmed: Counter[str] = Counter()
+
+    def batch(self):
+        """Make inputs, have them judged, learn."""
+        made = [self._input(self._made + index) for index in range(BATCH)]
+        self._made += BATCH
+        inputs = [applied(start.data, start.edits) for start in made]
+        verdicts = list(judged(inputs, self._folder, [start.name for start in made], self._lines))
+        for start, verdict in zip(made, verdicts, strict=True):
+            self._counts[f"{start.name} {verdict.kind}"] += 1
+            if verdict.lines - self._lines:
+                self._lines |= verdict.lines
+                self._pool.append(start)
+            if verdict.is_fault:
+                self._keep(start, verdict)
+
+    def _input(self, index):
+        rng = np.random.default_rng([self._seed, index])
+        pool = self._bases if rng.random() < 0.5 else self._pool
+        start = pool[int(rng.integers(len(pool)))]
+        edits = mutated(start, self._bases, rng)
+        return Start(start.name, start.data, start.fields, start.text_end, edits)
+
+    def _keep(self, start, verdict):
+        """Write the first input of each fault down, as small as it gets."""
+        key = f"{verdict.kind}: {verdict.where}"
+        if key in self._faults:
+            self._faults[key]["times"] += 1
+            return
+        # In a child of its own: what earlier inputs left in memory may have had its part.
+        alone = self._judged(start, start.edits)
+        if alone.kind == "harness":
+            raise RuntimeError(f"the fuzzer itself failed at {start.name} with {start.edits}: {alone.detail}")
+        if f"{alone.kind}: {alone.where}" != key:
+            self._unconfirmed[f"{key} (alone: {alone.kind})"] += 1
+            return
+        edits = self._smaller(start, key)
+        data = applied(start.data, edits)
+        name = self._write(verdict.kind, start.name, data)
+        self._faults[key] = {"seed": name, "times": 1, "edits": len(edits), "detail": verdict.detail[-1500:]}
+
+    def _write(self, kind, survey, data):
+        stem, _, suffix = survey.partition(".")
+        name = f"{kind}-{stem}-{hashlib.sha256(data).hexdigest()[:8]}.{suffix}"
+        self._seeds.mkdir(exist_ok=True)
+        (self._seeds / name).write_bytes(data)
+        return name
+
+    def keep_pool(self):
+        """Write down what reached new lines, where it is small."""
+        for start in self._pool[len(self._bases) :]:
+            data = applied(start.data, start.edits)
+            if len(data) <= _SMALL_FILE:
+                self._write("reach", start.name, data)
+
+    def _smaller(self, start, key):
+        """Leave edits out while the fault stays the same."""
+        edits = list(start.edits)
+        for index in reversed(range(len(edits))):
+            fewer = edits[:index] + edits[index + 1 :]
+            verdict = self._judged(start, fewer)
+            if f"{verdict.kind}: {verdict.where}" == key:
+                edits = fewer
+        return edits
+
+    def _judged(self, start, edits):
+        return next(judged([applied(start.data, edits)], self._folder, [start.name], self._lines))
+
+    def journal(self, seconds):
+        """Give what was done so far, as a record."""
+        kinds: Counter[str] = Counter()
+        for name, count in self._counts.items():
+            kinds[name.split()[1]] += count
+        return {
+            "seed": self._seed,
+            "seconds": round(seconds, 1),
+            "inputs": self._made,
+            "inputs_per_second": round(self._made / max(seconds, 1e-9), 1),
+            "lines_reached": len(self._lines),
+            "pool": len(self._pool),
+            "verdicts": dict(sorted(kinds.items())),
+            "by_survey": dict(sorted(self._counts.items())),
+            "faults": self._faults,
+            "not_seen_again_alone": dict(self._unconfirmed),
+        }
+
+
+def warm_up(folder: Path) -> None:
+    """Compile kernels before the first fork, with surveys that start no thread."""
+    for start in starts():
+        if start.name.endswith((".las", ".ply", ".pcd")):
+            path = folder / start.name
+            path.write_bytes(start.data)
+            verdict = read_whole(path)
+            if verdict.kind != "read":
+                raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
+
+
+def fuzz(minutes: float, seed: int, report: Path | None, seeds: Path, *, keep: bool) -> int:
+    """Fuzz for a time; 1 where faults were found."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        warm_up(folder)
+        fuzzer = Fuzzer(seed, folder, seeds)
+        began = written = time.monotonic()
+        while time.monotonic() - began < 60 * minutes:
+            fuzzer.batch()
+            if report and time.monotonic() - written > _JOURNAL_EVERY:
+                written = time.monotonic()
+                report.write_text(json.dumps(fuzzer.journal(written - began), indent=1) + "\n", encoding="utf-8")
+        record = fuzzer.journal(time.monotonic() - began)
+        if keep:
+            fuzzer.keep_pool()
+    text = json.dumps(record, indent=1)
+    if report:
+        report.write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    return 1 if record["faults"] else 0
+
+
+def replay(seeds: Path) -> int:
+    """Judge the files that were kept; print name to kind and place."""
+    files = sorted(path for path in seeds.iterdir() if not path.name.startswith("."))
+    with tempfile.TemporaryDirectory() as scratch:
+        warm_up(Path(scratch))
+        inputs, names = [path.read_bytes() for path in files], [path.name for path in files]
+        verdicts = list(judged(inputs, Path(scratch), names, set()))
+    held = {name: [verdict.kind, verdict.where] for name, verdict in zip(names, verdicts, strict=True)}
+    sys.stdout.write(json.dumps(held, indent=1) + "\n")
+    return 1 if any(verdict.is_fault for verdict in verdicts) else 0
+
+
+def main() -> int:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Fuzz the readers of bumpymap.")
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--report", type=Path, help="journal to write, JSON")
+    parser.add_argument("--seeds", type=Path, default=SEEDS, help="folder of what was found")
+    parser.add_argument("--keep", action="store_true", help="keep what reached new lines of the readers")
+    parser.add_argument("--replay", action="store_true", help="judge what was found before")
+    given = parser.parse_args()
+    if given.replay:
+        return replay(given.seeds)
+    return fuzz(given.minutes, given.seed, given.report, given.seeds, keep=given.keep)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

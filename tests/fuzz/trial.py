@@ -1,0 +1,211 @@
+"""One input, one verdict: in a forked child, under limits of memory and time."""
+
+import contextlib
+import logging
+import os
+import pickle
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bumpymap.readers
+from bumpymap.errors import BumpymapError
+from bumpymap.readers import Tally, open_survey
+
+__all__ = ["Verdict", "judged", "read_whole"]
+
+MEMORY = 1_500_000_000
+SECONDS = 10
+_READERS = str(Path(bumpymap.readers.__file__).parent)
+_SMALL = 16
+_OWN_FAULT = 99
+"""Exit code of a child where not the readers failed, but this module."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of an input."""
+
+    kind: str
+    """``read``, ``refused``, or a fault: ``escaped``, ``memory``, ``short``, ``differs``, ``unnamed``, ``noise``,
+    ``died``, ``hang``; ``harness``: not the readers failed, but this module."""
+    where: str = ""
+    """Of a fault: what tells it from others."""
+    detail: str = ""
+    lines: frozenset[tuple[str, int]] = frozenset()
+    """Lines of the readers that no input before had reached."""
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the readers failed to deal with the input."""
+        return self.kind not in {"read", "refused"}
+
+
+def read_whole(path: Path) -> Verdict:
+    """Read a survey front to back, then in small pieces back to front: both must say the same."""
+    try:
+        reader = open_survey(path)
+        points = sum(cloud.easting.size for cloud in reader.chunks())
+        seen = points + sum(reader.dropped.values())
+        if seen != reader.info.point_count:
+            return Verdict("short", "chunks", f"promised {reader.info.point_count}, saw {seen}")
+        again, complaint = _in_pieces(reader)
+    except BumpymapError as error:
+        return Verdict("refused") if str(path) in str(error) else Verdict("unnamed", str(error)[:60], str(error))
+    except MemoryError:
+        return Verdict("memory", _place(), traceback.format_exc())
+    except BaseException as error:  # noqa: BLE001 (a Rust panic is no Exception)
+        return Verdict("escaped", f"{type(error).__name__} {_place()}", traceback.format_exc())
+    if complaint:
+        return Verdict(
+            "differs", f"{path.name.split('.')[-1]} pieces", f"read as a whole, refused in pieces: {complaint}"
+        )
+    return Verdict("read") if again == points else Verdict("short", "pieces", f"chunks give {points}, pieces {again}")
+
+
+def _in_pieces(reader) -> tuple[int, str]:
+    """Points that count, read in small pieces back to front, and why the file was refused that way."""
+    batches = {}
+    try:
+        for piece in reversed(reader.pieces(_SMALL)):
+            batches[piece.index] = reader.convert(piece, reader.fetch(piece))
+        tally = Tally()
+        for index in sorted(batches):
+            tally = tally.merge(batches[index].tally)
+        reader.judge(tally)
+    except BumpymapError as error:
+        return 0, str(error)
+    return sum(batch.cloud.easting.size for batch in batches.values()), ""
+
+
+def _place() -> str:
+    """Innermost line of bumpymap that the exception came through."""
+    frames = traceback.extract_tb(sys.exc_info()[2])
+    own = [frame for frame in frames if frame.filename.startswith(_READERS)] or list(frames)
+    return f"{Path(own[-1].filename).name} {own[-1].name}"
+
+
+def judged(
+    inputs: Sequence[bytes], folder: Path, names: Sequence[str], known_lines: set[tuple[str, int]]
+) -> Iterator[Verdict]:
+    """Verdicts of all inputs, in order; a child that dies is the verdict of the input it died of.
+
+    Parameters
+    ----------
+    inputs : sequence of bytes
+    folder : Path
+        Scratch.
+    names : sequence of str
+        File name of each input.
+    known_lines : set of (str, int)
+        Lines that are no news.
+    """
+    done = 0
+    while done < len(inputs):
+        for verdict in _child(inputs[done:], folder, names[done:], known_lines):
+            done += 1
+            yield verdict
+
+
+def _child(inputs, folder, names, known_lines) -> Iterator[Verdict]:
+    """Fork; yield the verdicts up to the end, or to the input that the child dies of."""
+    # Of its own: two children must never share a file.
+    folder = Path(tempfile.mkdtemp(dir=folder))
+    listen, tell = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(listen)
+        try:
+            _work(inputs, folder, names, known_lines, tell)
+        except BaseException:  # noqa: BLE001 (nothing of the child may run on as the parent)
+            os.write(2, traceback.format_exc().encode())
+            os._exit(_OWN_FAULT)
+        os._exit(0)
+    os.close(tell)
+    answered = 0
+    with os.fdopen(listen, "rb") as answers, contextlib.suppress(EOFError, pickle.UnpicklingError):
+        while answered < len(inputs):
+            verdict = pickle.load(answers)  # noqa: S301 (written by the child that was forked here)
+            answered += 1
+            yield verdict
+    _, status = os.waitpid(child, 0)
+    if answered < len(inputs):
+        ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {os.WEXITSTATUS(status)}"
+        said = (folder / "said").read_text(encoding="utf-8", errors="replace")
+        kind = {"SIGALRM": "hang", f"exit {_OWN_FAULT}": "harness"}.get(ended, "died")
+        shutil.rmtree(folder)
+        yield Verdict(kind, f"{ended} {_gist(said)}", said[-2000:])
+        return
+    shutil.rmtree(folder)
+
+
+def _work(inputs, folder, names, known_lines, tell):
+    said = os.open(folder / "said", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    _limit()
+    # Notes of the readers are no noise; a warning that Python prints is, each time.
+    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
+    for category in (RuntimeWarning, UserWarning):
+        warnings.simplefilter("always", category)
+    lines = set(known_lines)
+    with os.fdopen(tell, "wb") as answers:
+        for data, name in zip(inputs, names, strict=True):
+            path = folder / name
+            path.write_bytes(data)
+            os.ftruncate(said, 0)
+            os.lseek(said, 0, os.SEEK_SET)
+            signal.alarm(SECONDS)
+            with _traced(lines) as fresh:
+                verdict = read_whole(path)
+            signal.alarm(0)
+            noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
+            if noise and not verdict.is_fault:
+                verdict = Verdict("noise", _gist(noise), noise)
+            pickle.dump(Verdict(verdict.kind, verdict.where, verdict.detail, frozenset(fresh)), answers)
+            answers.flush()
+            path.unlink()
+
+
+def _gist(said: str) -> str:
+    """Tell a panic by where in the decoder it was raised; other noise by its first line."""
+    line = next((line for line in said.splitlines() if "panicked at" in line), said.strip().partition("\n")[0])
+    panic = line.partition("panicked at ")[2].rpartition("/src/")[2]
+    return panic or line.rpartition("/")[2][:80]
+
+
+def _limit():
+    with open("/proc/self/status", encoding="ascii") as lines:  # noqa: PTH123
+        held = {line.split(":")[0]: int(line.split()[1]) * 1024 for line in lines if line.startswith("Vm")}
+    most = held["VmSize"] - held["VmRSS"] + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+@contextlib.contextmanager
+def _traced(known):
+    """Collect lines of the readers that are not known yet, and make them known."""
+    fresh: set[tuple[str, int]] = set()
+
+    def in_line(frame, event, arg):
+        key = (frame.f_code.co_filename[len(_READERS) :], frame.f_lineno)
+        if key not in known:
+            known.add(key)
+            fresh.add(key)
+        return in_line
+
+    def in_call(frame, event, arg):
+        return in_line if frame.f_code.co_filename.startswith(_READERS) else None
+
+    sys.settrace(in_call)
+    try:
+        yield fresh
+    finally:
+        sys.settrace(None)
