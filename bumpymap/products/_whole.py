@@ -1,8 +1,10 @@
 """Whether GDAL wrote what it was given: it does not say when a disk fills up while it writes a TIFF.
 
 Seen in GDAL 3.10: blocks that leave its cache when a file is closed are lost without an error (libtiff prints a line to
-stderr), and the COG driver may crash on a full disk. So small rasters are made in memory and written by Python; for a
-large one there must be room before it is made, and it is read back afterwards.
+stderr), and the COG driver may crash on a full disk. Two threads that write rasters at a time lose parts of blocks too:
+one writes the other's blocks to disk to make room, and the other reads them again too early. So small rasters are made
+in memory and written by Python; for a large one there must be room before it is made, and it is read back afterwards;
+and rasters are written one after the other.
 """
 
 import shutil
@@ -38,7 +40,7 @@ def require_same(path: Path, painted: Iterable[tuple[Window, int]]) -> None:
     with rasterio.open(path) as raster:
         levels = len(raster.overviews(1))
         if not all(digest(raster.read(window=window)) == expected for window, expected in painted):
-            raise OSError("what was written cannot be read back; the disk seems to be full")
+            raise OSError("what was written cannot be read back; the disk may be full")
     for level in range(levels):
         with rasterio.open(path, overview_level=level) as raster:
             for _, window in raster.block_windows(1):

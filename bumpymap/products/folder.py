@@ -3,10 +3,11 @@
 import logging
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Any
 from uuid import uuid4
 
@@ -30,8 +31,6 @@ from bumpymap.types import CostMosaic
 
 __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
 
-_THREADS = 2
-"""Layers to write at a time: GDAL, Arrow and checksums work beside each other, and each layer's memory is bounded."""
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
@@ -151,37 +150,48 @@ def write_products(
 
 def _layers(
     mosaic: CostMosaic, globe: GeoJsonPlace, folder: Path, facts: dict[str, Any]
-) -> dict[tuple[str, ...], Callable[[], None]]:
-    """Names of the layers, and what writes them; the longest work first."""
+) -> list[dict[tuple[str, ...], Callable[[], None]]]:
+    """Give what writes each layer, by the names of its files; layers of one group are written one after the other.
+
+    GDAL's cache loses pixels where two threads write rasters, see `_whole`.
+    """
     tags = {key: str(value) for key, value in facts.items()}
-    return {
-        ("heightmap.tif",): partial(write_heightmap, mosaic, folder / "heightmap.tif", tags),
-        ("cost.geojson", "cost.fgb"): partial(_write_regions, mosaic, globe, folder, facts),
-        ("tiles.parquet",): partial(write_tiles, mosaic, folder / "tiles.parquet"),
-        ("roughness.tif",): partial(write_roughness, mosaic, folder / "roughness.tif", tags),
-        ("class.tif",): partial(write_classes, mosaic, folder / "class.tif", tags),
-    }
+    return [
+        {
+            ("heightmap.tif",): partial(write_heightmap, mosaic, folder / "heightmap.tif", tags),
+            ("roughness.tif",): partial(write_roughness, mosaic, folder / "roughness.tif", tags),
+            ("class.tif",): partial(write_classes, mosaic, folder / "class.tif", tags),
+        },
+        {
+            ("cost.geojson", "cost.fgb"): partial(_write_regions, mosaic, globe, folder, facts),
+            ("tiles.parquet",): partial(write_tiles, mosaic, folder / "tiles.parquet"),
+        },
+    ]
 
 
 def _write_layers(
-    layers: Mapping[tuple[str, ...], Callable[[], None]], folder: Path, told: Progress
+    groups: Sequence[Mapping[tuple[str, ...], Callable[[], None]]], folder: Path, told: Progress
 ) -> list[dict[str, Any]]:
-    """Write layers, `_THREADS` at a time; give name, size and checksum of each file, in the order of the names."""
+    """Write groups of layers side by side; give name, size and checksum of each file, in the order of the names."""
+    stop = Event()
 
-    def write(names: tuple[str, ...], layer: Callable[[], None]) -> list[dict[str, Any]]:
-        layer()
-        return [describe_file(folder / name) | {"path": name} for name in names]
+    def write(group: Mapping[tuple[str, ...], Callable[[], None]]) -> list[dict[str, Any]]:
+        files = []
+        for names, layer in group.items():
+            if stop.is_set():
+                break
+            layer()
+            files += [describe_file(folder / name) | {"path": name} for name in names]
+            told.advance(1)
+        return files
 
-    told.start("writing layers", len(layers))
-    with ThreadPoolExecutor(_THREADS) as pool:
+    told.start("writing layers", sum(map(len, groups)))
+    with ThreadPoolExecutor(len(groups)) as pool:
         try:
-            futures = [pool.submit(write, names, layer) for names, layer in layers.items()]
-            for future in as_completed(futures):
-                future.result()
-                told.advance(1)
+            futures = [pool.submit(write, group) for group in groups]
+            files = [file for future in as_completed(futures) for file in future.result()]
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    files = [file for future in futures for file in future.result()]
+            stop.set()
     return sorted(files, key=lambda file: PRODUCT_NAMES.index(file["path"]))
 
 

@@ -246,18 +246,14 @@ def test_writing_does_not_change_the_map(tmp_path, make_field):
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_small_rasters_made_in_memory_are_like_large_ones(rasters, cost_map, tmp_path, monkeypatch, name):
+def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
     monkeypatch.setattr("bumpymap.products._cog._SMALL", 0)
     WRITERS[name](cost_map, tmp_path / rasters[name].name, {"vehicle": "warthog"})
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         path.name for path in rasters[name].parent.iterdir() if path.name.startswith(name)
     )
-    assert cog_validate(tmp_path / rasters[name].name, strict=True) == (True, [], [])
-    with rasterio.open(rasters[name]) as small, rasterio.open(tmp_path / rasters[name].name) as large:
-        assert str(small.profile) == str(large.profile)
-        assert small.tags() == large.tags()
-        assert small.overviews(1) == large.overviews(1)
-        np.testing.assert_array_equal(small.read(), large.read())
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (rasters[name].parent / path.name).read_bytes()
 
 
 def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
@@ -267,7 +263,7 @@ def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
         blank = rasterio.open(tmp_path / "blank.tif", "w", **file.profile)
     require_same(rasters["heightmap"], painted)
     blank.close()
-    with pytest.raises(OSError, match="disk seems to be full"):
+    with pytest.raises(OSError, match="disk may be full"):
         require_same(tmp_path / "blank.tif", painted)
 
 
