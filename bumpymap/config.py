@@ -48,8 +48,8 @@ class FeatureSettings:
 class MapConfig:
     """Everything that a ``map`` run depends on."""
 
-    surveys: tuple[Path, ...]
-    """Files and folders."""
+    surveys: tuple[Path | str, ...]
+    """Files and folders; texts are fsspec URLs."""
     out: Path
     """Folder of the products."""
     tile_size: float = 3.0
@@ -78,14 +78,20 @@ class MapConfig:
     """Go on without the files that cannot be read."""
     overwrite: bool = False
     """Replace the products of an earlier run."""
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    resume: bool = False
+    """Go on with a run that was broken off."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Threads."""
+    memory: str = "1GB"
+    """Memory to use over what the interpreter and its libraries take."""
+    scratch: Path | None = None
+    """Folder for points that memory cannot hold; None: in the folder of the products."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
 
     def __post_init__(self) -> None:
         _within("tile_size", self.tile_size, 0.05, 1000.0)
         _within("pixels", self.pixels, 3, 255)
-        _at_least("workers", self.workers, 1)
+        _at_least("threads", self.threads, 1)
         _one_of("ground", self.ground, get_args(Ground))
         _one_of("compat", self.compat, get_args(Compat))
         if self.z_unit is not None:
@@ -127,7 +133,7 @@ def _converted(value: Any, kind: Any, name: str, folder: Path) -> Any:
     if Path in (kind, *get_args(kind)) and get_origin(kind) is not tuple and isinstance(value, str):
         return folder / value
     if get_origin(kind) is tuple and isinstance(value, list) and all(isinstance(item, str) for item in value):
-        return tuple(folder / item for item in value)
+        return tuple(item if "://" in item else folder / item for item in value)
     plain = {bool: (bool, "true or false"), int: (int, "a whole number"), float: (int | float, "a number")}
     wanted, word = plain.get(kind, (str, "a text"))
     if is_dataclass(kind):

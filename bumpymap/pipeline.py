@@ -2,29 +2,39 @@
 
 import logging
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
-from bumpymap.config import MapConfig
+from bumpymap.config import Compat, FeatureSettings, MapConfig
 from bumpymap.cost import rate, rate_as_paper
-from bumpymap.errors import BadInputError
-from bumpymap.features import join_stacks, measure
-from bumpymap.products import MapSummary, check_extent, check_folder, write_products
+from bumpymap.engine import Budget, Done, Job, LocalRun, Workspace, memory_bytes, work_folder
+from bumpymap.errors import BadInputError, OutputError
+from bumpymap.features import measure
+from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
-from bumpymap.readers import ReadOptions, SurveyReader, common_georeference, find_surveys, open_survey
-from bumpymap.types import CostMosaic, Georeference, PatchStack
-from bumpytiles import Grid, TileBuckets, group_points, run_blocks
+from bumpymap.readers import (
+    ReadOptions,
+    SurveyReader,
+    common_georeference,
+    find_surveys,
+    identity,
+    open_survey,
+)
+from bumpymap.types import CostMosaic, Georeference, tile_columns
+from bumpytiles import Grid, TilePoints
 
 __all__ = ["MapResult", "map_surveys"]
 
 _log = logging.getLogger(__name__)
 
-_CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+_NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch"}
+"""Settings without a say in the numbers: a run may go on with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +64,23 @@ class _Inputs:
     skipped: dict[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class _Rating:
+    """What turns the points of tiles into rated tiles; travels to other threads and machines."""
+
+    features: FeatureSettings
+    compat: Compat
+    model: TextureModel
+    calibration: Calibration
+    georeference: Georeference
+
+    def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
+        """Measure, classify, rate; columns of `tile_columns`."""
+        patches = measure(points, self.features, ground_only=ground_only)
+        rating = rate_as_paper if self.compat == "paper" else rate
+        return rating(patches, classify(patches, self.model), self.calibration, self.georeference).columns()
+
+
 def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.
 
@@ -75,31 +102,67 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
 def _map(config: MapConfig, told: Progress) -> MapResult:
     clock = Stopwatch()
     grid = Grid(config.tile_size, config.pixels)
+    budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"):
-        check_folder(config.out, overwrite=config.overwrite)
+        _check_unfinished(config)
+        check_folder(config.out, overwrite=config.overwrite, resume=config.resume)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
         inputs = _open(config)
-    with clock.stage("read"):
-        buckets = _read(inputs, grid, config, told)
-        check_extent(grid, buckets.window())
-        points = sum(reader.info.point_count - sum(reader.dropped.values()) for reader in inputs.readers)
-        ground_only = _ground_only(config, buckets)
-    with clock.stage("measure"):
-        patches = _measure(buckets, config, told, ground_only=ground_only)
-    with clock.stage("rate"):
-        told.start("rating tiles", None)
-        rating = rate_as_paper if config.compat == "paper" else rate
-        cost_map = rating(patches, classify(patches, model), calibration, inputs.georeference)
-    told.start("writing layers", None)
-    manifest = {
-        "inputs": [_input_record(reader) for reader in inputs.readers],
+    rating = _Rating(config.features, config.compat, model, calibration, inputs.georeference)
+    job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
+    asked = _asked(config, inputs, budget, model, calibration)
+    with Workspace.opened(config.out, config.scratch, asked, resume=config.resume) as space:
+        done = LocalRun(job, space, budget, told).run(
+            inputs.readers, partial(_skip, inputs, config), partial(check_extent, grid), clock, may_skip=config.skip_bad
+        )
+        told.start("writing layers", None)
+        mosaic = CostMosaic(inputs.georeference, float(calibration.vehicle["ride_weight"]), done.mosaic)
+        manifest = _manifest(config, inputs, done, model, calibration, clock)
+        with clock.stage("write"):
+            files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
+    return MapResult(tuple(files), summary, done.points, done.ground_only, inputs.skipped, clock.seconds)
+
+
+def _check_unfinished(config: MapConfig) -> None:
+    if work_folder(config.out).exists() and not (config.resume or config.overwrite):
+        raise OutputError(
+            f"{config.out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, "
+            "or choose another --out"
+        )
+
+
+def _asked(
+    config: MapConfig, inputs: _Inputs, budget: Budget, model: TextureModel, calibration: Calibration
+) -> dict[str, Any]:
+    """Everything that a run depends on; one that goes on must have been asked the same."""
+    settings = {name: value for name, value in asdict(config).items() if name not in _NO_SAY}
+    paths = [*(reader.info.path for reader in inputs.readers), *inputs.skipped]
+    return {
+        "inputs": {str(path): None if str(path) in inputs.skipped else identity(path) for path in paths},
+        "settings": {name: str(value) for name, value in settings.items()},
+        "made with": software_versions() | {"model": model.id, "calibration": calibration.id},
+        "cut": {"piece_points": budget.piece_points},
+    }
+
+
+def _manifest(
+    config: MapConfig,
+    inputs: _Inputs,
+    done: Done,
+    model: TextureModel,
+    calibration: Calibration,
+    clock: Stopwatch,
+) -> dict[str, Any]:
+    read = zip(inputs.readers, done.dropped, strict=True)
+    return {
+        "inputs": [_input_record(reader, dropped) for reader, dropped in read if dropped is not None],
         "skipped": inputs.skipped,
         "settings": config,
-        "ground_only": ground_only,
-        "points": points,
+        "ground_only": done.ground_only,
+        "points": done.points,
         "model": model.id,
         "calibration": {
             "id": calibration.id,
@@ -108,10 +171,6 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         },
         "seconds": clock.seconds,
     }
-    with clock.stage("write"):
-        mosaic = CostMosaic.of(cost_map)
-        files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
-    return MapResult(tuple(files), summary, points, ground_only, inputs.skipped, clock.seconds)
 
 
 def _calibration(config: MapConfig) -> Calibration:
@@ -127,7 +186,7 @@ def _open(config: MapConfig) -> _Inputs:
         try:
             readers.append(open_survey(path, options))
         except BadInputError as error:
-            _skip(path, error, skipped, config)
+            _note(path, error, skipped, config)
     if not readers:
         raise BadInputError("none of the inputs could be read:\n" + "\n".join(skipped.values()))
     georeference = common_georeference([reader.info for reader in readers])
@@ -141,7 +200,11 @@ def _open(config: MapConfig) -> _Inputs:
     return _Inputs(readers, georeference, skipped)
 
 
-def _skip(path: Path, error: BadInputError, skipped: dict[str, str], config: MapConfig) -> None:
+def _skip(inputs: _Inputs, config: MapConfig, reader: SurveyReader, error: BadInputError) -> None:
+    _note(reader.info.path, error, inputs.skipped, config)
+
+
+def _note(path: Path | str, error: BadInputError, skipped: dict[str, str], config: MapConfig) -> None:
     """Note a bad input and go on, or raise."""
     if not config.skip_bad:
         raise error
@@ -149,56 +212,14 @@ def _skip(path: Path, error: BadInputError, skipped: dict[str, str], config: Map
     skipped[str(path)] = str(error)
 
 
-def _read(inputs: _Inputs, grid: Grid, config: MapConfig, told: Progress) -> TileBuckets:
-    """Sort the points of every input into blocks; a file that breaks in the middle leaves none of its points."""
-    told.start("reading points", sum(reader.info.point_count for reader in inputs.readers))
-    buckets = TileBuckets(grid)
-    whole: list[SurveyReader] = []
-    for reader in inputs.readers:
-        staged = []
-        try:
-            for chunk in reader.chunks():
-                staged.append(group_points(grid, chunk.easting, chunk.northing, chunk.upward, chunk.is_ground))
-                told.advance(len(chunk.easting))
-        except BadInputError as error:
-            _skip(reader.info.path, error, inputs.skipped, config)
-            continue
-        for run in staged:
-            buckets.take(run)
-        whole.append(reader)
-    inputs.readers = whole
-    if not len(buckets):
-        reasons = "\n".join(inputs.skipped.values()) or "every point is withheld or marked as noise"
-        raise BadInputError(f"no point is left to map: {reasons}")
-    return buckets
-
-
-def _ground_only(config: MapConfig, buckets: TileBuckets) -> bool:
-    """Decide which points count, for the whole survey (DESIGN 3)."""
-    if config.ground == "all":
-        return False
-    share = buckets.flagged_share()
-    if config.ground == "class" and share == 0.0:
-        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
-    return config.ground == "class" or share > _CLASSIFIED_SHARE
-
-
-def _measure(buckets: TileBuckets, config: MapConfig, told: Progress, *, ground_only: bool) -> PatchStack:
-    told.start("measuring tiles", len(buckets))
-    work = partial(measure, settings=config.features, ground_only=ground_only)
-    stacks = []
-    for stack in run_blocks(work, buckets.blocks(), config.workers):
-        stacks.append(stack)
-        told.advance(1)
-    return join_stacks(stacks)
-
-
-def _input_record(reader: SurveyReader) -> dict[str, Any]:
+def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, Any]:
     info = reader.info
-    return {
+    record = {
         "path": info.path,
         "format": info.format,
         "points": info.point_count,
-        "dropped": reader.dropped,
+        "dropped": dropped,
         "notes": info.notes,
     }
+    # A file on a server is not read again for its checksum.
+    return record | ({"bytes": info.size_bytes, "sha256": None} if isinstance(info.path, str) else {})

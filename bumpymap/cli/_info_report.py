@@ -28,7 +28,7 @@ _CLASSIFIED = 0.5
 class Report:
     """One file: what its header says, what its points say, or why it cannot be read."""
 
-    path: Path
+    path: Path | str
     grid: Grid
     info: SurveyInfo | None = None
     summary: PointSummary | None = None

@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-__all__ = ["PATH", "BarProgress", "set_up_logging"]
+__all__ = ["LOCATION", "PATH", "BarProgress", "set_up_logging"]
 
 
 class _NamedPath(click.Path):
@@ -26,6 +26,18 @@ class _NamedPath(click.Path):
 
 PATH = _NamedPath(path_type=Path)
 """Type of every path on the command line."""
+
+
+class _Location(_NamedPath):
+    """A path, or the text of a URL, which stays a text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Turn a text into a Path, unless it is a URL."""
+        return value if isinstance(value, str) and "://" in value else super().convert(value, param, ctx)
+
+
+LOCATION = _Location(path_type=Path)
+"""Type of surveys on the command line."""
 
 
 class BarProgress:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 import click
 
-from bumpymap.cli._terminal import PATH, BarProgress
+from bumpymap.cli._terminal import LOCATION, BarProgress
 from bumpymap.config import ZUnit
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _BAD_INPUT = 3
 
 
 @click.command("info")
-@click.argument("surveys", nargs=-1, required=True, type=PATH, metavar="SURVEY...")
+@click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
@@ -36,7 +36,7 @@ _BAD_INPUT = 3
 def command(
     ctx: click.Context,
     /,
-    surveys: tuple[Path, ...],
+    surveys: tuple[Path | str, ...],
     crs: str | None,
     z_unit: ZUnit | None,
     tile_size: float,
@@ -75,7 +75,7 @@ def command(
         ctx.exit(_BAD_INPUT)
 
 
-def _look(path: Path, options: "ReadOptions", grid: "Grid", progress: BarProgress, *, quick: bool) -> "Report":
+def _look(path: Path | str, options: "ReadOptions", grid: "Grid", progress: BarProgress, *, quick: bool) -> "Report":
     """Open a file and, unless in a hurry, read it; what is wrong with it becomes part of the report."""
     from bumpymap.cli._info_report import Report
     from bumpymap.config import FeatureSettings
@@ -87,7 +87,7 @@ def _look(path: Path, options: "ReadOptions", grid: "Grid", progress: BarProgres
         reader = open_survey(path, options)
         if quick:
             return Report(path, grid, reader.info)
-        progress.start(f"reading {path.name}", reader.info.point_count)
+        progress.start(f"reading {Path(path).name}", reader.info.point_count)
         enough = enough_points(grid, settings.min_points, settings.min_coverage)
         summary = summarise(reader, grid, enough, progress.advance)
         return Report(path, grid, reader.info, summary, reader.dropped)
@@ -109,7 +109,7 @@ def _together(reports: "list[Report]") -> str:
     return ""
 
 
-def _one_map(surveys: tuple[Path, ...], reports: "list[Report]") -> str:
+def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]") -> str:
     """Say how several files make one map; empty for one file, or where one is bad."""
     infos = [report.info for report in reports if report.info is not None and not report.error]
     if len(reports) == 1 or len(infos) < len(reports):

@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 import click
 
-from bumpymap.cli._terminal import PATH, BarProgress, set_up_logging
+from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
 from bumpymap.config import Compat, Ground, MapConfig, ZUnit, read_settings
 from bumpymap.errors import UsageError
 
@@ -15,7 +15,7 @@ _PARTLY_DONE = 4
 
 
 @click.command("map")
-@click.argument("surveys", nargs=-1, type=PATH, metavar="SURVEY...")
+@click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the layers.")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
@@ -28,9 +28,14 @@ _PARTLY_DONE = 4
 @click.option("--tile-size", type=float, metavar="M", help="Side of a tile [default: 3].")
 @click.option("--pixels", type=int, metavar="N", help="Pixels along a side of a tile [default: 15].")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
-@click.option("--workers", type=int, metavar="N", help="Threads [default: every core].")
+@click.option("--threads", type=int, metavar="N", help="Threads [default: every core].")
+@click.option("--memory", metavar="SIZE", help="Memory over the interpreter's own [default: 1GB].")
+@click.option(
+    "--scratch", type=PATH, metavar="DIR", help="Folder for points that memory cannot hold [default: in --out]."
+)
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
 @click.option("--skip-bad", is_flag=True, help="Go on without files that cannot be read (exit code 4).")
+@click.option("--resume", is_flag=True, help="Go on with a run that was broken off.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
 @click.option("--quiet", is_flag=True, help="No progress, no summary.")
 @click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")

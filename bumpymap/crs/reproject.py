@@ -17,7 +17,7 @@ SAY_CRS = "Say which CRS the coordinates are in with --crs, such as --crs EPSG:3
 class Place:
     """Whose coordinates a message is about, and where their middle lies in the file's units."""
 
-    path: Path
+    path: Path | str
     middle: tuple[float, float, float] | None = None
 
 
@@ -89,19 +89,19 @@ def utm_epsg(longitude: float, latitude: float) -> int:
     return (32600 if latitude >= 0 else 32700) + zone
 
 
-def reproject_command(path: Path, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
+def reproject_command(path: Path | str, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
     """Spell the command that makes a file in metres, keeping millimetres, from one in degrees.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     longitude_latitude : (float, float) or None
         Where the file lies, degrees; None leaves the UTM zone to the user.
     source : str or None
         CRS of the file, where the file itself does not carry it.
     """
     target = "EPSG:326ZZ" if longitude_latitude is None else f"EPSG:{utm_epsg(*longitude_latitude)}"
-    words = ["pdal", "translate", shlex.quote(str(path)), shlex.quote(f"{path.name.split('.')[0]}_metres.laz")]
+    words = ["pdal", "translate", shlex.quote(str(path)), shlex.quote(f"{Path(path).name.split('.')[0]}_metres.laz")]
     words += ["reprojection", f"--filters.reprojection.out_srs={target}"]
     words += [f"--filters.reprojection.in_srs={shlex.quote(source)}"] if source else []
     words += [f"--writers.las.scale_{axis}=0.001 --writers.las.offset_{axis}=auto" for axis in "xyz"]

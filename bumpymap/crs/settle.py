@@ -54,7 +54,7 @@ class CrsStatement:
 
 class _HasGeoreference(Protocol):
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path | str: ...
     @property
     def georeference(self) -> Georeference: ...
 
@@ -234,7 +234,7 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     BadInputError
         Files have different CRS, or only some have one; lists which has what.
     """
-    ordered = sorted(infos, key=lambda info: info.path)
+    ordered = sorted(infos, key=lambda info: str(info.path))
     if not ordered:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
     first = ordered[0].georeference

@@ -133,7 +133,7 @@ def list_folder(url: str) -> list[str]:
 
 def place_of(location: Location, middle: tuple[float, float, float] | None = None) -> Place:
     """Say whose coordinates a message is about."""
-    return Place(location if isinstance(location, Path) else Path(location), middle)
+    return Place(location, middle)
 
 
 def _fill(stream: Any, data: NDArray[np.uint8]) -> NDArray[np.uint8]:

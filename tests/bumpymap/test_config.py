@@ -9,7 +9,7 @@ from bumpymap.errors import UsageError
 def test_defaults_need_no_file():
     config = MapConfig(surveys=(Path("a.laz"),), out=Path("out"))
     assert (config.tile_size, config.pixels, config.features.min_points) == (3.0, 15, 30)
-    assert config.workers >= 1
+    assert config.threads >= 1
 
 
 def test_settings_from_a_file(tmp_path):
@@ -29,7 +29,7 @@ def test_settings_from_a_file(tmp_path):
         ("features = 3", "must be a table"),
         ("tile_size = ", "cannot read settings"),
         ("tile_size = true", "tile_size is True; it must be a number"),
-        ("workers = 1.5", "workers is 1.5; it must be a whole number"),
+        ("threads = 1.5", "threads is 1.5; it must be a whole number"),
         ("crs = 32614", "crs is 32614; it must be a text"),
         ("calibration = 3", "calibration is 3; it must be a text"),
         ('surveys = "a.laz"', "surveys is 'a.laz'; it must be a list of texts"),
@@ -51,7 +51,7 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
     [
         ({"tile_size": 0.0}, "tile_size"),
         ({"pixels": 2}, "pixels"),
-        ({"workers": 0}, "workers"),
+        ({"threads": 0}, "threads"),
         ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
         ({"z_unit": "yard"}, "z_unit"),
         ({"compat": "other"}, "compat"),

@@ -1,6 +1,7 @@
 """The main job as a user meets it: the command line on files, good and bad."""
 
 import json
+import shutil
 from pathlib import Path
 
 import laspy
@@ -95,7 +96,7 @@ def test_splitting_order_format_offset_and_threads_change_no_bit(layers, site, t
     rest = ~half | (x < 500_004)
     write_las(tmp_path / "a.laz", x[rest][::-1], y[rest][::-1], z[rest][::-1], offset=(499_000, 3_999_000, 50))
     out = tmp_path / "layers"
-    result = run("map", tmp_path / "b.las", tmp_path / "a.laz", "--out", out, "--workers", 1)
+    result = run("map", tmp_path / "b.las", tmp_path / "a.laz", "--out", out, "--threads", 1)
     assert result.exit_code == 0, result.output
     assert product_bytes(out) == product_bytes(layers)
 
@@ -278,7 +279,7 @@ def test_a_map_without_classes_says_what_to_do(site, tmp_path):
 
 
 def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.pipeline._measure", None)
+    monkeypatch.setattr("bumpymap.pipeline.measure", None)
     far = write_las(tmp_path / "far.laz", [500_001.0, 800_001.0], [4_000_002.0, 4_300_002.0], [1.0, 2.0])
     result = run("map", far, "--out", tmp_path / "layers")
     assert result.exit_code == 3
@@ -311,7 +312,7 @@ def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypa
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bumpymap.pipeline._ground_only", interrupted)
+    monkeypatch.setattr("bumpymap.engine.local.decide_ground", interrupted)
     result = run("map", survey, "--out", tmp_path / "layers")
     assert result.exit_code == 130
     assert "Interrupted" in result.output
@@ -388,3 +389,55 @@ def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path)
     result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
     assert result.exit_code == 3, result.output
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+LAYERS = ("roughness.tif", "class.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
+
+
+def layers_of(folder):
+    return [(folder / name).read_bytes() for name in LAYERS]
+
+
+@pytest.fixture
+def tight(monkeypatch):
+    """A budget under which the small survey is read in many pieces, spilled, and done in shares."""
+    monkeypatch.setattr("bumpymap.engine.budget.Budget.piece_points", 5_000)
+    monkeypatch.setattr("bumpymap.engine.budget.Budget.waiting_points", 20_000)
+    monkeypatch.setattr("bumpymap.engine.budget.Budget.block_points", 8_000)
+
+
+def test_points_that_wait_on_disk_change_no_bit(survey, tmp_path, request):
+    assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
+    request.getfixturevalue("tight")
+    assert run("map", survey, "--out", tmp_path / "spilled", "--scratch", tmp_path / "scratch").exit_code == 0
+    assert layers_of(tmp_path / "spilled") == layers_of(tmp_path / "whole")
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+@pytest.mark.parametrize("where", ["read", "measure", "write"])
+def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monkeypatch, tight, where):
+    assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
+    out, left = tmp_path / "layers", tmp_path / "left"
+    place = {
+        "read": "bumpymap.engine.local.decide_ground",
+        "measure": "bumpymap.engine.local.LocalRun._finish_rest",
+        "write": "bumpymap.pipeline.write_products",
+    }[where]
+
+    def killed(*_, **__):
+        shutil.copytree(out, left)  # what a kill at this instant leaves
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(place, killed)
+        assert run("map", survey, "--out", out).exit_code == 130
+    assert list(left.glob(".bumpymap-run/*"))
+    refused = run("map", survey, "--out", left)
+    assert refused.exit_code == 3
+    assert "--resume" in refused.output
+    other = run("map", survey, "--out", left, "--resume", "--ground", "all")
+    assert other.exit_code == 2
+    assert "settings: ground was" in other.output
+    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert layers_of(left) == layers_of(tmp_path / "whole")
+    assert not (left / ".bumpymap-run").exists()

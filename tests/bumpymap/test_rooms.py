@@ -32,7 +32,11 @@ ROOMS = {
         set(),
         {"bumpytiles", "numba", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
     ),
-    "pipeline": ({"calibration", "classify", "cost", "features", "products", "readers"}, {"bumpytiles"}),
+    "engine": ({"readers"}, {"bumpytiles", "numpy"}),
+    "pipeline": (
+        {"calibration", "classify", "cost", "engine", "features", "products", "readers"},
+        {"bumpytiles", "numpy"},
+    ),
     "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),

@@ -136,7 +136,6 @@ class TileBuckets:
         self._waiting.drop([held for held in self._waiting.runs if held[0] >= first])
         for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
             self.packs.remove(pack)
-            pack.close()
             pack.path.unlink(missing_ok=True)
 
     def keys(self) -> list[BlockKey]:

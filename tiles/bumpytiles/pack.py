@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -128,26 +129,11 @@ class Pack:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._descriptor = os.open(path, os.O_RDONLY)
+            with path.open("rb") as file:
+                self.columns, entries, self.meta = _read_index(path, file)
         except OSError as error:
-            raise PackError(f"cannot open {path}: {error}") from error
-        try:
-            columns, entries, self.meta = self._read_index(os.fstat(self._descriptor).st_size)
-        except BaseException:
-            self.close()
-            raise
-        self.columns = columns
+            raise PackError(f"cannot read {path}: {error}") from error
         self._entries = entries[np.lexsort((entries[:, 1], entries[:, 0]))]
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
-
-    def __del__(self) -> None:
-        if hasattr(self, "_descriptor"):
-            self.close()
 
     @property
     def keys(self) -> list[BlockKey]:
@@ -182,37 +168,43 @@ class Pack:
         rows, at = (int(number) for number in self._entries[place, 2:])
         stop = rows if stop is None else min(stop, rows)
         found = {}
-        for column in self.columns:
-            if column.name in names:
-                array = np.empty((max(0, stop - start), *column.tail), column.dtype)
-                self._fill(array, at + start * column.row_bytes)
-                found[column.name] = array
-            at += rows * column.row_bytes
+        # Opened for each read: any number of packs, any number of threads, and a closed one cannot be forgotten.
+        with self.path.open("rb", buffering=0) as file:
+            for column in self.columns:
+                if column.name in names:
+                    array = np.empty((max(0, stop - start), *column.tail), column.dtype)
+                    self._fill(file, array, at + start * column.row_bytes)
+                    found[column.name] = array
+                at += rows * column.row_bytes
         return found
 
-    def _fill(self, array: NDArray[Any], at: int) -> None:
-        view = _bytes(array)
-        done = 0
+    def _fill(self, file: FileIO, array: NDArray[Any], at: int) -> None:
+        view, done = _bytes(array), 0
+        file.seek(at)
         while done < len(view):
-            got = os.preadv(self._descriptor, [view[done:]], at + done)
-            if got == 0:
+            got = file.readinto(view[done:])
+            if not got:
                 raise PackError(f"{self.path} ends inside a block")
             done += got
 
-    def _read_index(self, size: int) -> tuple[tuple[Column, ...], NDArray[np.int64], dict[str, Any]]:
-        if size < len(_MAGIC) + _TRAILER.size:
-            raise PackError(f"{self.path} is too short to be a pack")
-        at, length, checksum, magic = _TRAILER.unpack(os.pread(self._descriptor, _TRAILER.size, size - _TRAILER.size))
-        if magic != _MAGIC or at + length + _TRAILER.size != size:
-            raise PackError(f"{self.path} is not a pack")
-        index = os.pread(self._descriptor, length, at)
-        if zlib.crc32(index) != checksum:
-            raise PackError(f"the index of {self.path} is damaged")
-        (text_bytes,) = struct.unpack_from("<Q", index)
-        head = json.loads(index[8 : 8 + text_bytes])
-        entries = np.frombuffer(index[8 + text_bytes :], dtype="<i8").reshape(-1, 4)
-        columns = tuple(Column(name, dtype, tuple(tail)) for name, dtype, tail in head["columns"])
-        return columns, entries, head["meta"]
+
+def _read_index(path: Path, file: BinaryIO) -> tuple[tuple[Column, ...], NDArray[np.int64], dict[str, Any]]:
+    size = file.seek(0, os.SEEK_END)
+    if size < len(_MAGIC) + _TRAILER.size:
+        raise PackError(f"{path} is too short to be a pack")
+    file.seek(size - _TRAILER.size)
+    at, length, checksum, magic = _TRAILER.unpack(file.read())
+    if magic != _MAGIC or at + length + _TRAILER.size != size:
+        raise PackError(f"{path} is not a pack")
+    file.seek(at)
+    index = file.read(length)
+    if zlib.crc32(index) != checksum:
+        raise PackError(f"the index of {path} is damaged")
+    (text_bytes,) = struct.unpack_from("<Q", index)
+    head = json.loads(index[8 : 8 + text_bytes])
+    entries = np.frombuffer(index[8 + text_bytes :], dtype="<i8").reshape(-1, 4)
+    columns = tuple(Column(name, dtype, tuple(tail)) for name, dtype, tail in head["columns"])
+    return columns, entries, head["meta"]
 
 
 class MemoryPack:

@@ -1,0 +1,206 @@
+"""Reading: files are cut into pieces, decoded one after the other, and converted and grouped beside that.
+
+The decoder holds the interpreter's lock and uses every core by itself; conversion and grouping are compiled and hold no
+lock, so they run while the next piece is decoded. Pieces of all files have one number each, their *lot*, and are taken
+in that order.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from bumpymap.engine.coming import Coming
+from bumpymap.errors import BadInputError
+from bumpymap.progress import Progress
+from bumpymap.readers import Piece, SurveyReader, Tally
+from bumpytiles import Bounds, Grid, Pack, Run, TileBuckets, group_points
+
+__all__ = ["Intake", "Lot", "cut"]
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """A piece of one of the files."""
+
+    file: int
+    """Which reader."""
+    piece: Piece
+    last: bool
+    """The last one of its file."""
+
+
+def cut(readers: Sequence[SurveyReader], points: int) -> list[Lot]:
+    """Cut all files into pieces of about so many points."""
+    lots = []
+    for file, reader in enumerate(readers):
+        pieces = reader.pieces(points)
+        lots += [Lot(file, piece, number == len(pieces) - 1) for number, piece in enumerate(pieces)]
+    return lots
+
+
+class Intake:
+    """Reads lots into buckets; a file that breaks in the middle leaves none of its points.
+
+    Parameters
+    ----------
+    readers : sequence of SurveyReader
+    lots : sequence of Lot
+        From `cut`.
+    grid : Grid
+    refuse : callable
+        Told of a bad file; raises, or notes that it is skipped.
+    may_skip : bool
+        Whether ``refuse`` may return. Points of a file are then not final before its last piece was judged.
+    """
+
+    def __init__(
+        self,
+        readers: Sequence[SurveyReader],
+        lots: Sequence[Lot],
+        grid: Grid,
+        refuse: Callable[[SurveyReader, BadInputError], None],
+        *,
+        may_skip: bool,
+    ) -> None:
+        self._readers, self._lots, self._grid = readers, lots, grid
+        self._refuse, self._may_skip = refuse, may_skip
+        self.tallies = [Tally() for _ in readers]
+        """Of each file, as far as it was read."""
+        self.skipped: set[int] = set()
+        """Files that were refused."""
+        self.flagged = False
+        """Whether any point so far is ground."""
+        self._noted: dict[int, tuple[Tally, bool]] = {}
+        self._first = {lot.file: number for number, lot in reversed(list(enumerate(lots)))}
+        self._coming = Coming(grid, self._parts())
+
+    def complete(self, key: tuple[int, int]) -> bool:
+        """Whether no lot that is still to be read reaches a block."""
+        return self._coming.complete(key)
+
+    def note(self, first: int, last: int) -> dict[str, Any]:
+        """Give what a pack must remember of the lots in it: their tallies by file, whether any point is ground."""
+        tallies: dict[int, Tally] = {}
+        flagged = False
+        for number in range(first, last + 1):
+            tally, marked = self._noted.pop(number, (Tally(), False))
+            file = self._lots[number].file
+            tallies[file] = tallies.get(file, Tally()).merge(tally)
+            flagged |= marked
+        return {"tallies": {str(file): tally.to_record() for file, tally in tallies.items()}, "flagged": flagged}
+
+    def restore(self, packs: Sequence[Pack]) -> int:
+        """Take up where an earlier run was broken off; gives the first lot that is to be read."""
+        done = 0
+        for pack in packs:
+            for file, record in pack.meta["tallies"].items():
+                self.tallies[int(file)] = self.tallies[int(file)].merge(Tally.from_record(record))
+            self.flagged |= pack.meta["flagged"]
+            done = int(pack.meta["last"]) + 1
+        for number in range(done):
+            self._mark_read(number)
+        return done
+
+    def read(self, buckets: TileBuckets, start: int, threads: int, told: Progress) -> None:
+        """Read the lots from ``start`` on.
+
+        Raises
+        ------
+        BadInputError
+            A file is bad and may not be skipped.
+        """
+        buckets.settled = self._first[self._lots[start].file] if self._may_skip and start < len(self._lots) else None
+        pending: deque[tuple[int, Future[tuple[Run, Tally, bool]]]] = deque()
+        with ThreadPoolExecutor(threads) as pool:
+            for number, lot in enumerate(self._lots[start:], start):
+                if lot.file in self.skipped:
+                    continue
+                reader = self._readers[lot.file]
+                try:
+                    fetched = reader.fetch(lot.piece)
+                except BadInputError as error:
+                    self._drain(pending, 0, buckets, told)
+                    self._give_up(lot.file, error, buckets)
+                    continue
+                pending.append((number, pool.submit(self._prepare, reader, lot.piece, fetched)))
+                del fetched
+                self._drain(pending, threads, buckets, told)
+            self._drain(pending, 0, buckets, told)
+
+    def _prepare(self, reader: SurveyReader, piece: Piece, fetched: Any) -> tuple[Run, Tally, bool]:
+        batch = reader.convert(piece, fetched)
+        cloud = batch.cloud
+        run = group_points(self._grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground)
+        return run, batch.tally, bool(run.points["flag"].any())
+
+    def _drain(
+        self,
+        pending: deque[tuple[int, Future[tuple[Run, Tally, bool]]]],
+        most: int,
+        buckets: TileBuckets,
+        told: Progress,
+    ) -> None:
+        """Take what is ready, in order, until at most ``most`` lots are under way."""
+        while len(pending) > most:
+            number, future = pending.popleft()
+            lot = self._lots[number]
+            if lot.file in self.skipped:
+                continue
+            try:
+                run, tally, flagged = future.result()
+            except BadInputError as error:
+                self._give_up(lot.file, error, buckets)
+                continue
+            self._noted[number] = (tally, flagged)
+            self.flagged |= flagged
+            self.tallies[lot.file] = self.tallies[lot.file].merge(tally)
+            told.advance(lot.piece.points)
+            buckets.take(run, number)
+            self._judge(number, buckets)
+
+    def _judge(self, number: int, buckets: TileBuckets) -> None:
+        lot = self._lots[number]
+        if not self._may_skip:
+            self._mark_read(number)
+        if not lot.last:
+            return
+        try:
+            self._readers[lot.file].judge(self.tallies[lot.file])
+        except BadInputError as error:
+            self._give_up(lot.file, error, buckets)
+            return
+        if self._may_skip:
+            buckets.settled = number + 1
+            for own in range(self._first[lot.file], number + 1):
+                self._mark_read(own)
+
+    def _give_up(self, file: int, error: BadInputError, buckets: TileBuckets) -> None:
+        self._refuse(self._readers[file], error)
+        self.skipped.add(file)
+        self.tallies[file] = Tally()
+        buckets.forget(self._first[file])
+        for number in range(self._first[file], len(self._lots)):
+            if self._lots[number].file != file:
+                break
+            self._noted.pop(number, None)
+            self._mark_read(number)
+
+    def _parts(self) -> list[Bounds | None]:
+        """Bounds of what is kept account of: of each piece that has its own, else of the file as a whole."""
+        self._part: list[int | None] = []
+        bounds: list[Bounds | None] = []
+        for lot in self._lots:
+            own = lot.piece.bounds
+            if own is None and not lot.last:
+                self._part.append(None)
+                continue
+            self._part.append(len(bounds))
+            bounds.append(own or self._readers[lot.file].info.bounds)
+        return bounds
+
+    def _mark_read(self, number: int) -> None:
+        part = self._part[number]
+        if part is not None:
+            self._coming.read(part)

@@ -1,0 +1,241 @@
+"""A run on one machine: read, decide which points count, finish every block, keep all that in packs."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.config import Ground
+from bumpymap.engine.budget import Budget
+from bumpymap.engine.intake import Intake, cut
+from bumpymap.engine.sink import TileSink
+from bumpymap.engine.workspace import Workspace
+from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.progress import Progress, Stopwatch
+from bumpymap.readers import SurveyReader
+from bumpytiles import (
+    BlockKey,
+    Column,
+    Grid,
+    Mosaic,
+    Pack,
+    Room,
+    TileBuckets,
+    TilePoints,
+    TileWindow,
+    TooManyPointsError,
+    run_blocks,
+)
+
+__all__ = ["Done", "Job", "LocalRun", "decide_ground"]
+
+_CLASSIFIED_SHARE = 0.5
+"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+
+TileColumns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is done with each block; picklable, so that it can travel."""
+
+    grid: Grid
+    columns: tuple[Column, ...]
+    """Of a finished tile."""
+    work: Callable[[TilePoints, bool], TileColumns]
+    """Points of some tiles, and whether only ground counts, to columns of those tiles."""
+    ground: Ground
+
+    def finish(self, buckets: TileBuckets, key: BlockKey, *, ground_only: bool) -> TileColumns:
+        """Finish a block."""
+        shares = [self.work(points, ground_only) for points in buckets.block(key)]
+        return shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What came of reading and measuring."""
+
+    mosaic: Mosaic
+    ground_only: bool
+    dropped: list[dict[str, int] | None]
+    """For each input, points that did not count by reason; None where it was skipped."""
+    points: int
+    """Points that count; duplicates are still among them."""
+
+
+class LocalRun:
+    """One run; see `run`.
+
+    Parameters
+    ----------
+    job : Job
+    space : Workspace
+    budget : Budget
+    told : Progress
+    """
+
+    def __init__(self, job: Job, space: Workspace, budget: Budget, told: Progress) -> None:
+        self._job, self._space, self._budget, self._told = job, space, budget, told
+        kinds = {"auto": ("all", "ground"), "all": ("all",), "class": ("ground",)}[job.ground]
+        early, self._rest, self._marks = _taken_up(space, kinds)
+        self._finished = set().union(*(pack.keys for pack in early))
+        number = 1 + max((int(pack.path.stem[-6:]) for pack in early), default=-1)
+        self._early = {kind: TileSink(space.folder, f"{kind}-early", job.columns, number) for kind in kinds}
+
+    def run(
+        self,
+        readers: Sequence[SurveyReader],
+        refuse: Callable[[SurveyReader, BadInputError], None],
+        check_window: Callable[[TileWindow], None],
+        clock: Stopwatch,
+        *,
+        may_skip: bool,
+    ) -> Done:
+        """Read and measure what is not there yet.
+
+        Parameters
+        ----------
+        readers : sequence of SurveyReader
+        refuse : callable
+            Told of a bad file; raises, or notes that it is skipped.
+        check_window : callable
+            Raises where a map of that window cannot be made.
+        clock : Stopwatch
+        may_skip : bool
+
+        Raises
+        ------
+        BadInputError
+            A bad file that may not be skipped; no point is left.
+        OutputError
+            The disk is full.
+        """
+        record = self._space.remembered()
+        if record is None:
+            with _failures(self._budget):
+                record = self._read_and_measure(readers, refuse, check_window, clock, may_skip=may_skip)
+            self._space.remember(record)
+        kind = "ground" if record["ground_only"] else "all"
+        packs = [Pack(path) for path in (*self._space.tiles(f"{kind}-early"), *self._space.tiles(kind))]
+        mosaic = Mosaic(self._job.grid, packs)
+        return Done(mosaic, record["ground_only"], record["dropped"], record["points"])
+
+    def _read_and_measure(
+        self,
+        readers: Sequence[SurveyReader],
+        refuse: Callable[[SurveyReader, BadInputError], None],
+        check_window: Callable[[TileWindow], None],
+        clock: Stopwatch,
+        *,
+        may_skip: bool,
+    ) -> dict[str, Any]:
+        intake = Intake(
+            readers, cut(readers, self._space.asked["cut"]["piece_points"]), self._job.grid, refuse, may_skip=may_skip
+        )
+        packs = self._space.points()
+        room = Room(
+            points=self._budget.waiting_points,
+            block_points=self._budget.block_points,
+            scratch=self._space.scratch,
+            note=intake.note,
+            complete=intake.complete,
+            finish=lambda keys: self._finish_early(buckets, keys),
+        )
+        buckets = TileBuckets(self._job.grid, room, packs)
+        buckets.done |= self._finished
+        with clock.stage("read"):
+            start = intake.restore(packs)
+            self._told.start("reading points", sum(reader.info.point_count for reader in readers))
+            self._told.advance(sum(tally.points for tally in intake.tallies))
+            intake.read(buckets, start, self._budget.threads, self._told)
+        if not (buckets.done or len(buckets)):
+            raise BadInputError("no point is left to map: every point is withheld, noise or without return")
+        check_window(buckets.window())
+        with clock.stage("measure"):
+            ground_only = self._decide(buckets, flagged=intake.flagged)
+            self._finish_rest(buckets, ground_only=ground_only)
+        counted = [tally.points - sum(tally.dropped.values()) for tally in intake.tallies]
+        dropped = [None if n in intake.skipped else tally.dropped for n, tally in enumerate(intake.tallies)]
+        return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
+
+    def _finish_early(self, buckets: TileBuckets, keys: list[BlockKey]) -> None:
+        """Finish complete blocks while others are still read: both ways, where it is not known yet what counts."""
+        keys = [key for key in keys if key not in self._finished]
+        for kind, sink in self._early.items():
+            for key, columns in self._columns(buckets, keys, ground_only=kind == "ground"):
+                sink.add(key, columns, buckets.marks(key))
+        for sink in self._early.values():
+            sink.flush()
+        self._finished |= set(keys)
+
+    def _finish_rest(self, buckets: TileBuckets, *, ground_only: bool) -> None:
+        keys = [key for key in buckets.keys() if key not in self._rest]  # noqa: SIM118 (a property)
+        self._told.start("measuring tiles", len(keys))
+        kind = "ground" if ground_only else "all"
+        sink = TileSink(self._space.folder, kind, self._job.columns, len(self._space.tiles()))
+        for key, columns in self._columns(buckets, keys, ground_only=ground_only):
+            sink.add(key, columns)
+            self._told.advance(1)
+        sink.flush()
+
+    def _columns(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], *, ground_only: bool
+    ) -> Iterator[tuple[BlockKey, TileColumns]]:
+        def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
+            return key, self._job.finish(buckets, key, ground_only=ground_only)
+
+        return run_blocks(finish, keys, self._budget.threads)
+
+    def _decide(self, buckets: TileBuckets, *, flagged: bool) -> bool:
+        marks = self._marks.copy()
+        keys = buckets.keys() if flagged and self._job.ground != "all" else []
+        for counts in run_blocks(buckets.marks, keys, self._budget.threads):
+            marks += counts
+        return decide_ground(self._job.ground, int(marks[0]), int(marks[1]))
+
+
+def _taken_up(space: Workspace, kinds: Sequence[str]) -> tuple[list[Pack], set[BlockKey], NDArray[np.int64]]:
+    """Give what an earlier run has finished: packs made early, other finished blocks, and the marks of the early ones.
+
+    Early blocks were measured in every way that may be wanted, in packs of one number; where one of these is missing,
+    the run was broken off between them, and they are made again.
+    """
+    by_kind = {kind: {path.stem[-6:]: path for path in space.tiles(f"{kind}-early")} for kind in kinds}
+    whole = set.intersection(*(set(paths) for paths in by_kind.values()))
+    for paths in by_kind.values():
+        for number, path in paths.items():
+            if number not in whole:
+                path.unlink()
+    early = [Pack(path) for paths in by_kind.values() for number, path in paths.items() if number in whole]
+    rest = set().union(*(Pack(path).keys for kind in kinds for path in space.tiles(kind)))
+    marks = [pack.meta["marks"] for pack in early if pack.meta["kind"] == f"{kinds[0]}-early"]
+    return early, rest, np.sum(marks or [(0, 0)], axis=0)
+
+
+def decide_ground(ground: Ground, tiles: int, flagged: int) -> bool:
+    """Decide from a survey's tiles, and those with points of class 2, whether only such points count (DESIGN 3)."""
+    if ground == "all":
+        return False
+    if ground == "class" and not flagged:
+        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+    return ground == "class" or flagged > _CLASSIFIED_SHARE * tiles
+
+
+@contextmanager
+def _failures(budget: Budget) -> Iterator[None]:
+    """Say what to do where memory or disk do not suffice."""
+    try:
+        yield
+    except TooManyPointsError as error:
+        raise UsageError(
+            f"{error}: it is too dense for --memory {budget.memory >> 20}MB. Raise --memory, or thin the survey"
+        ) from error
+    except OSError as error:
+        raise OutputError(
+            f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
+            "or raise --memory"
+        ) from error
