@@ -74,7 +74,7 @@ def serve():
         said = file.fileno()
         os.dup2(said, 1)
         os.dup2(said, 2)
-        first = watched(["map", good, "--out", out, "--local", "--workers", "1"], said)
+        first = watched(["map", good, "--out", out, "--local", "--threads", "1"], said)
         watched(["info", good], said)
         limit(int(budget))
         answers.write(json.dumps(first) + "\n")

@@ -36,7 +36,7 @@ def tiles_of(runner, tmp_path_factory):
 
 
 def mapped(runner, path, out):
-    return runner.run("map", "--out", out, "--local", "--workers", "1", "--quiet", "--", path)
+    return runner.run("map", "--out", out, "--local", "--threads", "1", "--quiet", "--", path)
 
 
 def everything(*folders):

@@ -42,7 +42,7 @@ def folder(tmp_path):
 
 
 def mapped(runner, folder, out, *options):
-    return runner.run("map", folder, "--out", out, "--workers", "1", "--quiet", *options)
+    return runner.run("map", folder, "--out", out, "--threads", "1", "--quiet", *options)
 
 
 def layers(out):
