@@ -1,7 +1,8 @@
 """The engine: files in, finished tiles on disk out, within a memory budget, on one machine or many."""
 
 from bumpymap.engine.budget import Budget, memory_bytes
-from bumpymap.engine.local import Done, Job, LocalRun
+from bumpymap.engine.job import Done, Job
+from bumpymap.engine.local import LocalRun
 from bumpymap.engine.workspace import Workspace, work_folder
 
 __all__ = ["Budget", "Done", "Job", "LocalRun", "Workspace", "memory_bytes", "work_folder"]

@@ -1,70 +1,22 @@
 """A run on one machine: read, decide which points count, finish every block, keep all that in packs."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.config import Ground
 from bumpymap.engine.budget import Budget
 from bumpymap.engine.intake import Intake, cut
+from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
 from bumpymap.engine.sink import TileSink
 from bumpymap.engine.workspace import Workspace
-from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.errors import BadInputError
 from bumpymap.progress import Progress, Stopwatch
 from bumpymap.readers import SurveyReader
-from bumpytiles import (
-    BlockKey,
-    Column,
-    Grid,
-    Mosaic,
-    Pack,
-    Room,
-    TileBuckets,
-    TilePoints,
-    TileWindow,
-    TooManyPointsError,
-    run_blocks,
-)
+from bumpytiles import BlockKey, Pack, Room, TileBuckets, TileWindow, run_blocks
 
-__all__ = ["Done", "Job", "LocalRun", "decide_ground"]
-
-_CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
-
-TileColumns = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """What is done with each block; picklable, so that it can travel."""
-
-    grid: Grid
-    columns: tuple[Column, ...]
-    """Of a finished tile."""
-    work: Callable[[TilePoints, bool], TileColumns]
-    """Points of some tiles, and whether only ground counts, to columns of those tiles."""
-    ground: Ground
-
-    def finish(self, buckets: TileBuckets, key: BlockKey, *, ground_only: bool) -> TileColumns:
-        """Finish a block."""
-        shares = [self.work(points, ground_only) for points in buckets.block(key)]
-        return shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    """What came of reading and measuring."""
-
-    mosaic: Mosaic
-    ground_only: bool
-    dropped: list[dict[str, int] | None]
-    """For each input, points that did not count by reason; None where it was skipped."""
-    points: int
-    """Points that count; duplicates are still among them."""
+__all__ = ["LocalRun"]
 
 
 class LocalRun:
@@ -80,11 +32,10 @@ class LocalRun:
 
     def __init__(self, job: Job, space: Workspace, budget: Budget, told: Progress) -> None:
         self._job, self._space, self._budget, self._told = job, space, budget, told
-        kinds = {"auto": ("all", "ground"), "all": ("all",), "class": ("ground",)}[job.ground]
-        early, self._rest, self._marks = _taken_up(space, kinds)
+        early, self._rest, self._marks = _taken_up(space, job.kinds)
         self._finished = set().union(*(pack.keys for pack in early))
         number = 1 + max((int(pack.path.stem[-6:]) for pack in early), default=-1)
-        self._early = {kind: TileSink(space.folder, f"{kind}-early", job.columns, number) for kind in kinds}
+        self._early = {kind: TileSink(space.folder, f"{kind}-early", job.columns, number) for kind in job.kinds}
 
     def run(
         self,
@@ -116,13 +67,10 @@ class LocalRun:
         """
         record = self._space.remembered()
         if record is None:
-            with _failures(self._budget):
+            with failures(self._budget):
                 record = self._read_and_measure(readers, refuse, check_window, clock, may_skip=may_skip)
             self._space.remember(record)
-        kind = "ground" if record["ground_only"] else "all"
-        packs = [Pack(path) for path in (*self._space.tiles(f"{kind}-early"), *self._space.tiles(kind))]
-        mosaic = Mosaic(self._job.grid, packs)
-        return Done(mosaic, record["ground_only"], record["dropped"], record["points"])
+        return gathered(self._job, self._space, record)
 
     def _read_and_measure(
         self,
@@ -165,11 +113,7 @@ class LocalRun:
     def _finish_early(self, buckets: TileBuckets, keys: list[BlockKey]) -> None:
         """Finish complete blocks while others are still read: both ways, where it is not known yet what counts."""
         keys = [key for key in keys if key not in self._finished]
-        for kind, sink in self._early.items():
-            for key, columns in self._columns(buckets, keys, ground_only=kind == "ground"):
-                sink.add(key, columns, buckets.marks(key))
-        for sink in self._early.values():
-            sink.flush()
+        self._job.finish_early(buckets, keys, self._budget.threads, self._early)
         self._finished |= set(keys)
 
     def _finish_rest(self, buckets: TileBuckets, *, ground_only: bool) -> None:
@@ -177,18 +121,10 @@ class LocalRun:
         self._told.start("measuring tiles", len(keys))
         kind = "ground" if ground_only else "all"
         sink = TileSink(self._space.folder, kind, self._job.columns, len(self._space.tiles()))
-        for key, columns in self._columns(buckets, keys, ground_only=ground_only):
+        for key, columns in self._job.finish(buckets, keys, self._budget.threads, ground_only=ground_only):
             sink.add(key, columns)
             self._told.advance(1)
         sink.flush()
-
-    def _columns(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], *, ground_only: bool
-    ) -> Iterator[tuple[BlockKey, TileColumns]]:
-        def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
-            return key, self._job.finish(buckets, key, ground_only=ground_only)
-
-        return run_blocks(finish, keys, self._budget.threads)
 
     def _decide(self, buckets: TileBuckets, *, flagged: bool) -> bool:
         marks = self._marks.copy()
@@ -214,28 +150,3 @@ def _taken_up(space: Workspace, kinds: Sequence[str]) -> tuple[list[Pack], set[B
     rest = set().union(*(Pack(path).keys for kind in kinds for path in space.tiles(kind)))
     marks = [pack.meta["marks"] for pack in early if pack.meta["kind"] == f"{kinds[0]}-early"]
     return early, rest, np.sum(marks or [(0, 0)], axis=0)
-
-
-def decide_ground(ground: Ground, tiles: int, flagged: int) -> bool:
-    """Decide from a survey's tiles, and those with points of class 2, whether only such points count (DESIGN 3)."""
-    if ground == "all":
-        return False
-    if ground == "class" and not flagged:
-        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
-    return ground == "class" or flagged > _CLASSIFIED_SHARE * tiles
-
-
-@contextmanager
-def _failures(budget: Budget) -> Iterator[None]:
-    """Say what to do where memory or disk do not suffice."""
-    try:
-        yield
-    except TooManyPointsError as error:
-        raise UsageError(
-            f"{error}: it is too dense for --memory {budget.memory >> 20}MB. Raise --memory, or thin the survey"
-        ) from error
-    except OSError as error:
-        raise OutputError(
-            f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
-            "or raise --memory"
-        ) from error

@@ -1,0 +1,116 @@
+"""What both engines share: the work done with each block, what comes of a run, and what to say where it fails."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.config import Ground
+from bumpymap.engine.budget import Budget
+from bumpymap.engine.sink import TileSink
+from bumpymap.engine.workspace import Workspace
+from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpytiles import (
+    BlockKey,
+    Column,
+    Grid,
+    Mosaic,
+    Pack,
+    TileBuckets,
+    TilePoints,
+    TooManyPointsError,
+    run_blocks,
+)
+
+__all__ = ["Done", "Job", "TileColumns", "decide_ground", "failures", "gathered"]
+
+_CLASSIFIED_SHARE = 0.5
+"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+
+TileColumns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is done with each block; picklable, so that it can travel."""
+
+    grid: Grid
+    columns: tuple[Column, ...]
+    """Of a finished tile."""
+    work: Callable[[TilePoints, bool], TileColumns]
+    """Points of some tiles, and whether only ground counts, to columns of those tiles."""
+    ground: Ground
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What may have to be measured while it is not known yet which points count: ``all``, ``ground``, or both."""
+        return {"auto": ("all", "ground"), "all": ("all",), "class": ("ground",)}[self.ground]
+
+    def finish(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
+    ) -> Iterator[tuple[BlockKey, TileColumns]]:
+        """Finish blocks, in order."""
+
+        def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
+            shares = [self.work(points, ground_only) for points in buckets.block(key)]
+            joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
+            return key, joined
+
+        return run_blocks(finish, keys, threads)
+
+    def finish_early(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
+    ) -> None:
+        """Finish blocks in every way that may be wanted, with what is needed to decide between them."""
+        for kind, sink in sinks.items():
+            for key, columns in self.finish(buckets, keys, threads, ground_only=kind == "ground"):
+                sink.add(key, columns, buckets.marks(key))
+        for sink in sinks.values():
+            sink.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What came of reading and measuring."""
+
+    mosaic: Mosaic
+    ground_only: bool
+    dropped: list[dict[str, int] | None]
+    """For each input, points that did not count by reason; None where it was skipped."""
+    points: int
+    """Points that count; duplicates are still among them."""
+
+
+def gathered(job: Job, space: Workspace, record: Mapping[str, Any]) -> Done:
+    """Give what a run has finished, whose record ``space`` remembers."""
+    kind = "ground" if record["ground_only"] else "all"
+    packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
+    return Done(Mosaic(job.grid, packs), record["ground_only"], record["dropped"], record["points"])
+
+
+def decide_ground(ground: Ground, tiles: int, flagged: int) -> bool:
+    """Decide from a survey's tiles, and those with points of class 2, whether only such points count (DESIGN 3)."""
+    if ground == "all":
+        return False
+    if ground == "class" and not flagged:
+        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+    return ground == "class" or flagged > _CLASSIFIED_SHARE * tiles
+
+
+@contextmanager
+def failures(budget: Budget) -> Iterator[None]:
+    """Say what to do where memory or disk do not suffice."""
+    try:
+        yield
+    except TooManyPointsError as error:
+        raise UsageError(
+            f"{error}: it is too dense for --memory {budget.memory >> 20}MB. Raise --memory, or thin the survey"
+        ) from error
+    except OSError as error:
+        raise OutputError(
+            f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
+            "or raise --memory"
+        ) from error

@@ -1,0 +1,164 @@
+"""Workers of dask.distributed, on this machine or on others: the one module that imports dask.
+
+Workers are started or found, asked something one by one, and given tasks. No more tasks are handed out than keep the
+workers busy, and each result is given away when it comes, so nothing piles up on the scheduler or in the client. A
+task whose worker dies is done again by another one; what it does must bear that.
+"""
+# mypy: allow-untyped-calls
+# (distributed says that it is typed, and leaves half of its functions out)
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from itertools import islice
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from distributed import Client, Future, KilledWorker, LocalCluster, get_worker, wait
+
+__all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
+
+_AHEAD = 2
+"""Tasks handed out for each worker: one is done, one is at hand when it is finished."""
+_LOOK_S = 10.0
+"""So often it is looked whether workers are left, s."""
+_LOOKS = 30
+"""So many times in a row without workers are the end."""
+
+
+class ClusterError(Exception):
+    """There are no workers, or they were lost."""
+
+
+class Workers:
+    """What does tasks.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def count(self) -> int:
+        """Workers that are there now."""
+        with _losses():
+            return len(self._client.nthreads())
+
+    def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on."""
+        with _losses():
+            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
+        return answers
+
+    def run(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        """Do ``function(*task)`` for each task; yield the number of the task and its result, in any order.
+
+        Close the iterator to give up: tasks that were not begun are taken back, others run to their end unheard.
+
+        Parameters
+        ----------
+        function : callable
+            Picklable; done once or, where a worker dies or is cut off, several times, even at the same time.
+        tasks : iterable of tuple
+            Arguments; drawn as they are needed.
+
+        Raises
+        ------
+        ClusterError
+            Workers died again and again over a task, or none is left, or the scheduler is gone.
+        Exception
+            What a task raised.
+        """
+        waiting = enumerate(tasks)
+        numbers: dict[Future[Any], int] = {}
+        try:
+            while True:
+                room = max(_AHEAD * self.count(), 1) - len(numbers)
+                for number, task in islice(waiting, max(room, 0)):
+                    numbers[self._client.submit(function, *task, pure=False)] = number
+                if not numbers:
+                    return
+                for future in self._some(numbers):
+                    yield numbers.pop(future), _result(future)
+        finally:
+            with suppress(Exception):  # there may be no scheduler any more
+                self._client.cancel(list(numbers), force=True)
+
+    def _some(self, futures: Iterable[Future[Any]]) -> list[Future[Any]]:
+        """Wait until some are finished."""
+        without = 0
+        while True:
+            with _losses(), suppress(TimeoutError):
+                return list(wait(list(futures), timeout=_LOOK_S, return_when="FIRST_COMPLETED").done)
+            without = 0 if self.count() else without + 1
+            if without >= _LOOKS:
+                raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
+
+
+@contextmanager
+def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
+    """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a worker that is stopped complains about it
+    with (
+        TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True) as folder,
+        LocalCluster(
+            n_workers=number,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=0,  # tasks keep to their own budget
+            silence_logs=logging.CRITICAL,
+            local_directory=folder,
+            env=dict(environment),
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield Workers(client)
+
+
+@contextmanager
+def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
+    """Use the workers of a scheduler.
+
+    Raises
+    ------
+    ClusterError
+        No scheduler answers there within ``patience_s`` seconds, or it has no workers for as long.
+    """
+    try:
+        client = Client(address, timeout=patience_s, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ClusterError(f"no scheduler answers at {address} ({error})") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=patience_s)
+        except TimeoutError as error:
+            raise ClusterError(f"the scheduler at {address} has no workers") from error
+        yield Workers(client)
+
+
+def threads_here() -> int:
+    """Threads that the worker was started with in which this is called."""
+    return int(get_worker().state.nthreads)
+
+
+def _result(future: Future[Any]) -> Any:
+    with _losses():
+        error = future.exception()
+        if error is None:
+            return future.result()
+    if isinstance(error, KilledWorker):
+        raise ClusterError(f"{error.allowed_failures + 1} workers died one after the other over one task") from error
+    raise error
+
+
+@contextmanager
+def _losses() -> Iterator[None]:
+    """Tell what the client raises when it loses the scheduler."""
+    try:
+        yield
+    except (OSError, CancelledError) as error:
+        raise ClusterError(f"the connection to the scheduler is lost ({error or type(error).__name__})") from error
