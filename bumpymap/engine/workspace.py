@@ -13,13 +13,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 try:
     import fcntl
 except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
-from bumpymap.atomic import atomic
+from bumpymap.atomic import STAGED, atomic
 from bumpymap.errors import OutputError, UsageError
 from bumpytiles import Pack, PackError
 
@@ -73,10 +74,12 @@ class Workspace:
             work._begin(resume=resume)
             try:
                 yield work
-            except KeyboardInterrupt:
+            except KeyboardInterrupt as end:
                 shutil.rmtree(work.scratch, ignore_errors=True)
-                if not work.tiles():
-                    shutil.rmtree(folder, ignore_errors=True)
+                if work.tiles():
+                    end.add_note("Pass --resume to the same command to go on from the finished tiles.")
+                else:
+                    work._remove()
                 raise
             except BaseException:
                 work._remove()
@@ -131,8 +134,17 @@ class Workspace:
                 temporary.write_text(json.dumps(self.asked), encoding="utf-8")
 
     def _remove(self) -> None:
+        """Remove everything, the folder at one stroke: a kill leaves nothing that looks like a run to go on with.
+
+        Folders of that name are cleared away by the next run with the same output.
+        """
         shutil.rmtree(self.scratch, ignore_errors=True)
-        shutil.rmtree(self.folder, ignore_errors=True)
+        gone = self.folder.with_name(f"{STAGED}{uuid4().hex}")
+        try:
+            self.folder.rename(gone)
+        except OSError:  # Windows keeps folders in place that hold an open file
+            gone = self.folder
+        shutil.rmtree(gone, ignore_errors=True)
 
 
 @contextmanager
