@@ -19,7 +19,7 @@ from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.las_points import Records, decode_chunks
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
 from bumpymap.readers.protocol import Piece
-from bumpymap.readers.source import Location, read_range
+from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
 __all__ = ["CopcNodes", "Octree", "read_octree"]
@@ -73,16 +73,13 @@ class CopcNodes:
         table = self._octree.table
         run = table.find(piece)
         nodes = run.start + np.argsort(table.starts[run], kind="stable")
-        starts, sizes = table.starts[nodes], table.sizes[nodes]
+        starts, sizes, counts = table.starts[nodes], table.sizes[nodes], table.counts[nodes]
         gaps = np.flatnonzero(starts[1:] != starts[:-1] + sizes[:-1]) + 1
-        parts = [
-            read_range(self._path, int(starts[near[0]]), int(sizes[near].sum()))
-            for near in np.split(np.arange(nodes.size), gaps)
-        ]
-        data = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        return decode_chunks(
-            self._path, self._header, self._record, data, table.counts[nodes].tolist(), sizes.tolist()
-        )  # fmt: skip
+        ranges = [
+            (int(starts[near[0]]), int(sizes[near].sum())) for near in np.split(np.arange(nodes.size), gaps)
+        ]  # fmt: skip
+        held = list(zip(counts.tolist(), sizes.tolist(), strict=True))
+        return decode_chunks(self._path, self._header, self._record, ranges, held)
 
     def _bounds(self, nodes: slice) -> Bounds | None:
         unit, octree = self._metres_per_unit, self._octree

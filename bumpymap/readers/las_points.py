@@ -1,18 +1,19 @@
 """The bytes of LAS points, piece by piece: as they are, from LAZ chunks, or from LAZ that must be read in order."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from functools import partial
+from typing import Protocol
 
-import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.cut import cut_chunks, cut_rows
+from bumpymap.readers.decoder import Stream, StreamLostError, decoder
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
 from bumpymap.readers.protocol import Piece
-from bumpymap.readers.source import Location, open_source, read_range
+from bumpymap.readers.source import Location, read_into, read_range
 
 __all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "decode_chunks", "has_huge_chunks"]
 
@@ -24,13 +25,6 @@ _CHUNK_HEAD = 1 << 19
 """More bytes than the head of any chunk takes: the longest point, and four bytes for each of its layers."""
 _SKIPPED = 100_000
 """Points that are decoded at once to get past them."""
-_FIELDS = (
-    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
-    | lazrs.SELECTIVE_DECOMPRESS_Z
-    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
-    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
-)
-"""What is decoded of point formats 6 to 10; earlier ones are decoded whole."""
 
 
 class RecordSource(Protocol):
@@ -84,8 +78,8 @@ class LazChunks:
         """Read the bytes of some chunks and decode them."""
         chunks = self._table.find(piece)
         counts, sizes = self._table.counts[chunks].tolist(), self._table.sizes[chunks].tolist()
-        data = read_range(self._path, int(self._table.starts[chunks.start]), sum(sizes))
-        return decode_chunks(self._path, self._header, self._record, data, counts, sizes)
+        ranges = [(int(self._table.starts[chunks.start]), sum(sizes))]
+        return decode_chunks(self._path, self._header, self._record, ranges, list(zip(counts, sizes, strict=True)))
 
 
 class LazStream:
@@ -93,7 +87,7 @@ class LazStream:
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
         self._path, self._header, self._record = path, header, record
-        self._decoder: Any = None
+        self._stream: Stream | None = None
         self._next = 0
         if table is None:
             size = header.size - header.offset_to_points
@@ -108,27 +102,43 @@ class LazStream:
 
     def fetch(self, piece: Piece) -> Records:
         """Decode the points that come next, or those before them first."""
-        with decoding(self._path, f"points from {piece.first:,} on"):
-            if self._decoder is None or piece.first < self._next:
-                self._open()
-            while self._next < piece.first:
-                self._decode(min(_SKIPPED, piece.first - self._next))
-            records = self._decode(piece.points)
+        try:
+            with decoding(self._path, f"points from {piece.first:,} on"):
+                data = self._read(piece)
+        except BaseException:
+            self._close()
+            raise
         if self._next == self._header.point_count:
-            self._decoder = None  # closes the file
-        return records
+            self._close()
+        return data.reshape(piece.points, self._header.point_size)
 
-    def _open(self) -> None:
-        stream = open_source(self._path)
-        stream.seek(self._header.offset_to_points)
-        self._decoder = lazrs.LasZipDecompressor(stream, self._record, lazrs.DecompressionSelection(_FIELDS))
-        self._next = 0
+    def _read(self, piece: Piece) -> Records:
+        while True:
+            try:
+                return self._go_on(piece)
+            except StreamLostError:
+                # The decoder was ended for another file.
+                self._stream = None
 
-    def _decode(self, points: int) -> Records:
-        records = np.empty((points, self._header.point_size), np.uint8)
-        self._decoder.decompress_many(records.reshape(-1))
-        self._next += points
-        return records
+    def _go_on(self, piece: Piece) -> Records:
+        stream = self._stream
+        if stream is None or piece.first < self._next:
+            self._close()
+            start, size = self._header.offset_to_points, self._header.size
+            stream = self._stream = decoder().stream(self._record, partial(read_into, self._path), start, size)
+            self._next = 0
+        while self._next < piece.first:
+            skipped = min(_SKIPPED, piece.first - self._next)
+            stream.read(skipped * self._header.point_size)
+            self._next += skipped
+        data = stream.read(piece.points * self._header.point_size)
+        self._next += piece.points
+        return data
+
+    def _close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.close()
 
 
 def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
@@ -137,24 +147,40 @@ def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
 
 
 def decode_chunks(
-    path: Location, header: RawHeader, record: bytes, data: Records, counts: list[int], sizes: list[int]
-) -> Records:  # fmt: skip
-    """Decode whole LAZ chunks that lie one behind the other.
+    path: Location,
+    header: RawHeader,
+    record: bytes,
+    ranges: Sequence[tuple[int, int]],
+    table: Sequence[tuple[int, int]],
+) -> Records:
+    """Read and decode whole LAZ chunks.
+
+    Parameters
+    ----------
+    path : Path or str
+    header : RawHeader
+    record : bytes
+        The LASzip record.
+    ranges : sequence of (int, int)
+        Where the chunks lie in the file: first byte, bytes.
+    table : sequence of (int, int)
+        Points and bytes of each chunk.
 
     Raises
     ------
     BadInputError
-        The file ends early, the chunks hold fewer points than ``counts``, or are damaged.
+        The file ends early, the chunks hold fewer points than ``table``, or are damaged.
     """
-    refuse_count(path, sum(sizes), data.size, "bytes of LAZ chunks")
-    start = 0
-    for points, size in zip(counts, sizes, strict=True):
-        check_layers(path, header, data[start : start + size], size, points)
-        start += size
-    records = np.empty((sum(counts), header.point_size), np.uint8)
-    table = list(zip(counts, sizes, strict=True))
+    block = decoder().take(sum(size for _, size in ranges))
+    held = 0
+    for start, size in ranges:
+        held += read_into(path, start, block.data[held : held + size])
+    refuse_count(path, block.data.size, held, "bytes of LAZ chunks")
+    at = 0
+    for points, size in table:
+        check_layers(path, header, block.data[at : at + size], size, points)
+        at += size
+    points = sum(points for points, _ in table)
     with decoding(path, "LAZ chunks"):
-        lazrs.decompress_points_with_chunk_table(
-            data, record, records.reshape(-1), table, lazrs.DecompressionSelection(_FIELDS)
-        )
-    return records
+        records = decoder().chunks(record, table, block, points * header.point_size)
+    return records.reshape(points, header.point_size)

@@ -4,17 +4,16 @@ lazrs reserves memory for whatever these promise; a promise that no machine can 
 against the size of the file first.
 """
 
-import io
 import struct
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
+from bumpymap.readers.decoder import DecoderError, decoder
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.protocol import Piece
 from bumpymap.readers.source import Location
@@ -44,6 +43,10 @@ _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
 """Layers of a chunk by point format; every extra byte adds one. Earlier formats have none."""
 _DENSEST = 4096
 """Points in a byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and a point has one at least."""
+_ANY_SIZE = 0xFFFFFFFF
+"""Chunk size of a LASzip record that leaves it to the table."""
+_ENTRY_BYTES = 16
+"""An entry of the table has two numbers, which take less than eight bytes each, coded."""
 _CUT = "truncated? Copy or download it again"
 
 
@@ -95,17 +98,14 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
         )
     if not is_chunked(record):
         # The size of chunks means nothing here, yet lazrs panics on 0 and on the value for "any size".
-        record = record[:12] + struct.pack("<I", 0xFFFFFFFE) + record[16:]
-    # An empty table of chunks: the decoder looks at the record alone.
-    nothing = io.BytesIO(struct.pack("<qII", 8, 0, 0))
-    with decoding(path, "the LASzip record"):
-        try:
-            lazrs.LasZipDecompressor(nothing, record)
-        except lazrs.LazrsError as error:
-            raise BadInputError(
-                f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
-                "codec, such as with: pdal translate IN OUT.laz"
-            ) from error
+        record = record[:12] + struct.pack("<I", _ANY_SIZE - 1) + record[16:]
+    try:
+        decoder().check(record)
+    except DecoderError as error:
+        raise BadInputError(
+            f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
+            "codec, such as with: pdal translate IN OUT.laz"
+        ) from error
     return record
 
 
@@ -117,20 +117,26 @@ def is_chunked(record: bytes) -> bool:
 
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
     """Read the chunk table and hold it against the file and the number of points that the header promises."""
-    vlr: Any = lazrs.LazVlr(record)
-    table_at = _table_place(stream, path, header)
-    stream.seek(header.offset_to_points)
+    table_at, chunks = _table_place(stream, path, header)
+    block = decoder().take(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
+    stream.seek(table_at)
+    data = stream.read(block.data.size)
+    refuse_count(path, block.data.size, len(data), "bytes of a LAZ chunk table")
+    block.data[:] = np.frombuffer(data, np.uint8)
     with decoding(path, "the LAZ chunk table"):
-        table = lazrs.read_chunk_table(stream, vlr)
+        table = decoder().chunk_table(record, block, chunks)
     data_bytes = sum(size for _, size in table)
     if header.offset_to_points + 8 + data_bytes > table_at:
         raise BadInputError(
             f"the LAZ chunks of {path} need {data_bytes:,} bytes, more than lie before their table: {_CUT}"
         )
-    held = sum(points for points, _ in table) if vlr.uses_variable_size_chunks() else len(table) * vlr.chunk_size()
+    (chunk,) = struct.unpack_from("<I", record, 12)
+    held = sum(points for points, _ in table) if chunk == _ANY_SIZE else len(table) * chunk
     refuse_count(path, header.point_count, held)
-    chunk = None if vlr.uses_variable_size_chunks() else vlr.chunk_size()
-    counts = np.array([min(chunk or points, header.point_count) for points, _ in table], np.int64)
+    # The table of chunks of one size does not repeat it.
+    counts = np.array(
+        [min(points if chunk == _ANY_SIZE else chunk, header.point_count) for points, _ in table], np.int64
+    )
     sizes = np.array([size for _, size in table], np.int64)
     starts = header.offset_to_points + 8 + np.cumsum(sizes) - sizes
     # The last chunk is shorter than the others; behind the last point of the header there is nothing to read.
@@ -182,8 +188,8 @@ def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], si
         )
 
 
-def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> int:
-    """Where the chunk table is, once its place and its length are known to fit."""
+def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[int, int]:
+    """Where the chunk table is and how many chunks it has, once both are known to fit."""
     size = header.size
     place = _word(stream, header.offset_to_points, size)
     if place == -1:
@@ -197,7 +203,7 @@ def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> int:
     room = (place - header.offset_to_points) // header.point_size
     if chunks > room or (chunks == 0 and header.point_count):
         raise BadInputError(f"{path} promises {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
-    return place
+    return place, chunks
 
 
 def _word(stream: BinaryIO, place: int, size: int) -> int | None:

@@ -25,6 +25,7 @@ __all__ = [
     "list_folder",
     "open_source",
     "place_of",
+    "read_into",
     "read_range",
     "size_of",
 ]
@@ -68,18 +69,25 @@ def open_source(location: Location) -> BinaryIO:
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
     """Read ``size`` bytes from ``start`` on; fewer where the file ends."""
+    data = np.empty(size, np.uint8)
+    return data[: read_into(location, start, data)]
+
+
+def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
+    """Fill an array with the bytes from ``start`` on; gives how many there were."""
     with _reading(location):
         if isinstance(location, str):
             files, name = _remote(location)
-            data = files.cat_file(name, start=start, end=start + size)
-            if len(data) > size:
+            found = files.cat_file(name, start=start, end=start + data.size)
+            if len(found) > data.size:
                 raise BadInputError(
                     f"the server of {location} gives whole files alone, no ranges of bytes. Download the file first"
                 )
-            return np.frombuffer(bytearray(data), np.uint8)
+            data[: len(found)] = np.frombuffer(found, np.uint8)
+            return len(found)
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
-            return _fill(stream, np.empty(size, np.uint8))
+            return _fill(stream, data)
 
 
 def size_of(location: Location) -> int:
@@ -136,15 +144,15 @@ def place_of(location: Location, middle: tuple[float, float, float] | None = Non
     return Place(location, middle)
 
 
-def _fill(stream: Any, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _fill(stream: Any, data: NDArray[np.uint8]) -> int:
     """Read until the array is full or the file ends: one call gives at most 2 GB."""
     filled = 0
     while filled < data.size:
         got = stream.readinto(memoryview(data.data)[filled:])
         if not got:
-            return data[:filled]
+            break
         filled += got
-    return data
+    return filled
 
 
 def _refuse_special(path: Path) -> None:

@@ -91,13 +91,15 @@ def test_ground_is_complete_long_before_the_end(tree):
 
 
 def test_a_piece_reads_its_own_bytes_alone(tree, monkeypatch):
-    from bumpymap.readers import copc
+    from bumpymap.readers import las_points
 
     path = tree()
     reader = open_survey(path)
     read = []
-    whole = copc.read_range
-    monkeypatch.setattr(copc, "read_range", lambda where, start, size: read.append(size) or whole(where, start, size))
+    whole = las_points.read_into
+    monkeypatch.setattr(
+        las_points, "read_into", lambda where, start, data: read.append(data.size) or whole(where, start, data)
+    )
     pieces = reader.pieces(300)
     for piece in pieces:
         reader.fetch(piece)

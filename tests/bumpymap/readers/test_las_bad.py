@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bumpymap.errors import BadInputError
-from bumpymap.readers import ReadOptions, open_survey
+from bumpymap.readers import ReadOptions, decoder, open_survey
 
 DEFAULT = ReadOptions()
 MAX_X, MIN_X, MAX_Y, MIN_Y = 179, 187, 195, 203
@@ -234,6 +234,7 @@ def test_a_panic_of_the_decoder_becomes_a_message(las, monkeypatch):
         raise PanicException("index out of bounds: the len is 3\nnote: a backtrace")
 
     path = las.write("a.laz")
+    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", panic)
     message = refused(path, "index out of bounds: the len is 3")
     assert "backtrace" not in message
@@ -243,6 +244,7 @@ def test_an_interrupt_passes(las, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", interrupt)
     with pytest.raises(KeyboardInterrupt):
         exhaust(las.write("a.laz"))
