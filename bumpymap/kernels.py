@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.native import entry, inner, order_free
+from bumpytiles.native import entry, inner, order_free
 
 __all__ = ["LANES", "SAMPLE", "SUMS", "detrend", "fill_holes", "measure_tiles", "rate_tiles", "stray_bounds"]
 

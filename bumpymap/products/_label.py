@@ -5,22 +5,12 @@ first), so areas get their numbers in that order whatever their shape, and no se
 one tile after the other: the same tiles in the same order give the same bits.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from bumpytiles.native import entry, inner
+
 __all__ = ["add_up", "label"]
-
-
-def _compiled(function: Callable[..., Any]) -> Any:
-    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # nowhere to write: a read-only installation and no home
-        return njit(nogil=True)(function)
 
 
 def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
@@ -39,13 +29,15 @@ def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]
         First and last pixel of each area, as positions in ``keys.ravel()``.
     """
     labels = np.zeros(keys.shape, dtype=np.int32)
-    count = _number(keys, labels)
+    found = np.zeros(1, dtype=np.int64)
+    _number(np.ascontiguousarray(keys, np.uint8), labels, np.arange(keys.size, dtype=np.int32), found)
+    count = int(found[0])
     first, last = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.int64)
     _find_ends(labels.ravel(), first, last)
     return labels, first, last
 
 
-@_compiled
+@inner
 def _root(parent: NDArray[np.int32], pixel: int) -> int:
     """Find the first pixel of an area; paths are halved on the way."""
     while parent[pixel] != pixel:
@@ -54,7 +46,7 @@ def _root(parent: NDArray[np.int32], pixel: int) -> int:
     return pixel
 
 
-@_compiled
+@inner
 def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
     """Make two areas one; the earlier root stays."""
     one, other = _root(parent, one), _root(parent, other)
@@ -64,11 +56,15 @@ def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
         parent[one] = other
 
 
-@_compiled
-def _number(keys: NDArray[np.uint8], labels: NDArray[np.int32]) -> int:
-    """Fill ``labels``; return how many areas there are."""
+@entry("u1:2 i4:2 i4:1 i8:1")
+def _number(
+    keys: NDArray[np.uint8], labels: NDArray[np.int32], parent: NDArray[np.int32], found: NDArray[np.int64]
+) -> None:
+    """Fill ``labels``, and ``found`` (1,) with how many areas there are.
+
+    ``parent`` is scratch, (pixels,): each pixel's own position.
+    """
     rows, cols = keys.shape
-    parent = np.arange(rows * cols, dtype=np.int32)
     for row in range(rows):
         for col in range(cols):
             key = keys[row, col]
@@ -89,10 +85,10 @@ def _number(keys: NDArray[np.uint8], labels: NDArray[np.int32]) -> int:
                 labels[row, col] = count
             else:
                 labels[row, col] = labels[root // cols, root % cols]
-    return count
+    found[0] = count
 
 
-@_compiled
+@entry("i4:1 i8:1 i8:1")
 def _find_ends(labels: NDArray[np.int32], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
     """Fill what `label` returns of each area."""
     for pixel in range(len(labels)):
@@ -103,7 +99,7 @@ def _find_ends(labels: NDArray[np.int32], first: NDArray[np.int64], last: NDArra
                 first[area] = pixel
 
 
-@_compiled
+@entry("i4:1 f4:1 f8:1")
 def add_up(area: NDArray[np.int32], values: NDArray[np.float32], total: NDArray[np.float64]) -> None:
     """Add (n,) values to the (m,) totals of their areas, one after the other."""
     for n in range(len(area)):

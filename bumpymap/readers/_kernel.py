@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.native import entry, inner
+from bumpytiles.native import entry, inner
 
 __all__ = ["KEPT", "STRIP", "convert_records", "sift_points"]
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bumpymap.config import FeatureSettings
-from bumpymap.native import compiled_twin
+from bumpytiles.native import compiled_twin
 from bumpymap.types import Reason
 from bumpytiles import Grid
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.native import Entry, compiled_twin
+from bumpytiles.native import Entry, compiled_twin
 
 SOURCE = """
 import math
 import numpy as np
-from bumpymap.native import entry, inner
+from bumpytiles.native import entry, inner
 
 @inner
 def square(x):

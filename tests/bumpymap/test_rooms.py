@@ -20,17 +20,16 @@ ROOMS = {
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
     "readers": (
-        {"crs", "native"},
+        {"crs"},
         {"bumpytiles", "fsspec", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"},
     ),
-    "native": (set(), {"llvmlite", "numba", "numpy"}),
-    "kernels": ({"native"}, {"numpy"}),
+    "kernels": (set(), {"bumpytiles", "numpy"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
     "products": (
         set(),
-        {"bumpytiles", "numba", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
+        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
     ),
     "engine": ({"readers"}, {"bumpytiles", "numpy"}),
     "pipeline": (
@@ -103,3 +102,14 @@ def test_help_loads_nothing_heavy():
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "map" in out
     assert not HEAVY & set(out)
+
+
+def test_a_run_with_kept_kernels_does_not_load_the_compiler(tmp_path):
+    survey = str(ROOT / "sample_data" / "quarry.laz")
+    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    for run in ("first", "second"):  # the first may have to compile
+        command = [sys.executable, "-c", code, "map", survey, "--out", str(tmp_path / run)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert "llvmlite" in loaded
+    assert "numba" not in loaded

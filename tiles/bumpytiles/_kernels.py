@@ -1,14 +1,17 @@
-"""Compiled loops over points: grouping by block, and the one canonical order inside a block."""
+"""Compiled loops over points: grouping by block, and the one canonical order inside a block.
+
+Nothing here allocates (see ``bumpytiles.native``): scratch arrays come from the caller.
+"""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["BLOCK_TILES", "MAX_CELLS", "group", "sort_points"]
+from bumpytiles.native import entry, inner
+
+__all__ = ["BLOCK_TILES", "MAX_CELLS", "group", "rank_points", "sort_points"]
 
 BLOCK_TILES = 16
 """Tiles along a side of a block: one unit of work."""
@@ -19,17 +22,11 @@ Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+Places = NDArray[np.int32]
+Keys = NDArray[np.uint64]
 
 
-def _compiled(function: Callable[..., Any]) -> Any:
-    """Compile once and keep the result beside the module or in the user's cache; without either, in every run."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # nowhere to write: a read-only installation and no home
-        return njit(nogil=True)(function)
-
-
-@_compiled
+@inner
 def _index(coordinate: float, size: float) -> Any:
     """Return the tile index along one axis; the twin of ``Grid.index``."""
     i = math.floor(coordinate / size)
@@ -40,7 +37,7 @@ def _index(coordinate: float, size: float) -> Any:
     return np.int64(i)
 
 
-@_compiled
+@entry("f8:1 f8:1 f8:1 ?:1 f8 i8 i8 i8 i8:1 f8:1 f8:1 f8:1 u1:1 ?:1 i4:1 u1:1 i8:1")
 def group(
     easting: Floats,
     northing: Floats,
@@ -56,6 +53,9 @@ def group(
     out_upward: Floats,
     out_tile: Bytes,
     out_flag: Flags,
+    cell: Places,
+    tile: Bytes,
+    place: Indices,
 ) -> None:
     """Put points block by block, in their own order inside a block (a counting sort).
 
@@ -72,10 +72,10 @@ def group(
         Filled: where the points of each block begin.
     out_easting, out_northing, out_upward, out_tile, out_flag : (n,)
         Filled; ``out_tile`` is the tile inside the block, row * 16 + column.
+    cell : (n,) int32, tile : (n,) uint8, place : (blocks of the window,) int64
+        Scratch.
     """
     n = len(easting)
-    cell = np.empty(n, np.int32)
-    tile = np.empty(n, np.uint8)
     for i in range(n):
         col, row = _index(easting[i], size), _index(northing[i], size)
         c = (row // BLOCK_TILES - first_row) * cols + col // BLOCK_TILES - first_col
@@ -84,7 +84,8 @@ def group(
         counts[c + 1] += 1
     for c in range(1, len(counts)):
         counts[c] += counts[c - 1]
-    place = counts[:-1].copy()
+    for c in range(len(place)):
+        place[c] = counts[c]
     for i in range(n):
         c = cell[i]
         p = place[c]
@@ -96,7 +97,7 @@ def group(
         out_flag[p] = flag[i]
 
 
-@_compiled
+@inner
 def _hash(x: float, y: float, z: float) -> np.uint64:
     """64 well-mixed bits of a point's coordinates (multiply and fold each, then Stafford's finaliser)."""
     mixed = np.uint64(0)
@@ -115,27 +116,44 @@ def _hash(x: float, y: float, z: float) -> np.uint64:
     return mixed
 
 
-@_compiled
-def hashes(easting: Floats, northing: Floats, upward: Floats, out: NDArray[np.uint64]) -> None:
-    """Hash every point into ``out``, (n,) uint64."""
+@entry("f8:1 f8:1 f8:1 u1:1 u8:1 i8:1")
+def rank_points(easting: Floats, northing: Floats, upward: Floats, tile: Bytes, key: Keys, first: Indices) -> None:
+    """Hash every point, and count the points of each tile.
+
+    Parameters
+    ----------
+    easting, northing, upward, tile : (n,)
+        Points.
+    key : (n,) uint64
+        Filled: 56 bits.
+    first : (257,) int64, zeros
+        Filled: the points of each tile ``t`` of the block, at ``t + 1``.
+    """
     for i in range(len(easting)):
-        out[i] = _hash(easting[i], northing[i], upward[i]) >> np.uint64(8)
+        key[i] = _hash(easting[i], northing[i], upward[i]) >> np.uint64(8)
+        first[int(tile[i]) + 1] += 1
 
 
-@_compiled
+@entry("f8:1 f8:1 f8:1 u1:1 ?:1 u8:1 i8:1 i8:1 f8:1 f8:1 f8:1 ?:1 i4:1 u8:1 i8:1 i4:1 u8:1")
 def sort_points(
     easting: Floats,
     northing: Floats,
     upward: Floats,
     tile: Bytes,
     flag: Flags,
-    key: NDArray[np.uint64],
+    key: Keys,
+    first: Indices,
     starts: Indices,
     out_easting: Floats,
     out_northing: Floats,
     out_upward: Floats,
     out_flag: Flags,
-) -> Any:
+    by_tile: Places,
+    tile_key: Keys,
+    bucket: Indices,
+    order: Places,
+    rank: Keys,
+) -> None:
     """Put points tile by tile, inside a tile by ``key`` (then by coordinates); drop exact duplicates.
 
     Keys are evenly spread, so each tile is cut into as many buckets as it has points by their leading bits, and only
@@ -145,33 +163,25 @@ def sort_points(
     ----------
     easting, northing, upward, tile, flag, key : (n,)
         Points; ``key`` holds 56 bits.
+    first : (257,) int64
+        Where each tile's points begin when they are put tile by tile.
     starts : (257,) int64
-        Filled: where each tile of the block begins in the output.
+        Filled: where each tile of the block begins in the output; last, the number of points that stay.
     out_easting, out_northing, out_upward, out_flag : (n,)
-        Filled up to the number of points that is returned. Of twins, a flagged one stays.
+        Filled up to that number. Of twins, a flagged one stays.
+    by_tile : (n,) int32, tile_key : (n,) uint64
+        Scratch, as are all that follow.
+    bucket : (at least a tile's points, rounded up to a power of two from 2, + 1,) int64
+    order : (most points of a tile,) int32, rank : (the same,) uint64
     """
     n, tiles = len(easting), BLOCK_TILES * BLOCK_TILES
-    first = np.zeros(tiles + 1, np.int64)
-    for i in range(n):
-        first[int(tile[i]) + 1] += 1
-    most = np.int64(0)
     for t in range(tiles):
-        most = max(most, first[t + 1])
-        first[t + 1] += first[t]
-    place = first[:-1].copy()
-    by_tile = np.empty(n, np.int32)
-    tile_key = np.empty(n, np.uint64)
+        starts[t] = first[t]
     for i in range(n):
-        t = int(tile[i])
-        by_tile[place[t]] = i
-        tile_key[place[t]] = key[i]
-        place[t] += 1
-    bits = 1
-    while (1 << bits) < most:
-        bits += 1
-    bucket = np.empty((1 << bits) + 1, np.int64)
-    order = np.empty(most, np.int32)
-    rank = np.empty(most, np.uint64)
+        p = starts[int(tile[i])]
+        by_tile[p] = i
+        tile_key[p] = key[i]
+        starts[int(tile[i])] = p + 1
     kept = np.int64(0)
     for t in range(tiles):
         starts[t] = kept
@@ -182,7 +192,8 @@ def sort_points(
         while (1 << width) < count:
             width += 1
         shift = np.uint64(56 - width)
-        bucket[: (1 << width) + 1] = 0
+        for b in range((1 << width) + 1):
+            bucket[b] = 0
         for j in range(first[t], first[t + 1]):
             bucket[int(tile_key[j] >> shift) + 1] += 1
         for b in range(1, (1 << width) + 1):
@@ -231,4 +242,3 @@ def sort_points(
             out_flag[kept] = flag[i]
             kept += 1
     starts[tiles] = kept
-    return kept

@@ -37,12 +37,12 @@ _LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memm
 
 def inner(function: Callable[..., Any]) -> Any:
     """Mark a part of kernels."""
-    return _njit(function) if getattr(_mode, "compiling", False) else function
+    return function if _compiling() is None else _njit(function)
 
 
 def order_free(function: Callable[..., Any]) -> Any:
     """Mark a part that takes minima and maxima of numbers without NaN: any order of them gives the same bits."""
-    return _njit(function, fastmath={"nnan", "nsz"}) if getattr(_mode, "compiling", False) else function
+    return function if _compiling() is None else _njit(function, fastmath={"nnan", "nsz"})
 
 
 def entry(arguments: str) -> Callable[[Callable[..., Any]], Any]:
@@ -55,24 +55,32 @@ def entry(arguments: str) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def mark(function: Callable[..., Any]) -> Any:
-        return _njit(function) if getattr(_mode, "compiling", False) else Entry(function, arguments)
+        return Entry(function, arguments) if _compiling() is None else _njit(function)
 
     return mark
 
 
 @cache
-def compiled_twin(module: str) -> ModuleType:
-    """Return a kernel module with every function compiled by numba when it is called: for tests, and to compile."""
+def compiled_twin(module: str, *, callable_: bool = True) -> ModuleType:
+    """Return a kernel module with every function compiled by numba when it is called: for tests, and to compile.
+
+    Without ``callable_`` only compiled code can call them, and compiling takes four fifths of the time.
+    """
     spec = importlib.util.find_spec(module)
     if spec is None or spec.loader is None:
         raise ModuleNotFoundError(f"there is no module {module}")
     twin = importlib.util.module_from_spec(spec)
-    _mode.compiling = True
+    _mode.options = {} if callable_ else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     try:
         spec.loader.exec_module(twin)
     finally:
-        _mode.compiling = False
+        _mode.options = None
     return twin
+
+
+def _compiling() -> dict[str, Any] | None:
+    """Options to compile with while a twin is made; None elsewhere."""
+    return getattr(_mode, "options", None)
 
 
 class Entry:
@@ -104,10 +112,10 @@ class Entry:
         store = _Store(self.plain)
         kept = store.load()
         if kept is None:
-            dispatcher = getattr(compiled_twin(self.plain.__module__), self.plain.__name__)
-            kept = _compile(dispatcher, self._kinds)
+            module, name = self.plain.__module__, self.plain.__name__
+            kept = _compile(getattr(compiled_twin(module, callable_=False), name), self._kinds)
             if kept is None:
-                return dispatcher  # type: ignore[no-any-return]
+                return getattr(compiled_twin(module), name)  # type: ignore[no-any-return]
             store.save(kept)
         address = _link(kept)
         raw = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *self._ctypes())(address)
@@ -160,7 +168,7 @@ class _Store:
         self._key = hashlib.sha256(b"\0".join(parts)).hexdigest()
         name = f"{source.stem}.{function.__name__}.{hashlib.sha256(machine).hexdigest()[:8]}.native"
         own = os.environ.get("NUMBA_CACHE_DIR")
-        user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "bumpymap"
+        user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "bumpytiles"
         self._files = [folder / name for folder in ([Path(own)] if own else [source.parent / "__pycache__", user])]
 
     def load(self) -> "_Code | None":
@@ -193,12 +201,12 @@ class _Store:
 def _njit(function: Callable[..., Any], **options: Any) -> Any:
     from numba import njit
 
-    return njit(nogil=True, error_model="numpy", **options)(function)
+    return njit(nogil=True, error_model="numpy", **options, **(_compiling() or {}))(function)
 
 
 @cache
 def _llvm() -> Any:
-    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+    import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
