@@ -4,6 +4,7 @@ import os
 import tomllib
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
 from bumpymap.errors import UsageError
@@ -81,11 +82,15 @@ class MapConfig:
     resume: bool = False
     """Go on with a run that was broken off."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads."""
+    """Threads of this machine; ``workers`` share them out."""
     memory: str = "1GB"
-    """Memory to use over what the interpreter and its libraries take."""
+    """Memory to use over what the interpreter and its libraries take; of each worker, where there are workers."""
     scratch: Path | None = None
     """Folder for points that memory cannot hold; None: in the folder of the products."""
+    workers: int | None = None
+    """Worker processes on this machine; None: everything in this process."""
+    scheduler: str | None = None
+    """Address of a dask.distributed scheduler, whose workers are used."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
 
     def __post_init__(self) -> None:
@@ -96,6 +101,13 @@ class MapConfig:
         _one_of("compat", self.compat, get_args(Compat))
         if self.z_unit is not None:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
+        if self.workers is not None:
+            _at_least("workers", self.workers, 1)
+        if self.workers is not None and self.scheduler is not None:
+            raise UsageError(
+                f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
+                "on this machine, a scheduler has its own"
+            )
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -130,7 +142,9 @@ def _checked(record: dict[str, Any], owner: type, origin: str, folder: Path) -> 
 
 def _converted(value: Any, kind: Any, name: str, folder: Path) -> Any:
     """Return a TOML value as the setting's type; texts become paths below ``folder`` where paths are wanted."""
-    if Path in (kind, *get_args(kind)) and get_origin(kind) is not tuple and isinstance(value, str):
+    if get_args(kind)[1:] == (NoneType,):  # whoever wants None leaves the setting out
+        kind = get_args(kind)[0]
+    if kind is Path and isinstance(value, str):
         return folder / value
     if get_origin(kind) is tuple and isinstance(value, list) and all(isinstance(item, str) for item in value):
         return tuple(item if "://" in item else folder / item for item in value)
@@ -140,7 +154,7 @@ def _converted(value: Any, kind: Any, name: str, folder: Path) -> Any:
         word = f"a table [{name.rpartition(' ')[2]}]"
     elif get_origin(kind) is tuple:
         word = "a list of texts"
-    elif isinstance(value, wanted) and isinstance(value, bool) == (kind is bool) and Path not in get_args(kind):
+    elif isinstance(value, wanted) and isinstance(value, bool) == (kind is bool) and kind is not Path:
         return value
     raise UsageError(f"{name} is {value!r}; it must be {word}")
 

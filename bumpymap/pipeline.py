@@ -13,7 +13,7 @@ from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
 from bumpymap.config import Compat, FeatureSettings, MapConfig
 from bumpymap.cost import rate, rate_as_paper
-from bumpymap.engine import Budget, Done, Job, LocalRun, Workspace, memory_bytes, work_folder
+from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes, work_folder
 from bumpymap.errors import BadInputError, OutputError
 from bumpymap.features import measure
 from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
@@ -33,7 +33,7 @@ __all__ = ["MapResult", "map_surveys"]
 
 _log = logging.getLogger(__name__)
 
-_NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch"}
+_NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch", "workers", "scheduler"}
 """Settings without a say in the numbers: a run may go on with others."""
 
 
@@ -114,8 +114,13 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
     rating = _Rating(config.features, config.compat, model, calibration, inputs.georeference)
     job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
     asked = _asked(config, inputs, budget, model, calibration)
-    with Workspace.opened(config.out, config.scratch, asked, resume=config.resume) as space:
-        done = LocalRun(job, space, budget, told).run(
+    # Workers first: a failure to get them must not cost what an earlier run has finished.
+    with (
+        hired(config.scheduler, config.workers, config.threads) as crew,
+        Workspace.opened(config.out, config.scratch, asked, resume=config.resume) as space,
+    ):
+        engine = _engine(config, job, space, budget, told, crew)
+        done = engine.run(
             inputs.readers, partial(_skip, inputs, config), partial(check_extent, grid), clock, may_skip=config.skip_bad
         )
         told.start("writing layers", None)
@@ -124,6 +129,18 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         with clock.stage("write"):
             files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
     return MapResult(tuple(files), summary, done.points, done.ground_only, inputs.skipped, clock.seconds)
+
+
+def _engine(
+    config: MapConfig, job: Job, space: Workspace, budget: Budget, told: Progress, crew: Crew | None
+) -> LocalRun | ClusterRun:
+    if crew is None:
+        return LocalRun(job, space, budget, told)
+    return ClusterRun(job, space, budget, told, crew, _read_options(config), software_versions)
+
+
+def _read_options(config: MapConfig) -> ReadOptions:
+    return ReadOptions(crs=config.crs, z_unit=config.z_unit, trust_points=config.trust_points)
 
 
 def _check_unfinished(config: MapConfig) -> None:
@@ -179,12 +196,11 @@ def _calibration(config: MapConfig) -> Calibration:
 
 def _open(config: MapConfig) -> _Inputs:
     """Open every input; settle on one CRS before the long work begins."""
-    options = ReadOptions(crs=config.crs, z_unit=config.z_unit, trust_points=config.trust_points)
     readers: list[SurveyReader] = []
     skipped: dict[str, str] = {}
     for path in find_surveys(config.surveys):
         try:
-            readers.append(open_survey(path, options))
+            readers.append(open_survey(path, _read_options(config)))
         except BadInputError as error:
             _note(path, error, skipped, config)
     if not readers:

@@ -28,8 +28,10 @@ _PARTLY_DONE = 4
 @click.option("--tile-size", type=float, metavar="M", help="Side of a tile [default: 3].")
 @click.option("--pixels", type=int, metavar="N", help="Pixels along a side of a tile [default: 15].")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
-@click.option("--threads", type=int, metavar="N", help="Threads [default: every core].")
-@click.option("--memory", metavar="SIZE", help="Memory over the interpreter's own [default: 1GB].")
+@click.option("--threads", type=int, metavar="N", help="Threads; --workers share them [default: every core].")
+@click.option("--memory", metavar="SIZE", help="Memory over the interpreter's own, of each worker [default: 1GB].")
+@click.option("--workers", type=int, metavar="N", help="Share the work out among N processes of this machine.")
+@click.option("--scheduler", metavar="ADDRESS", help="Share it out among the workers of a dask scheduler.")
 @click.option(
     "--scratch", type=PATH, metavar="DIR", help="Folder for points that memory cannot hold [default: in --out]."
 )

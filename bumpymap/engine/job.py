@@ -19,6 +19,7 @@ from bumpytiles import (
     Grid,
     Mosaic,
     Pack,
+    PackError,
     TileBuckets,
     TilePoints,
     TooManyPointsError,
@@ -113,4 +114,8 @@ def failures(budget: Budget) -> Iterator[None]:
         raise OutputError(
             f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
             "or raise --memory"
+        ) from error
+    except PackError as error:
+        raise OutputError(
+            f"what the run kept on disk meanwhile is gone or damaged: {error}. Run it again, with --overwrite"
         ) from error

@@ -8,14 +8,15 @@ task whose worker dies is done again by another one; what it does must bear that
 # (distributed says that it is typed, and leaves half of its functions out)
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from itertools import islice
+from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, LocalCluster, get_worker, wait
+from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
 
 __all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -53,10 +54,12 @@ class Workers:
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
         return answers
 
-    def run(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+    def run(
+        self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]
+    ) -> Generator[tuple[int, Any], None, None]:
         """Do ``function(*task)`` for each task; yield the number of the task and its result, in any order.
 
-        Close the iterator to give up: tasks that were not begun are taken back, others run to their end unheard.
+        Close the generator to give up: tasks that were not begun are taken back, others run to their end unheard.
 
         Parameters
         ----------
@@ -74,28 +77,30 @@ class Workers:
         """
         waiting = enumerate(tasks)
         numbers: dict[Future[Any], int] = {}
+        finished: SimpleQueue[Future[Any]] = SimpleQueue()
         try:
             while True:
                 room = max(_AHEAD * self.count(), 1) - len(numbers)
                 for number, task in islice(waiting, max(room, 0)):
-                    numbers[self._client.submit(function, *task, pure=False)] = number
+                    future = self._client.submit(function, *task, pure=False)
+                    numbers[future] = number
+                    future.add_done_callback(finished.put)
                 if not numbers:
                     return
-                for future in self._some(numbers):
-                    yield numbers.pop(future), _result(future)
+                future = self._next(finished)
+                yield numbers.pop(future), _result(future)
         finally:
             with suppress(Exception):  # there may be no scheduler any more
                 self._client.cancel(list(numbers), force=True)
 
-    def _some(self, futures: Iterable[Future[Any]]) -> list[Future[Any]]:
-        """Wait until some are finished."""
+    def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
+        """Wait for a task; look meanwhile whether there are workers at all."""
         without = 0
-        while True:
-            with _losses(), suppress(TimeoutError):
-                return list(wait(list(futures), timeout=_LOOK_S, return_when="FIRST_COMPLETED").done)
+        while without < _LOOKS:
+            with suppress(Empty):
+                return finished.get(timeout=_LOOK_S)
             without = 0 if self.count() else without + 1
-            if without >= _LOOKS:
-                raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
+        raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
 
 
 @contextmanager

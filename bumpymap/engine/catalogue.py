@@ -1,0 +1,74 @@
+"""Which packs hold points of which blocks, and how blocks are shared out among workers."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles import BlockKey
+
+__all__ = ["Catalogue", "Group"]
+
+_SIDE = 8
+"""Blocks along a side of the squares that groups are taken from: near blocks stand in the same packs."""
+_MOST_BLOCKS = 64
+"""So many hold at most 16,384 tiles: one pack."""
+_MOST_POINTS = 20_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Blocks that one worker finishes, and the packs that hold their points."""
+
+    keys: tuple[BlockKey, ...]
+    packs: tuple[Path, ...]
+
+
+class Catalogue:
+    """Collects what packs hold: numbers alone, 32 bytes for each block of each pack."""
+
+    def __init__(self) -> None:
+        self._paths: list[Path] = []
+        self._entries: list[NDArray[np.int64]] = []
+
+    def add(self, path: Path, blocks: NDArray[np.int64]) -> None:
+        """Take note of a pack; ``blocks`` (n, 3) has row, column and number of points of each of its blocks."""
+        number = np.full((len(blocks), 1), len(self._paths), np.int64)
+        self._paths.append(path)
+        self._entries.append(np.hstack([blocks.reshape(-1, 3), number]))
+
+    def keys(self) -> NDArray[np.int64]:
+        """Rows and columns of all blocks, (n, 2), each once."""
+        return np.unique(self._all()[:, :2], axis=0)
+
+    def groups(self, skip: Collection[BlockKey] = ()) -> Iterator[Group]:
+        """Share out the blocks but those to ``skip``: some neighbours at a time, sized by their points."""
+        entries = self._all()
+        row, col = entries[:, 0], entries[:, 1]
+        entries = entries[np.lexsort((col, row, col // _SIDE, row // _SIDE))]
+        starts = np.flatnonzero(np.any(np.diff(entries[:, :2], axis=0, prepend=entries[:1, :2] - 1), axis=1))
+        stops = np.append(starts, len(entries))[1:]
+        points = np.diff(np.append(0, np.cumsum(entries[:, 2]))[np.append(starts, len(entries))])
+        held: list[NDArray[np.int64]] = []
+        keys: list[BlockKey] = []
+        total = 0
+        for start, stop, count in zip(starts.tolist(), stops.tolist(), points.tolist(), strict=True):
+            key = (int(entries[start, 0]), int(entries[start, 1]))
+            if key in skip:
+                continue
+            if keys and (len(keys) == _MOST_BLOCKS or total + count > _MOST_POINTS):
+                yield self._group(keys, held)
+                held, keys, total = [], [], 0
+            held.append(entries[start:stop, 3])
+            keys.append(key)
+            total += count
+        if keys:
+            yield self._group(keys, held)
+
+    def _group(self, keys: Sequence[BlockKey], packs: Sequence[NDArray[np.int64]]) -> Group:
+        return Group(tuple(keys), tuple(self._paths[number] for number in np.unique(np.concatenate(packs)).tolist()))
+
+    def _all(self) -> NDArray[np.int64]:
+        return np.concatenate([np.empty((0, 4), np.int64), *self._entries])

@@ -1,0 +1,177 @@
+"""What comes back from the workers that read: kept by file, until a file is whole and found sound.
+
+A sound file is noted on disk, so that a run that goes on does not read it again. A bad one is forgotten as a whole.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bumpymap.atomic import atomic
+from bumpymap.engine.catalogue import Catalogue
+from bumpymap.engine.parts import Part
+from bumpymap.engine.tasks import PartRead
+from bumpymap.engine.workspace import Workspace
+from bumpymap.errors import BadInputError
+from bumpymap.readers import SurveyReader, Tally
+from bumpytiles import Pack
+
+__all__ = ["Harvest", "adopt"]
+
+_RECORDS = "cluster-files"
+
+
+class Harvest:
+    """Takes the results of parts; see the module.
+
+    Parameters
+    ----------
+    readers : sequence of SurveyReader
+    parts : sequence of Part
+    space : Workspace
+    points : Path
+        Folder of packs of points, with a folder for each attempt.
+    kinds : sequence of str
+        Of `Job`.
+    refuse : callable
+        Told of a bad file; raises, or notes that it is skipped.
+    may_skip : bool
+        Whether ``refuse`` may return.
+    """
+
+    def __init__(
+        self,
+        readers: Sequence[SurveyReader],
+        parts: Sequence[Part],
+        space: Workspace,
+        points: Path,
+        kinds: Sequence[str],
+        refuse: Callable[[SurveyReader, BadInputError], None],
+        *,
+        may_skip: bool,
+    ) -> None:
+        self._readers, self._parts, self._space, self._points, self._kinds = readers, parts, space, points, kinds
+        self._refuse, self._may_skip = refuse, may_skip
+        self.catalogue = Catalogue()
+        """Of the points that wait."""
+        self.tallies = [Tally() for _ in readers]
+        self.flagged = False
+        """Whether any point of a sound file is ground."""
+        self.early: list[Pack] = []
+        """Packs of the first of ``kinds`` with blocks that are finished."""
+        self.skipped: set[int] = set()
+        self._left = np.bincount([part.file for part in parts], minlength=len(readers))
+        self._held: dict[int, dict[int, PartRead]] = {}
+        self._bad: dict[int, BadInputError] = {}
+        self._sound: set[int] = set()
+        self._records = space.scratch / _RECORDS
+        self._records.mkdir(parents=True, exist_ok=True)
+        self._take_up()
+
+    def wanted(self, number: int) -> bool:
+        """Whether a part is still to be read."""
+        return self._parts[number].file not in self._sound
+
+    def take(self, number: int, read: PartRead) -> None:
+        """Take the result of a part.
+
+        Raises
+        ------
+        BadInputError
+            The file is bad and may not be skipped.
+        """
+        file = self._parts[number].file
+        held = self._held.setdefault(file, {})
+        held[number] = read
+        self._left[file] -= 1
+        if read.error is not None and not self._may_skip:
+            self._refuse(self._readers[file], read.error)
+        if not self._left[file]:
+            self._judge(file, [held[place] for place in sorted(held)])
+            del self._held[file]
+
+    def close(self) -> None:
+        """Skip the bad files, in their order: all parts are read."""
+        for file in sorted(self._bad):
+            self._refuse(self._readers[file], self._bad[file])
+            self.skipped.add(file)
+
+    def _judge(self, file: int, reads: Sequence[PartRead]) -> None:
+        tally = Tally()
+        for read in reads:
+            tally = tally.merge(read.tally)
+        try:
+            for read in reads:
+                if read.error is not None:
+                    raise read.error
+            self._readers[file].judge(tally)
+        except BadInputError as error:
+            self._bad[file] = error
+            if not self._may_skip:
+                self._refuse(self._readers[file], error)
+            return
+        number = adopt([read.tiles for read in reads], self._space, [f"{kind}-early" for kind in self._kinds])
+        packs = [
+            [str(path.relative_to(self._points)), blocks.tolist()] for read in reads for path, blocks in read.packs
+        ]
+        flagged = any(read.flagged for read in reads)
+        record = {"tally": tally.to_record(), "flagged": flagged, "packs": packs, "early": number}
+        with atomic(self._records / f"{file}.json") as temporary:
+            temporary.write_text(json.dumps(record), encoding="utf-8")
+        self._keep(file, record)
+
+    def _keep(self, file: int, record: dict[str, Any]) -> None:
+        self._sound.add(file)
+        self.tallies[file] = Tally.from_record(record["tally"])
+        self.flagged |= record["flagged"]
+        for path, blocks in record["packs"]:
+            self.catalogue.add(self._points / path, np.array(blocks, np.int64))
+        self.early += [Pack(_name(self._space, f"{self._kinds[0]}-early", number)) for number in record["early"]]
+
+    def _take_up(self) -> None:
+        """Take up the files that an earlier run found sound; forget what it had finished of others."""
+        records = {int(path.stem): json.loads(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
+        known = {number for record in records.values() for number in record["early"]}
+        for path in self._space.tiles("*-early"):
+            if int(path.stem[-6:]) not in known:
+                path.unlink()
+        attempts = {Path(path).parts[0] for record in records.values() for path, _ in record["packs"]}
+        for folder in self._points.iterdir():
+            if folder.is_dir() and folder.name not in attempts:
+                shutil.rmtree(folder, ignore_errors=True)
+        for file, record in sorted(records.items()):
+            self._keep(file, record)
+
+
+def adopt(reads: Sequence[Sequence[Sequence[Path]]], space: Workspace, kinds: Sequence[str]) -> list[int]:
+    """Give packs of finished tiles the names under which they count.
+
+    Parameters
+    ----------
+    reads : sequence
+        For each result: for each kind, its packs; as many for one kind as for another.
+    space : Workspace
+    kinds : sequence of str
+
+    Returns
+    -------
+    list of int
+        Numbers in the new names.
+    """
+    number = 1 + max((int(path.stem[-6:]) for kind in kinds for path in space.tiles(kind)), default=-1)
+    given = []
+    for packs in (pair for read in reads for pair in zip(*read, strict=True)):
+        for kind, path in zip(kinds, packs, strict=True):
+            os.replace(path, _name(space, kind, number))  # noqa: PTH105 (the name says that it replaces)
+        given.append(number)
+        number += 1
+    return given
+
+
+def _name(space: Workspace, kind: str, number: int) -> Path:
+    return space.folder / f"tiles-{kind}-{number:06d}.pack"
