@@ -1,12 +1,12 @@
-"""Reading: files are cut into pieces, decoded one after the other, and converted and grouped beside that.
+"""Reading: files are cut into pieces, fetched one after the other, and converted and grouped beside that.
 
-The decoder holds the interpreter's lock and uses every core by itself; conversion and grouping are compiled and hold no
-lock, so they run while the next piece is decoded. Pieces of all files have one number each, their *lot*, and are taken
-in that order.
+The decoder works in a process of its own and uses every core; conversion and grouping are compiled and hold no lock. So
+all of them go on at once: one thread fetches the piece that comes next, some convert and group the pieces before it,
+and this one takes what is ready. Pieces of all files have one number each, their *lot*, and are taken in that order.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 from bumpymap.engine.coming import Coming
 from bumpymap.errors import BadInputError
 from bumpymap.progress import Progress
-from bumpymap.readers import Piece, SurveyReader, Tally
+from bumpymap.readers import Piece, SurveyReader, Tally, rest_decoder
 from bumpytiles import Bounds, Grid, Pack, Run, TileBuckets, group_points
 
 __all__ = ["Intake", "Lot", "cut"]
@@ -113,21 +113,38 @@ class Intake:
         """
         buckets.settled = self._first[self._lots[start].file] if self._may_skip and start < len(self._lots) else None
         pending: deque[tuple[int, Future[tuple[Run, Tally, bool]]]] = deque()
-        with ThreadPoolExecutor(threads) as pool:
-            for number, lot in enumerate(self._lots[start:], start):
+        fetcher, pool = ThreadPoolExecutor(1), ThreadPoolExecutor(threads)
+        try:
+            for number, coming in self._fetched(start, fetcher):
+                lot = self._lots[number]
                 if lot.file in self.skipped:
-                    continue
-                reader = self._readers[lot.file]
+                    continue  # refused while this was fetched
                 try:
-                    fetched = reader.fetch(lot.piece)
+                    fetched = coming.result()
                 except BadInputError as error:
                     self._drain(pending, 0, buckets, told)
-                    self._give_up(lot.file, error, buckets)
+                    if lot.file not in self.skipped:
+                        self._give_up(lot.file, error, buckets)
                     continue
-                pending.append((number, pool.submit(self._prepare, reader, lot.piece, fetched)))
-                del fetched
+                pending.append((number, pool.submit(self._prepare, self._readers[lot.file], lot.piece, fetched)))
+                del fetched, coming
                 self._drain(pending, threads, buckets, told)
             self._drain(pending, 0, buckets, told)
+        finally:
+            fetcher.shutdown(cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
+            rest_decoder()
+
+    def _fetched(self, start: int, fetcher: ThreadPoolExecutor) -> Iterator[tuple[int, Future[Any]]]:
+        """Give lots in order, each with what is fetched of it; while one is dealt with the next is fetched."""
+        ahead: deque[tuple[int, Future[Any]]] = deque()
+        for number, lot in enumerate(self._lots[start:], start):
+            if lot.file in self.skipped:
+                continue
+            ahead.append((number, fetcher.submit(self._readers[lot.file].fetch, lot.piece)))
+            if len(ahead) > 1:
+                yield ahead.popleft()
+        yield from ahead
 
     def _prepare(self, reader: SurveyReader, piece: Piece, fetched: Any) -> tuple[Run, Tally, bool]:
         batch = reader.convert(piece, fetched)

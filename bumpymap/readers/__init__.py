@@ -1,6 +1,7 @@
 """Readers: a point cloud file in, pieces of points in metres out."""
 
 from bumpymap.crs import common_georeference
+from bumpymap.readers.decoder import rest as rest_decoder
 from bumpymap.readers.detect import open_survey, reopen_survey
 from bumpymap.readers.find import find_surveys
 from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo, SurveyReader
@@ -25,5 +26,6 @@ __all__ = [
     "is_url",
     "open_survey",
     "reopen_survey",
+    "rest_decoder",
     "summarise",
 ]
