@@ -14,8 +14,12 @@ def test_defaults_need_no_file():
 
 def test_settings_from_a_file(tmp_path):
     file = tmp_path / "site.toml"
-    file.write_text('surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n[features]\nmin_points = 50\n')
+    file.write_text(
+        'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
+        'workers = 3\nscratch = "tmp"\n[features]\nmin_points = 50\n'
+    )
     config = MapConfig(**read_settings(file))
+    assert (config.workers, config.scheduler, config.scratch) == (3, None, tmp_path / "tmp")
     assert config.surveys == (tmp_path / "a.laz",)
     assert config.out == tmp_path / "layers"
     assert config.features == FeatureSettings(min_points=50)
@@ -35,6 +39,8 @@ def test_settings_from_a_file(tmp_path):
         ('surveys = "a.laz"', "surveys is 'a.laz'; it must be a list of texts"),
         ("surveys = [1]", r"surveys is \[1\]; it must be a list of texts"),
         ("local = 1", "local is 1; it must be true or false"),
+        ("workers = true", "workers is True; it must be a whole number"),
+        ("workers = 0\nscheduler = 3", "scheduler is 3; it must be a text"),
         ("[features]\nmin_points = 2", "min_points is 2; it must be a whole number, at least 3"),
         ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number"),
     ],
@@ -55,6 +61,8 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
         ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
         ({"z_unit": "yard"}, "z_unit"),
         ({"compat": "other"}, "compat"),
+        ({"workers": 0}, "workers is 0; it must be a whole number, at least 1"),
+        ({"workers": 2, "scheduler": "tcp://a:1"}, "give one of them"),
     ],
 )
 def test_values_out_of_bounds_are_refused(setting, message):

@@ -113,7 +113,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
             n_workers=number,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any free port: the usual one may be taken
             memory_limit=0,  # tasks keep to their own budget
             silence_logs=logging.CRITICAL,
             local_directory=folder,
