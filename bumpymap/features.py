@@ -1,8 +1,5 @@
 """Points of tiles in, measured patches out: heightmap, spread, z-variance, RANSAC residual, slope, reason."""
 
-from collections.abc import Sequence
-from dataclasses import fields
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +7,7 @@ from bumpymap.config import FeatureSettings
 from bumpymap.types import PatchStack, Reason
 from bumpytiles import TilePoints
 
-__all__ = ["join_stacks", "measure"]
+__all__ = ["measure"]
 
 _SCALARS = 9
 
@@ -107,13 +104,3 @@ def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: F
         [Reason.NO_GROUND, Reason.TOO_FEW_POINTS, Reason.OUTLIER_RELIEF, Reason.TOO_MANY_HOLES],
         Reason.OK,
     ).astype(np.uint8)
-
-
-def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
-    """Put stacks of one grid (at least one) together, north to south, then west to east: the order of every file."""
-    order = np.lexsort(
-        (np.concatenate([stack.col for stack in stacks]), -np.concatenate([stack.row for stack in stacks]))
-    )
-    columns = [f.name for f in fields(PatchStack) if f.name != "grid"]
-    joined = {name: np.concatenate([getattr(stack, name) for stack in stacks])[order] for name in columns}
-    return PatchStack(stacks[0].grid, **joined)

@@ -6,13 +6,15 @@ one tile; arrays of one record have the same length.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from bumpytiles import Column, Grid, Mosaic
+
+if TYPE_CHECKING:  # half of this module's time to import
+    from pyproj import CRS
 
 __all__ = [
     "BANDS",
@@ -67,7 +69,7 @@ REASON_TEXT: dict[Reason, str] = {
 class Georeference:
     """The survey's CRS and what one of its units is in metres."""
 
-    crs: CRS | None
+    crs: "CRS | None"
     """The survey's CRS; None where nothing is known (local coordinates)."""
     metres_per_unit: float = 1.0
     """Horizontal: metres = file units x this."""

@@ -10,14 +10,15 @@ no calls but to kernels of the same module and to libm. An entry that breaks thi
 """
 
 import ctypes
+import gc
 import hashlib
 import importlib.util
 import json
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -113,7 +114,8 @@ class Entry:
         kept = store.load()
         if kept is None:
             module, name = self.plain.__module__, self.plain.__name__
-            kept = _compile(getattr(compiled_twin(module, callable_=False), name), self._kinds)
+            with _without_collector():
+                kept = _compile(getattr(compiled_twin(module, callable_=False), name), self._kinds)
             if kept is None:
                 return getattr(compiled_twin(module), name)  # type: ignore[no-any-return]
             store.save(kept)
@@ -196,6 +198,18 @@ class _Store:
                 _log.debug("cannot keep compiled kernels in %s: %s", file.parent, error)
             else:
                 return
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Keep the garbage collector away: a compiler makes millions of objects and few cycles; it takes 7 % of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _njit(function: Callable[..., Any], **options: Any) -> Any:

@@ -7,6 +7,7 @@ checksum of its own.
 """
 
 import json
+import math
 import os
 import struct
 import zlib
@@ -45,7 +46,7 @@ class Column:
     @property
     def row_bytes(self) -> int:
         """Bytes of one row."""
-        return int(np.dtype(self.dtype).itemsize * np.prod(self.tail, dtype=np.int64))
+        return math.prod(self.tail, start=np.dtype(self.dtype).itemsize)
 
 
 class PackWriter:
