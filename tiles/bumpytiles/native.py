@@ -202,7 +202,7 @@ class _Store:
 
 @contextmanager
 def _without_collector() -> Iterator[None]:
-    """Keep the garbage collector away: a compiler makes millions of objects and few cycles; it takes 7 % of the time."""
+    """Keep the garbage collector away: a compiler makes millions of objects and few cycles (7 % of the time)."""
     enabled = gc.isenabled()
     gc.disable()
     try:
