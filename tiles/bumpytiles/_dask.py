@@ -8,6 +8,7 @@ task whose worker dies is done again by another one; what it does must bear that
 # (distributed says that it is typed, and leaves half of its functions out)
 
 import logging
+import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -16,7 +17,7 @@ from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
 
 __all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -103,6 +104,13 @@ class Workers:
         raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
 
 
+class _Calm(WorkerPlugin):
+    """Ctrl-C on a terminal reaches every process of it; the client alone shall answer, and stop the workers."""
+
+    def setup(self, worker: Worker) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
     """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
@@ -121,6 +129,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
+        client.register_plugin(_Calm())
         yield Workers(client)
 
 
