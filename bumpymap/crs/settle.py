@@ -35,6 +35,8 @@ _US_FOOT = 1200 / 3937
 _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
 _Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
 _SCALE_TOLERANCE = 0.01
+_LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
+"""Metres; the units of EPSG lie well inside, from the millimetre to the nautical mile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +137,7 @@ def georeference(
     crs = user or statement.crs
     if crs is not None:
         refuse_unprojected(place, crs, from_user=user is not None)
+        _refuse_units(place, crs, from_user=user is not None)
     unit = _unit(crs) or statement.metres_per_unit or 1.0
     unit_z = _Z_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
     if not math.isclose(unit, unit_z, rel_tol=1e-5):
@@ -145,6 +148,22 @@ def georeference(
     elif horizontal is not None and place.middle is not None:
         notes += scale_note(horizontal, place.middle)
     return Georeference(horizontal, unit, unit_z), tuple(notes)
+
+
+def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
+    """Refuse a projected CRS whose unit is no length: PROJ takes whatever a text says."""
+    factors = [axis.unit_conversion_factor for axis in crs.axis_info]
+    wrong = next((factor for factor in factors if not _LEAST_UNIT <= factor <= _LARGEST_UNIT), None)
+    if wrong is None:
+        return
+    if from_user:
+        raise UsageError(
+            f"--crs '{crs.name}' has a unit of {wrong:g} m, which is none. Give a code such as EPSG:32614, a PROJ "
+            "string or WKT with units"
+        )
+    raise BadInputError(
+        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has a unit of {wrong:g} m, which is none. {SAY_CRS}"
+    )
 
 
 def _conflict(user: CRS, statement: CrsStatement) -> list[str]:

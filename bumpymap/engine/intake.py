@@ -5,7 +5,7 @@ all of them go on at once: one thread fetches the piece that comes next, some co
 and this one takes what is ready. Pieces of all files have one number each, their *lot*, and are taken in that order.
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,7 +17,15 @@ from bumpymap.progress import Progress
 from bumpymap.readers import Piece, SurveyReader, Tally, rest_decoder
 from bumpytiles import Bounds, Grid, Pack, Run, TileBuckets, group_points
 
-__all__ = ["Intake", "Lot", "cut"]
+__all__ = ["Intake", "Lot", "cut", "refuse_nothing"]
+
+_NAMED = 5
+"""A message names so many files."""
+_WHY = {
+    "withheld": "are flagged as withheld",
+    "noise": "are of class 7 or 18 (noise)",
+    "not_a_number": "are beams without return",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +46,26 @@ def cut(readers: Sequence[SurveyReader], points: int) -> list[Lot]:
         pieces = reader.pieces(points)
         lots += [Lot(file, piece, number == len(pieces) - 1) for number, piece in enumerate(pieces)]
     return lots
+
+
+def refuse_nothing(readers: Sequence[SurveyReader], tallies: Sequence[Tally]) -> None:
+    """Raise BadInputError where no point of any file counts; files that were skipped have empty tallies."""
+    seen, dropped = sum(tally.points for tally in tallies), Counter[str]()
+    for tally in tallies:
+        dropped.update(tally.dropped)
+    if seen > dropped.total():
+        return
+    names = [str(reader.info.path) for reader in readers]
+    files = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    if not seen:
+        raise BadInputError(f"no point is left to map: every input was skipped ({files})")
+    reasons = [f"{count:,} {_WHY[reason]}" for reason, count in dropped.items() if count]
+    advice = "Clear flag or class in the file if they are ground after all"
+    if dropped["not_a_number"] == seen:
+        advice = "Is it the right file?"
+    raise BadInputError(
+        f"no point is left to map: of the {seen:,} points of {files}, {' and '.join(reasons)}. {advice}"
+    )
 
 
 class Intake:
@@ -109,7 +137,7 @@ class Intake:
         Raises
         ------
         BadInputError
-            A file is bad and may not be skipped.
+            A file is bad and may not be skipped, or no point is left.
         """
         buckets.settled = self._first[self._lots[start].file] if self._may_skip and start < len(self._lots) else None
         pending: deque[tuple[int, Future[tuple[Run, Tally, bool]]]] = deque()
@@ -130,6 +158,7 @@ class Intake:
                 del fetched, coming
                 self._drain(pending, threads, buckets, told)
             self._drain(pending, 0, buckets, told)
+            refuse_nothing(self._readers, self.tallies)
         finally:
             fetcher.shutdown(cancel_futures=True)
             pool.shutdown(cancel_futures=True)

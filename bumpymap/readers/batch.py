@@ -11,7 +11,11 @@ from bumpymap.readers.tally import OUTSIDE, Tally
 from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
-__all__ = ["RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
+__all__ = ["NO_POINTS", "RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
+
+
+NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.bool_))
+_ANYWHERE = np.array([-np.inf, -np.inf, np.inf, np.inf])
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +48,6 @@ class Watch:
     first: int
     """Number of its first point in the file."""
     file_bounds: Bounds | None
-    piece_bounds: Bounds | None = None
     nan_is_no_return: bool = False
     """Whether a row with NaN coordinates is a beam without return, as in PCD, or a fault."""
 
@@ -63,12 +66,12 @@ def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Ge
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
     places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
-    box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
+    box = _sides(watch.file_bounds)
     scratch = (*np.empty((3, STRIP)), np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
     size = len(records)
     out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
     extremes, counts = _start()
-    convert_records(records, numbers, places, box, cube, watch.first, *scratch, *out, extremes, counts)
+    convert_records(records, numbers, places, box, _ANYWHERE, watch.first, *scratch, *out, extremes, counts)
     return _batch(out, size, extremes, counts)
 
 
@@ -77,10 +80,10 @@ def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
     ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
-    box, cube = _sides(watch.file_bounds), _sides(watch.piece_bounds)
+    box = _sides(watch.file_bounds)
     extremes, counts = _start()
     no_return = watch.nan_is_no_return
-    sift_points(*axes, _codes(raw), withheld, box, cube, no_return, watch.first, *axes, ground, extremes, counts)
+    sift_points(*axes, _codes(raw), withheld, box, _ANYWHERE, no_return, watch.first, *axes, ground, extremes, counts)
     return _batch((*axes, ground), size, extremes, counts)
 
 
@@ -95,7 +98,7 @@ def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
     if bounds is None:
-        return np.array([-np.inf, -np.inf, np.inf, np.inf])
+        return _ANYWHERE
     return np.array([bounds.west - OUTSIDE, bounds.south - OUTSIDE, bounds.east + OUTSIDE, bounds.north + OUTSIDE])
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bumpymap.errors import BadInputError
 from bumpymap.readers.cut import cut_chunks
 from bumpymap.readers.las_header import RawHeader
-from bumpymap.readers.las_points import Records, decode_chunks
+from bumpymap.readers.las_points import Cubes, Records, RecordSource, decode_chunks
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
 from bumpymap.readers.protocol import Piece
 from bumpymap.readers.source import Location
@@ -48,7 +48,7 @@ class Octree:
     """(n,) its length."""
 
 
-class CopcNodes:
+class CopcNodes(RecordSource):
     """Pieces of whole nodes."""
 
     def __init__(
@@ -70,9 +70,7 @@ class CopcNodes:
 
     def fetch(self, piece: Piece) -> Records:
         """Read the bytes of the nodes, neighbours in the file at once, and decode them."""
-        table = self._octree.table
-        run = table.find(piece)
-        nodes = run.start + np.argsort(table.starts[run], kind="stable")
+        table, nodes = self._octree.table, self._nodes(piece)
         starts, sizes, counts = table.starts[nodes], table.sizes[nodes], table.counts[nodes]
         gaps = np.flatnonzero(starts[1:] != starts[:-1] + sizes[:-1]) + 1
         ranges = [
@@ -81,17 +79,29 @@ class CopcNodes:
         held = list(zip(counts.tolist(), sizes.tolist(), strict=True))
         return decode_chunks(self._path, self._header, self._record, ranges, held)
 
-    def _bounds(self, nodes: slice) -> Bounds | None:
-        unit, octree = self._metres_per_unit, self._octree
-        if unit is None:
+    def cubes(self, piece: Piece) -> Cubes | None:
+        """Give the cube of each node: a point in that of another would be missed where it is looked for."""
+        if self._metres_per_unit is None:
             return None
+        nodes = self._nodes(piece)
+        return Cubes(self._octree.table.counts[nodes], self._sides(nodes))
+
+    def _nodes(self, piece: Piece) -> NDArray[np.int64]:
+        """Nodes of a piece in the order of their bytes."""
+        run = self._octree.table.find(piece)
+        order: NDArray[np.int64] = run.start + np.argsort(self._octree.table.starts[run], kind="stable")
+        return order
+
+    def _sides(self, nodes: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        octree = self._octree
         west, south, side = octree.west[nodes], octree.south[nodes], octree.side[nodes]
-        return Bounds(
-            float(west.min()) * unit,
-            float(south.min()) * unit,
-            float((west + side).max()) * unit,
-            float((south + side).max()) * unit,
-        )
+        return np.column_stack([west, south, west + side, south + side]) * (self._metres_per_unit or 1.0)
+
+    def _bounds(self, nodes: slice) -> Bounds | None:
+        if self._metres_per_unit is None:
+            return None
+        sides = self._sides(nodes)
+        return Bounds(*sides[:, :2].min(axis=0).tolist(), *sides[:, 2:].max(axis=0).tolist())
 
 
 def read_octree(stream: BinaryIO, path: Location, header: RawHeader) -> Octree:

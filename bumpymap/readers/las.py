@@ -1,14 +1,16 @@
 """LAS, LAZ and COPC: the header is read here, lazrs decodes, only the fields that bumpymap needs."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import BinaryIO
 
 import numpy as np
 
 from bumpymap.crs import CrsStatement, georeference
 from bumpymap.errors import BadInputError
+from bumpymap.readers.astray import count_astray
 from bumpymap.readers.base import Survey
-from bumpymap.readers.batch import RecordLayout, Watch, batch_of_records
+from bumpymap.readers.batch import NO_POINTS, RecordLayout, Watch, batch_of_records
 from bumpymap.readers.checks import decoding, refuse_header_bounds
 from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.geokeys import statement_of_las
@@ -69,8 +71,13 @@ class LasSurvey(Survey):
 
     def convert(self, piece: Piece, fetched: Records) -> Batch:
         """Points of a piece that count, in metres."""
-        watch = Watch(piece.first, self.info.bounds, piece.bounds)
-        return batch_of_records(fetched, self._layout, self.info.georeference, watch)
+        info = self.info
+        batch = batch_of_records(fetched, self._layout, info.georeference, Watch(piece.first, info.bounds))
+        cubes = self._source.cubes(piece)
+        if cubes is None or info.bounds is None:
+            return batch
+        astray = count_astray(fetched, self._layout, info.georeference.metres_per_unit, info.bounds, cubes)
+        return batch if not astray else Batch(NO_POINTS, replace(batch.tally, astray=astray))
 
 
 def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:
@@ -121,8 +128,8 @@ def _middle(low: Numbers, high: Numbers) -> Numbers | None:
 
 
 def _bounds(low: Numbers, high: Numbers, place: Georeference) -> Bounds:
-    # What overflows becomes infinite, and is refused for it.
-    with np.errstate(over="ignore"):
+    # What overflows becomes infinite, and is refused for it, as is NaN of any kind.
+    with np.errstate(over="ignore", invalid="ignore"):
         sides = np.round(np.array([low[0], low[1], high[0], high[1]]), DECIMALS) * place.metres_per_unit
     return Bounds(*sides.tolist())
 

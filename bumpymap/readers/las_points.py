@@ -1,6 +1,7 @@
 """The bytes of LAS points, piece by piece: as they are, from LAZ chunks, or from LAZ that must be read in order."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
@@ -15,7 +16,7 @@ from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
 from bumpymap.readers.protocol import Piece
 from bumpymap.readers.source import Location, read_into, read_range
 
-__all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "decode_chunks", "has_huge_chunks"]
+__all__ = ["Cubes", "LazChunks", "LazStream", "PlainPoints", "RecordSource", "decode_chunks", "has_huge_chunks"]
 
 Records = NDArray[np.uint8]
 """(n, bytes of a point)."""
@@ -27,6 +28,16 @@ _SKIPPED = 100_000
 """Points that are decoded at once to get past them."""
 
 
+@dataclass(frozen=True, slots=True)
+class Cubes:
+    """Where the points of a piece must lie, run by run, in the order in which they are fetched."""
+
+    counts: NDArray[np.int64]
+    """(n,) points of each run."""
+    sides: NDArray[np.float64]
+    """(n, 4) west, south, east, north, m."""
+
+
 class RecordSource(Protocol):
     """How the points of a file are cut and read."""
 
@@ -36,8 +47,12 @@ class RecordSource(Protocol):
     def fetch(self, piece: Piece) -> Records:
         """Read and decode a piece."""
 
+    def cubes(self, piece: Piece) -> Cubes | None:
+        """Where its points must lie; None where only the file as a whole has a box."""
+        return None
 
-class PlainPoints:
+
+class PlainPoints(RecordSource):
     """Points that are not compressed."""
 
     def __init__(self, path: Location, header: RawHeader) -> None:
@@ -58,7 +73,7 @@ class PlainPoints:
         return data.reshape(held, header.point_size)
 
 
-class LazChunks:
+class LazChunks(RecordSource):
     """LAZ with a table: any run of chunks can be decoded by itself, on all cores."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
@@ -82,7 +97,7 @@ class LazChunks:
         return decode_chunks(self._path, self._header, self._record, ranges, list(zip(counts, sizes, strict=True)))
 
 
-class LazStream:
+class LazStream(RecordSource):
     """LAZ in one stream, or in chunks too large to be decoded at once: read in order; to go back is to start again."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:

@@ -160,8 +160,9 @@ def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.
 def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], size: int, points: int) -> None:
     """Hold what a chunk of layers says of itself to its size and to the points that the table promises.
 
-    It starts with its first point, the number of its points and the sizes of its layers. Chunks of the point formats
-    0 to 5 say nothing of themselves.
+    It starts with its first point, the number of its points and the sizes of its layers, which fill the rest: a layer
+    whose size is a lie would be left out, or take bytes of the next. Chunks of the point formats 0 to 5 say nothing of
+    themselves.
 
     Parameters
     ----------
@@ -181,9 +182,9 @@ def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], si
         raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take {head:,} at least: {_CUT}")
     held, *layer_bytes = struct.unpack(f"<{layers + 1}I", chunk[header.point_size : head].tobytes())
     refuse_count(path, points, held, "points in a LAZ chunk")
-    if head + sum(layer_bytes) > size:
+    if head + sum(layer_bytes) != size:
         raise BadInputError(
-            f"the layers of a LAZ chunk of {path} need {head + sum(layer_bytes):,} bytes, and it has {size:,}: damaged "
+            f"the layers of a LAZ chunk of {path} take {head + sum(layer_bytes):,} bytes, and it has {size:,}: damaged "
             f"or {_CUT}"
         )
 

@@ -182,6 +182,16 @@ def test_the_command_keeps_millimetres_where_integers_would_overflow():
         assert f"--writers.las.scale_{axis}=0.001 --writers.las.offset_{axis}=auto" in command
 
 
+@pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
+def test_units_that_are_none(unit):
+    wkt = CRS("EPSG:32614").to_wkt("WKT1_GDAL").replace('UNIT["metre",1', f'UNIT["metre",{unit}')
+    with pytest.raises(BadInputError, match=r"the CRS of site\.laz is unclear: .* which is none\..*--crs"):
+        settle(statement_from_wkt(wkt))
+    with pytest.raises(UsageError, match="which is none"):
+        settle(crs=wkt)
+    assert settle(statement_from_wkt(wkt), crs="EPSG:32614")[0].metres_per_unit == 1.0
+
+
 def test_a_metre_that_is_none_is_noted():
     (note,) = scale_note(CRS(3857), (1e6, 6.2e6, 0))  # 48.6 N: cos = 0.66
     assert "0.66" in note

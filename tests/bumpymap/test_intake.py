@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from bumpymap.engine.intake import Intake, cut
+from bumpymap.engine.intake import Intake, cut, refuse_nothing
 from bumpymap.errors import BadInputError
 from bumpymap.progress import SilentProgress
 from bumpymap.readers import Batch, Piece, Tally
@@ -137,3 +137,22 @@ def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads):
     assert told[forgot + 1 :] == [13, 14, 15]
     with pytest.raises(BadInputError, match=says):
         read(readers(), may_skip=False, threads=threads)
+
+
+@pytest.mark.parametrize(
+    ("tallies", "says"),
+    [
+        ([Tally(10, withheld=10)], r"of the 10 points of a, 10 are flagged as withheld\. Clear"),
+        (
+            [Tally(10, withheld=4, noise=6), Tally(5, noise=5)],
+            r"of the 15 points of a, b, 4 are flagged as withheld and 11 are of class 7 or 18 \(noise\)\. Clear",
+        ),
+        ([Tally(1000, not_a_number=1000)], r"of the 1,000 points of a, 1,000 are beams without return\. Is it"),
+        ([Tally(), Tally()], r"every input was skipped \(a, b\)"),
+        ([Tally()] * 7, r"\(a, b, c, d, e and 2 more\)"),
+    ],
+)
+def test_no_point_left(tallies, says):
+    with pytest.raises(BadInputError, match=says):
+        refuse_nothing([Reader(name, 1) for name in "abcdefg"[: len(tallies)]], tallies)
+    refuse_nothing([Reader("a", 1)] * (len(tallies) + 1), [*tallies, Tally(1)])

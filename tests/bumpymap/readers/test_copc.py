@@ -204,25 +204,27 @@ def test_an_octree_built_around_another_place(las, tree, read):
     assert len(read(trusted)[0]) == 4000
 
 
-def test_a_point_outside_its_node_is_found_in_its_piece(las, tree):
-    reader = open_survey(las.patch(tree(), INFO, "<d", 500_300.0))
-    total = Tally()
-    for piece in reader.pieces(300):
-        total = total.merge(reader.convert(piece, reader.fetch(piece)).tally)
-    assert total.astray > 0
-    assert total.outside == 0
-
-
-def test_a_record_that_is_not_the_first_makes_no_octree(las, laz, read):
-    """Some writers carry the record along and leave the octree behind."""
-    path = laz.pack(las.write(version="1.4", fmt=6), 3)
-    data = bytearray(path.read_bytes())
-    start, count = struct.unpack_from("<II", data, 96)
-    record = struct.pack("<H16sHH32s", 0, b"copc", 1, 160, b"") + bytes(160)
-    struct.pack_into("<II", data, 96, start + len(record), count + 1)
-    (table,) = struct.unpack_from("<q", data, start)
-    struct.pack_into("<q", data, start, table + len(record))
-    path.write_bytes(data[:start] + record + data[start:])
+@pytest.mark.parametrize("shift", [2.0, 30.0, 300.0])
+def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree, shift):
+    """Counted one by one: a point is in the cube of its node, 1 m around it allowed."""
+    path = las.patch(tree(epsg=32614), INFO, "<d", 500_200.0 + shift)
     reader = open_survey(path)
-    assert reader.info.format.startswith("LAZ")
-    assert np.array_equal(read(reader)[0], las.points)
+    octree, box = reader._source._octree, reader.info.bounds
+    expected = 0
+    for node, (count, before) in enumerate(zip(octree.table.counts, octree.table.ends, strict=True)):
+        (piece,) = [p for p in reader.pieces(1) if p.first == before - count]
+        fetched = reader.fetch(piece).view(np.uint8)
+        words = fetched[:, :8].copy().view("<i4") * 0.001 + np.array([500_000.0, 4_000_000.0])
+        low = np.array([octree.west[node], octree.south[node]]) - 1
+        high = low + octree.side[node] + 2
+        inside = ((words >= low) & (words <= high)).all(axis=1)
+        whole = ((words >= [box.west - 1, box.south - 1]) & (words <= [box.east + 1, box.north + 1])).all(axis=1)
+        expected += int((whole & ~inside).sum())
+    assert expected > 0
+    for size in (1, 300, 1500, 100_000):
+        total = Tally()
+        for piece in reader.pieces(size):
+            batch = reader.convert(piece, reader.fetch(piece))
+            assert batch.cloud.easting.size == (0 if batch.tally.astray else piece.points)
+            total = total.merge(batch.tally)
+        assert total.astray == expected

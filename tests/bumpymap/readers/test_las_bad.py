@@ -274,6 +274,18 @@ def test_layers_larger_than_their_chunk_do_not_end_the_process(las, layer):
     refused(las.patch(path, points_at + 8 + 34 + 4 * layer, "<I", 0xFFFFFFFF), "layers of a LAZ chunk")
 
 
+@pytest.mark.parametrize("layer", range(9))
+@pytest.mark.parametrize("change", [-1, 1])
+def test_layers_that_do_not_fill_their_chunk(las, layer, change):
+    """A layer that is said to be empty would be left out, and heights be those of the first point."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    place = points_at + 8 + 34 + 4 * layer
+    (size,) = struct.unpack_from("<I", path.read_bytes(), place)
+    if size + change >= 0:
+        refused(las.patch(path, place, "<I", size + change), "layers of a LAZ chunk")
+
+
 def test_more_points_than_any_compression_holds(las):
     path = las.write("a.laz")
     las.patch(path, laszip_record(path) + 12, "<I", 2_000_000_000)
