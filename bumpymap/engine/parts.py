@@ -10,7 +10,7 @@ from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 __all__ = ["Part", "Rivals", "cut_parts", "part_points"]
 
-_LEAST, _MOST = 2_000_000, 32_000_000
+_LEAST, _MOST = 2_000_000, 256_000_000
 _PARTS_A_WORKER = 4
 """At the end of reading some workers have nothing left to do: a quarter of a worker's share at most."""
 _MARGIN = 1.01
