@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from bumpymap.atomic import atomic
+from bumpymap.products._arrow import lists, numbers, texts
 from bumpymap.products.placement import Placement
 from bumpymap.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostMosaic, Reason, tile_columns
 from bumpytiles import Mosaic
@@ -125,9 +126,9 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
         "texture": _texture(chance),
-        "class": pa.array(found["klass"].astype(np.int16), mask=found["klass"] == NO_CLASS),
+        "class": numbers(found["klass"], schema.field("class").type, found["klass"] != NO_CLASS),
         "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
-        "heights": pa.FixedSizeListArray.from_arrays(found["heights"].ravel(), place.grid.pixels**2),
+        "heights": lists(found["heights"], schema.field("heights").type),
     }
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
@@ -136,8 +137,8 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
 
 def _array(values: Any, field: pa.Field) -> pa.Array:
     if isinstance(values, pa.Array):
-        return values.cast(field.type)
-    return pa.array(values, type=field.type, from_pandas=True)  # which makes NaN a null
+        return values
+    return texts(values, field.type) if values.dtype == object else numbers(values, field.type)
 
 
 def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:

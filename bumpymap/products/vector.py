@@ -21,6 +21,8 @@ from pyproj import Transformer
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
+from bumpymap.products._arrow import values
+from bumpymap.products._ogr import announced
 from bumpymap.products.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
 from bumpymap.products.placement import Placement
 from bumpymap.products.regions import Regions
@@ -191,14 +193,14 @@ def _schema() -> pa.Schema:
 def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
     columns: dict[str, Any] = _columns(regions)
     columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
-    return pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+    return pa.record_batch([values(columns[field.name], field.type) for field in schema], schema=schema)
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
     """Turn the regions that wait, so many, into FlatGeobuf."""
-    # pyogrio loads pandas and geopandas where they are installed, which takes a while: only when it is needed.
-    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
-    from pyogrio.raw import read, write_arrow
+    with announced("pandas", "geopandas"):
+        from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
+        from pyogrio.raw import read, write_arrow
 
     crs = placement.horizontal_crs
     # Small ones through memory. GDAL takes what follows a '!' in a path for a part of an archive, and does not notice
