@@ -2,6 +2,7 @@
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,11 @@ from rich.filesize import decimal
 
 from bumpymap.config import FeatureSettings
 from bumpymap.crs import describe_crs, unit_name
+from bumpymap.engine import Budget, Estimate, estimate
 from bumpymap.readers import PointSummary, SurveyInfo, enough_points
 from bumpytiles import Bounds, Grid
 
-__all__ = ["Report", "as_record", "as_rows"]
+__all__ = ["Report", "as_record", "as_rows", "estimated", "run_record", "run_rows"]
 
 _MOST = 0.5
 _LARGEST_TILE = 20
@@ -165,6 +167,52 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
     if report.dropped is not None or info.has_classes is False:
         rows.append(("classified", _classified(report)))
     return rows + [("note", note) for note in info.notes]
+
+
+def estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
+    """Estimate one run over all files that can be read; None where there are none."""
+    readable = [report for report in reports if report.info is not None]
+    if not readable:
+        return None
+    counted = [report.summary.tiles for report in readable if report.summary is not None]
+    tiles = sum(counted) if len(counted) == len(readable) else None
+    return estimate([report.info for report in readable if report.info], readable[0].grid, budget, tiles)
+
+
+def run_record(told: Estimate, budget: Budget) -> dict[str, Any]:
+    """Everything about the run, for ``--json``."""
+    return {
+        "memory_option_bytes": budget.memory,
+        "threads": budget.threads,
+        "points": told.points,
+        "tiles_at_most": told.tiles,
+        "memory_bytes_at_most": told.memory,
+        "scratch_bytes_at_most": told.scratch,
+        "out_bytes_at_most": told.out,
+        "seconds_about": round(told.seconds, 1),
+    }
+
+
+def run_rows(told: Estimate, grid: Grid) -> list[tuple[str, str]]:
+    """Name what a run will take, for people."""
+    unknown = "unknown before the points are read: leave out --quick"
+    scratch = f"at most {decimal(told.scratch)} in --scratch; less where blocks are complete before the end"
+    out = None if told.out is None else f"at most {decimal(told.out)} in --out: finished tiles, and the layers"
+    return [
+        ("points", f"{told.points:,}"),
+        ("tiles", unknown if told.tiles is None else f"at most {told.tiles:,} of {grid.tile_size:g} m"),
+        ("memory", f"at most {decimal(told.memory)}"),
+        ("scratch", scratch if told.scratch else "none: memory holds all points"),
+        ("space", out or unknown),
+        ("time", _about(told.seconds)),
+    ]
+
+
+def _about(seconds: float) -> str:
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"
 
 
 def _points(report: Report) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -12,7 +13,10 @@ from bumpymap.cli._terminal import LOCATION, BarProgress
 from bumpymap.config import ZUnit
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from bumpymap.cli._info_report import Report
+    from bumpymap.engine import Estimate
     from bumpymap.readers import ReadOptions
     from bumpytiles import Grid
 
@@ -30,6 +34,8 @@ _BAD_INPUT = 3
     "--tile-size", type=click.FloatRange(0.05, 1000), default=3.0, metavar="M", help="Tile side [default: 3]."
 )
 @click.option("--pixels", type=click.IntRange(3, 255), default=15, metavar="N", help="Pixels a side [default: 15].")
+@click.option("--memory", default="1GB", metavar="SIZE", help="As for map: what a run would take [default: 1GB].")
+@click.option("--threads", type=click.IntRange(1), metavar="N", help="As for map [default: every core].")
 @click.option("--quick", is_flag=True, help="Look at headers alone, read no points.")
 @click.option("--json", "as_json", is_flag=True, help="JSON, for machines.")
 @click.pass_context
@@ -41,12 +47,14 @@ def command(
     z_unit: ZUnit | None,
     tile_size: float,
     pixels: int,
+    memory: str,
+    threads: int | None,
     *,
     trust_points: bool,
     quick: bool,
     as_json: bool,
 ) -> None:
-    """Tell what is in SURVEY files or folders, and what `bumpymap map` would need.
+    """Tell what is in SURVEY files or folders, and what `bumpymap map` would need: memory, disk, time.
 
     Reads every point once; the exit code is 3 where a file cannot be read.
 
@@ -54,6 +62,8 @@ def command(
     bumpymap info site.laz
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
+    from bumpymap.cli._info_report import as_record, estimated, run_record
+    from bumpymap.engine import Budget, memory_bytes
     from bumpymap.readers import ReadOptions, find_surveys
     from bumpytiles import Grid
 
@@ -61,16 +71,19 @@ def command(
     logging.getLogger("bumpymap").addHandler(logging.NullHandler())
     options = ReadOptions(crs, z_unit, trust_points)
     grid = Grid(tile_size, pixels)
+    budget = Budget(memory_bytes(memory), threads or os.cpu_count() or 1)
     paths = find_surveys(surveys)
     with BarProgress(quiet=as_json) as progress:
         reports = [_look(path, options, grid, progress, quick=quick) for path in paths]
     together = _together(reports)
+    told = None if together else estimated(reports, budget)
     if as_json:
-        from bumpymap.cli._info_report import as_record
-
-        click.echo(json.dumps({"files": [as_record(report) for report in reports], "together": together}, indent=1))
+        record = {"files": [as_record(report) for report in reports], "together": together}
+        click.echo(json.dumps(record | {"run": told and run_record(told, budget)}, indent=1))
     else:
         _show(reports, together or _one_map(surveys, reports))
+        if told is not None:
+            _show_run(told, grid, memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
@@ -121,7 +134,6 @@ def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]") -> str:
 
 def _show(reports: "list[Report]", together: str) -> None:
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
     from bumpymap.cli._info_report import as_rows
@@ -129,12 +141,7 @@ def _show(reports: "list[Report]", together: str) -> None:
     console = Console(highlight=False)
     for report in reports:
         console.print(Text(str(report.path), style="bold"), soft_wrap=True)
-        table = Table.grid(padding=(0, 2))
-        table.add_column(style="cyan", no_wrap=True)
-        table.add_column(overflow="fold")
-        for name, value in as_rows(report):
-            table.add_row(Text(f"  {name}"), Text(value))
-        console.print(table)
+        console.print(_table(as_rows(report)))
         # Not in the table: commands must come out in one line, to be copied.
         for need in report.needs():
             label = "cannot be read" if report.error else "to map it"
@@ -142,3 +149,27 @@ def _show(reports: "list[Report]", together: str) -> None:
         console.print()
     if together:
         console.print(Text(f"together: {together}", style="bold"), soft_wrap=True)
+
+
+def _show_run(told: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    from bumpymap.cli._info_report import run_rows
+
+    console = Console(highlight=False)
+    title = f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else "")
+    console.print(Text(title, style="bold"))
+    console.print(_table(run_rows(told, grid)))
+
+
+def _table(rows: list[tuple[str, str]]) -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(Text(f"  {name}"), Text(value))
+    return table

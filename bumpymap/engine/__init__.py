@@ -2,6 +2,7 @@
 
 from bumpymap.engine.budget import Budget, memory_bytes
 from bumpymap.engine.cluster import ClusterRun, Crew, hired
+from bumpymap.engine.estimate import Estimate, estimate
 from bumpymap.engine.job import Done, Job
 from bumpymap.engine.local import LocalRun
 from bumpymap.engine.workspace import Workspace, work_folder
@@ -11,9 +12,11 @@ __all__ = [
     "ClusterRun",
     "Crew",
     "Done",
+    "Estimate",
     "Job",
     "LocalRun",
     "Workspace",
+    "estimate",
     "hired",
     "memory_bytes",
     "work_folder",

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 
 from bumpymap.errors import UsageError
 
-__all__ = ["LEAST_MEMORY", "Budget", "memory_bytes"]
+__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
 
 LEAST_MEMORY = 128 << 20
 """Less is no use: one piece of a file alone needs this much."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
-_WAITING_BYTES, _READING_BYTES, _SORTING_BYTES = 26, 95, 63
+POINT_BYTES = 26
+"""A point that waits, in memory or on disk."""
+_READING_BYTES, _SORTING_BYTES = 95, 63
 _MOST_WAITING, _READING, _SORTING = 0.75, 0.15, 0.15
 _PIECE_POINTS = 500_000
 _LEAST_PIECE = 50_000
@@ -49,7 +51,7 @@ class Budget:
     @property
     def waiting_points(self) -> int:
         """Most points that wait for their block in memory."""
-        return int(_MOST_WAITING / 1.5 * self.memory / _WAITING_BYTES)
+        return int(_MOST_WAITING / 1.5 * self.memory / POINT_BYTES)
 
     @property
     def block_points(self) -> int:
@@ -61,3 +63,10 @@ class Budget:
         """Points of a piece of a file; each thread holds one, and one is being decoded."""
         fitting = int(_READING * self.memory / _READING_BYTES / (self.threads + 1))
         return max(_LEAST_PIECE, min(_PIECE_POINTS, fitting))
+
+    def most_bytes(self, points: int) -> int:
+        """Bytes that a survey of so many points can take of the budget."""
+        waiting = int(1.5 * POINT_BYTES * min(points, self.waiting_points))
+        reading = _READING_BYTES * min(points, self.piece_points * (self.threads + 1))
+        sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
+        return max(reading, min(self.memory, waiting + reading + sorting))
