@@ -127,7 +127,7 @@ class ClusterRun:
         """
         record = self._space.remembered()
         if record is None:
-            remedy = "Workers die when they run short of memory: give them more, or pass a smaller --memory"
+            remedy = "Look at their logs. Workers that run short of memory die: give them more, or lower --memory"
             with _lost(remedy), failures(self._budget), self._order() as order:
                 record = self._read_and_measure(order, readers, refuse, check_window, clock, may_skip=may_skip)
             self._space.remember(record)

@@ -447,6 +447,21 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkey
     assert not (tmp_path / "layers").exists()
 
 
+def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("bumpymap.engine.parts._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.engine.budget.Budget.piece_points", 5_000)
+    monkeypatch.setattr("bumpymap.engine.cluster._PATIENCE_S", 5.0)  # it is tried for so long to reach it again
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
+    ) as cluster:
+        monkeypatch.setattr("bumpymap.engine.cluster.Harvest.take", lambda *_: cluster.close())
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", cluster.scheduler_address)
+    assert result.exit_code == 2, result.output
+    assert "the connection to the scheduler is lost" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
 def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)

@@ -114,7 +114,7 @@ class _Calm(WorkerPlugin):
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
     """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a worker that is stopped complains about it
+    _quiet()
     with (
         TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True) as folder,
         LocalCluster(
@@ -142,6 +142,7 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
     ClusterError
         No scheduler answers there within ``patience_s`` seconds, or it has no workers for as long.
     """
+    _quiet()
     try:
         client = Client(address, timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -157,6 +158,11 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
 def threads_here() -> int:
     """Threads that the worker was started with in which this is called."""
     return int(get_worker().state.nthreads)
+
+
+def _quiet() -> None:
+    """Keep dask's own log lines off the terminal: what goes wrong is raised, and workers that are stopped complain."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def _result(future: Future[Any]) -> Any:
@@ -175,4 +181,4 @@ def _losses() -> Iterator[None]:
     try:
         yield
     except (OSError, CancelledError) as error:
-        raise ClusterError(f"the connection to the scheduler is lost ({error or type(error).__name__})") from error
+        raise ClusterError("the connection to the scheduler is lost") from error
