@@ -16,7 +16,7 @@ from uuid import uuid4
 import numpy as np
 
 from bumpymap.engine.budget import Budget
-from bumpymap.engine.harvest import Harvest, adopt
+from bumpymap.engine.harvest import Adoption, Harvest
 from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
 from bumpymap.engine.parts import Rivals, cut_parts, part_points
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, busy, count_marks, finish_group, look, read_part
@@ -206,10 +206,11 @@ class ClusterRun:
         finished = {key for path in self._space.tiles(kind) for key in Pack(path).keys}
         self._told.start("measuring tiles", len(harvest.catalogue.keys()))
         self._told.advance(len(finished))
+        adoption = Adoption(self._space, [kind])
         tasks = ((order, group, ground_only) for group in harvest.catalogue.groups(finished))
         with self._done(finish_group, tasks) as results:
             for _, (packs, blocks) in results:
-                adopt([[packs]], self._space, [kind])
+                adoption.take([packs])
                 self._told.advance(blocks)
 
     def _done(

@@ -21,7 +21,7 @@ from bumpymap.errors import BadInputError
 from bumpymap.readers import SurveyReader, Tally
 from bumpytiles import Pack
 
-__all__ = ["Harvest", "adopt"]
+__all__ = ["Adoption", "Harvest"]
 
 _RECORDS = "cluster-files"
 
@@ -72,6 +72,7 @@ class Harvest:
         self._records = space.scratch / _RECORDS
         self._records.mkdir(parents=True, exist_ok=True)
         self._take_up()
+        self._adoption = Adoption(space, [f"{kind}-early" for kind in kinds])
 
     def wanted(self, number: int) -> bool:
         """Whether a part is still to be read."""
@@ -115,12 +116,12 @@ class Harvest:
             if not self._may_skip:
                 self._refuse(self._readers[file], error)
             return
-        number = adopt([read.tiles for read in reads], self._space, [f"{kind}-early" for kind in self._kinds])
+        numbers = [number for read in reads for number in self._adoption.take(read.tiles)]
         packs = [
             [str(path.relative_to(self._points)), blocks.tolist()] for read in reads for path, blocks in read.packs
         ]
         flagged = any(read.flagged for read in reads)
-        record = {"tally": tally.to_record(), "flagged": flagged, "packs": packs, "early": number}
+        record = {"tally": tally.to_record(), "flagged": flagged, "packs": packs, "early": numbers}
         with atomic(self._records / f"{file}.json") as temporary:
             temporary.write_text(json.dumps(record), encoding="utf-8")
         self._keep(file, record)
@@ -148,29 +149,29 @@ class Harvest:
             self._keep(file, record)
 
 
-def adopt(reads: Sequence[Sequence[Sequence[Path]]], space: Workspace, kinds: Sequence[str]) -> list[int]:
-    """Give packs of finished tiles the names under which they count.
+class Adoption:
+    """Gives packs of finished tiles the names under which they count.
 
     Parameters
     ----------
-    reads : sequence
-        For each result: for each kind, its packs; as many for one kind as for another.
     space : Workspace
     kinds : sequence of str
-
-    Returns
-    -------
-    list of int
-        Numbers in the new names.
+        Of `TileSink`.
     """
-    number = 1 + max((int(path.stem[-6:]) for kind in kinds for path in space.tiles(kind)), default=-1)
-    given = []
-    for packs in (pair for read in reads for pair in zip(*read, strict=True)):
-        for kind, path in zip(kinds, packs, strict=True):
-            os.replace(path, _name(space, kind, number))  # noqa: PTH105 (the name says that it replaces)
-        given.append(number)
-        number += 1
-    return given
+
+    def __init__(self, space: Workspace, kinds: Sequence[str]) -> None:
+        self._space, self._kinds = space, kinds
+        taken = (int(path.stem[-6:]) for kind in kinds for path in space.tiles(kind))
+        self._next = 1 + max(taken, default=-1)
+
+    def take(self, packs: Sequence[Sequence[Path]]) -> list[int]:
+        """Take, for each kind, as many packs as for any other; gives the numbers in their new names."""
+        first = self._next
+        for alike in zip(*packs, strict=True):
+            for kind, path in zip(self._kinds, alike, strict=True):
+                os.replace(path, _name(self._space, kind, self._next))  # noqa: PTH105 (the name says that it replaces)
+            self._next += 1
+        return list(range(first, self._next))
 
 
 def _name(space: Workspace, kind: str, number: int) -> Path:
