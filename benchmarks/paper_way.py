@@ -67,7 +67,7 @@ def cut(path: Path, tiles: int) -> Cut:
     parts = np.split(points[np.argsort(tile.ravel(), kind="stable")], np.cumsum(count)[:-1])
     order = np.argsort(np.abs(place - middle).max(axis=1), kind="stable")
     chosen = order[count[order] >= _LEAST_POINTS][:tiles]
-    col, row = place[chosen].astype(np.int64).T
+    col, row = (np.ascontiguousarray(axis) for axis in place[chosen].astype(np.int64).T)
     return Cut(col, row, [parts[i] for i in chosen])
 
 
