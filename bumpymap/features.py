@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap import kernels
 from bumpymap.config import FeatureSettings
 from bumpymap.types import PatchStack, Reason
 from bumpytiles import TilePoints
@@ -29,8 +30,6 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     PatchStack
         One row a tile, in the order of ``points``.
     """
-    from bumpymap.kernels import LANES, SAMPLE, SUMS, measure_tiles
-
     grid = points.grid
     starts = points.starts
     easting, northing, upward = points.easting, points.northing, points.upward
@@ -42,7 +41,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     scalars = np.empty((tiles, _SCALARS))
     heights, variance, relief_map = (np.empty((tiles, px, px), np.float32) for _ in range(3))
     pixel_count = np.empty((tiles, px, px), np.int32)
-    measure_tiles(
+    kernels.measure_tiles(
         starts,
         easting,
         northing,
@@ -60,8 +59,8 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         pixel_count,
         np.empty((4, most)),
         np.empty(max(most, px * px), np.int32),
-        np.empty((3, SAMPLE), np.float32),
-        np.empty(SUMS * LANES),
+        np.empty((3, kernels.SAMPLE), np.float32),
+        np.empty(kernels.SUMS * kernels.LANES),
         np.empty((2, settings.stray_points + 1)),
         np.empty((3, px * px + 1)),
         np.empty((px, px)),

@@ -4,6 +4,8 @@ Importing numba and waking it up costs half a second of processor time, more tha
 not import it. Its functions stay plain Python until an *entry* is called; the entry's machine code is read from a
 cache and called through ctypes. Only where the cache has none does numba come in: the module is executed a second time
 with its decorators switched to numba's, the entry is compiled, cut free of the interpreter and written to the cache.
+That happens in processes beside the run, for all kernel modules at once: it takes less time, and the memory that a
+compiler needs is not taken from the run.
 
 What that asks of a kernel: arrays and numbers in, nothing out; no allocation, no exceptions, C-contiguous arrays, and
 no calls but to kernels of the same module and to libm. An entry that breaks this rule still works, through numba.
@@ -11,29 +13,28 @@ no calls but to kernels of the same module and to libm. An entry that breaks thi
 
 import ctypes
 import gc
-import hashlib
 import importlib.util
-import json
-import logging
 import os
+import subprocess
+import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-__all__ = ["Entry", "compiled_twin", "entry", "inner", "order_free"]
+from bumpytiles._compiler import Code, compile_entry, link
+from bumpytiles._kept import Store
 
-_log = logging.getLogger(__name__)
-_lock = threading.RLock()
+__all__ = ["Entry", "compiled_twin", "entry", "inner", "keep", "order_free"]
+
+_lock = threading.Lock()
 _mode = threading.local()
-_FORMAT = 1
-_LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow"})
-"""What machine code may call outside itself."""
 
 
 def inner(function: Callable[..., Any]) -> Any:
@@ -101,27 +102,37 @@ class Entry:
             (np.dtype(kind), int(dims or 0)) for kind, _, dims in (a.partition(":") for a in arguments.split())
         ]
         self._call: Callable[..., Any] | None = None
+        self._lock = threading.Lock()
+        _known.setdefault(function.__module__, []).append(self)
 
     def __call__(self, *arguments: Any) -> None:
         """Run the machine code; the interpreter's lock is free meanwhile."""
         if self._call is None:
-            with _lock:
+            with self._lock:
                 self._call = self._call or self._ready()
         self._call(*arguments)
 
     def _ready(self) -> Callable[..., Any]:
-        store = _Store(self.plain)
+        module, name = self.plain.__module__, self.plain.__name__
+        store = Store(self.plain)
         kept = store.load()
+        if kept is None and store.can_keep:
+            _children.compile(module)
+            kept = store.load()
         if kept is None:
-            module, name = self.plain.__module__, self.plain.__name__
-            with _without_collector():
-                kept = _compile(getattr(compiled_twin(module, callable_=False), name), self._kinds)
+            kept = self.compile()
             if kept is None:
                 return getattr(compiled_twin(module), name)  # type: ignore[no-any-return]
             store.save(kept)
-        address = _link(kept)
+        address = link(kept)
         raw = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *self._ctypes())(address)
         return lambda *arguments: self._run(raw, arguments)
+
+    def compile(self) -> Code | None:
+        """Compile; returns None where the entry breaks the rule for kernels."""
+        with _lock:
+            twin = compiled_twin(self.plain.__module__, callable_=False)
+            return compile_entry(getattr(twin, self.plain.__name__), self._kinds)
 
     def _ctypes(self) -> list[Any]:
         """Types of the flattened arguments: an array is owner, parent, size, item size, data, shape, strides."""
@@ -150,159 +161,68 @@ class Entry:
             raise RuntimeError(f"the kernel {self.plain.__name__} failed")
 
 
-class _Code(NamedTuple):
-    """Machine code of one entry."""
+def keep(*modules: str) -> None:
+    """Compile what the cache has not of some kernel modules, and keep it: the work of a child."""
+    gc.disable()  # a compiler makes millions of objects and few cycles: 7 % of the time
+    for module in modules:
+        import_module(module)
+        for one in _known.get(module, []):
+            store = Store(one.plain)
+            if store.load() is None:
+                code = one.compile()
+                if code is not None:
+                    store.save(code)
 
-    symbol: str
-    outside: list[str]
-    """What it calls outside itself."""
-    code: bytes
-    """An object file."""
+
+_known: dict[str, list[Entry]] = {}
+"""Entries by kernel module."""
 
 
-class _Store:
-    """Where the machine code of one entry is kept: one file for each kind of processor, replaced when it is stale."""
+class _Children:
+    """Processes that compile all kernel modules at once, started when one of them is needed."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        source = Path(function.__code__.co_filename)
-        machine = _machine()
-        parts = [source.read_bytes(), Path(__file__).read_bytes(), _versions(), machine, function.__name__.encode()]
-        self._key = hashlib.sha256(b"\0".join(parts)).hexdigest()
-        name = f"{source.stem}.{function.__name__}.{hashlib.sha256(machine).hexdigest()[:8]}.native"
-        own = os.environ.get("NUMBA_CACHE_DIR")
-        user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "bumpytiles"
-        self._files = [folder / name for folder in ([Path(own)] if own else [source.parent / "__pycache__", user])]
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._at_work: dict[str, subprocess.Popen[bytes] | None] = {}
 
-    def load(self) -> "_Code | None":
-        """Return the machine code, None where there is none for this source, compiler and processor."""
-        for file in self._files:
-            with suppress(OSError, ValueError, KeyError):
-                head, _, code = file.read_bytes().partition(b"\n")
-                record = json.loads(head)
-                whole = record["digest"] == hashlib.sha256(code).hexdigest()
-                if whole and record["key"] == self._key and _found(record["outside"]):
-                    return _Code(record["symbol"], record["outside"], code)
+    def compile(self, module: str) -> None:
+        """Return when a kernel module has been compiled, or cannot be compiled in this way."""
+        with self._lock:
+            new = [name for name in _known if name not in self._at_work]
+            stale = [name for name in new if any(Store(one.plain).load() is None for one in _known[name])]
+            for share in _deal(stale, os.cpu_count() or 1):
+                self._at_work |= dict.fromkeys(share, _start(share))
+            child = self._at_work.get(module)
+        if child is not None:
+            child.wait()
+
+
+_children = _Children()
+
+
+def _deal(modules: list[str], hands: int) -> list[list[str]]:
+    """Share modules out so that the longest source that one hand gets is short."""
+    shares: list[list[str]] = [[] for _ in range(min(hands, len(modules)))]
+    length = {name: Path(_known[name][0].plain.__code__.co_filename).stat().st_size for name in modules}
+    for name in sorted(modules, key=lambda name: -length[name]):
+        min(shares, key=lambda share: sum(length[held] for held in share)).append(name)
+    return shares
+
+
+def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a child; None where that cannot be done."""
+    if not sys.executable or getattr(sys, "frozen", False):
         return None
-
-    def save(self, code: "_Code") -> None:
-        """Keep machine code in the first folder that can be written; a file appears whole or not at all."""
-        digest = hashlib.sha256(code.code).hexdigest()
-        record = {"key": self._key, "digest": digest, "symbol": code.symbol, "outside": code.outside}
-        for file in self._files:
-            try:
-                file.parent.mkdir(parents=True, exist_ok=True)
-                part = file.with_name(f".{file.name}.{os.getpid()}")
-                part.write_bytes(json.dumps(record).encode() + b"\n" + code.code)
-                part.replace(file)
-            except OSError as error:
-                _log.debug("cannot keep compiled kernels in %s: %s", file.parent, error)
-            else:
-                return
-
-
-@contextmanager
-def _without_collector() -> Iterator[None]:
-    """Keep the garbage collector away: a compiler makes millions of objects and few cycles (7 % of the time)."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+    code = f"import sys; from {__name__} import keep; keep(*sys.argv[1:])"
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    nothing = subprocess.DEVNULL
+    with suppress(OSError):
+        command = [sys.executable, "-P", "-c", code, *modules]
+        return subprocess.Popen(command, env=env, stdin=nothing, stdout=nothing, stderr=nothing)  # noqa: S603 (ours)
+    return None
 
 
 def _njit(function: Callable[..., Any], **options: Any) -> Any:
     from numba import njit
 
     return njit(nogil=True, error_model="numpy", **options, **(_compiling() or {}))(function)
-
-
-@cache
-def _llvm() -> Any:
-    import llvmlite.binding as llvm
-
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    return llvm
-
-
-def _machine() -> bytes:
-    llvm = _llvm()
-    return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}".encode()
-
-
-def _versions() -> bytes:
-    """Say which compiler would be at work, without importing it."""
-    import llvmlite
-
-    spec = importlib.util.find_spec("numba")
-    numba = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else None
-    stated = numba.read_bytes() if numba is not None and numba.is_file() else b""
-    return f"{_FORMAT} {llvmlite.__version__} ".encode() + stated
-
-
-@cache
-def _target() -> Any:
-    llvm = _llvm()
-    return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=3,
-        codemodel="jitdefault",
-        jit=True,
-    )
-
-
-def _compile(dispatcher: Any, kinds: list[tuple[np.dtype[Any], int]]) -> _Code | None:
-    """Compile an entry; returns its machine code, None where that needs more than itself and libm."""
-    from numba import from_dtype, types
-
-    plain = [from_dtype(kind) for kind, _ in kinds]
-    signature = types.void(
-        *(types.Array(kind, dims, "C") if dims else kind for kind, (_, dims) in zip(plain, kinds, strict=True))
-    )
-    dispatcher.compile(signature)
-    compiled = dispatcher.overloads[signature.args]
-    symbol = compiled.fndesc.llvm_func_name
-    llvm = _llvm()
-    module = llvm.parse_assembly(compiled.library.get_llvm_str())
-    # Reference counts of arrays that Python owns stay untouched; the call behind them is never reached.
-    module.link_in(llvm.parse_assembly("define void @NRT_MemInfo_call_dtor(ptr %info) { ret void }"))
-    for function in module.functions:
-        if not function.is_declaration and function.name != symbol:
-            function.linkage = "internal"
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_global_dead_code_eliminate_pass()
-    passes.add_strip_dead_prototype_pass()
-    passes.run(module, llvm.create_pass_builder(_target(), llvm.create_pipeline_tuning_options()))
-    outside = {f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")}
-    outside |= {g.name for g in module.global_variables if g.is_declaration}
-    if not _found(outside):
-        _log.debug("%s is compiled in every run: it calls %s", symbol, ", ".join(sorted(outside)))
-        return None
-    return _Code(symbol, sorted(outside), _target().emit_object(module))
-
-
-def _found(outside: Iterable[str]) -> bool:
-    """Tell the linker where libm is; False where something else is wanted (the linker would end the process)."""
-    process = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
-    for name in outside:
-        if name not in _LIBM or not hasattr(process, name):
-            return False
-        _llvm().add_symbol(name, ctypes.cast(getattr(process, name), ctypes.c_void_p).value)
-    return True
-
-
-_engines: list[Any] = []
-"""Hold the machine code in memory for as long as the process lives."""
-
-
-def _link(code: _Code) -> int:
-    """Load machine code; returns the address of its entry."""
-    llvm = _llvm()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code.code))
-    engine.finalize_object()
-    _engines.append(engine)
-    return int(engine.get_function_address(code.symbol))
