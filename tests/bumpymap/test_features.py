@@ -4,11 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bumpymap.config import FeatureSettings
-from bumpytiles.native import compiled_twin
 from bumpymap.types import Reason
 from bumpytiles import Grid
+from bumpytiles.native import compiled_twin
 
-KERNELS = compiled_twin("bumpymap.kernels")
+KERNELS = compiled_twin("bumpymap.kernels.measure")
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
 
