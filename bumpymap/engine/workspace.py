@@ -28,7 +28,8 @@ __all__ = ["WORK_FOLDER", "Workspace", "work_folder"]
 
 WORK_FOLDER = ".bumpymap-run"
 """In the folder of the products, while a run is under way or was broken off."""
-_ASKED, _READ, _LOCK = "asked.json", "read.json", "lock"
+_ASKED, _READ, _SCRATCH, _LOCK = "asked.json", "read.json", "scratch.json", "lock"
+_POINTS = "points"
 
 
 def work_folder(out: Path) -> Path:
@@ -65,9 +66,8 @@ class Workspace:
             The place cannot be written.
         """
         folder = work_folder(out)
-        # One name for one output, so that a run that goes on finds it.
-        name = f"bumpymap-{hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:12]}"
-        work = cls(folder, scratch / name if scratch else folder / "points", json.loads(json.dumps(dict(asked))))
+        waiting = scratch / _scratch_name(out) if scratch else folder / _POINTS
+        work = cls(folder, waiting, json.loads(json.dumps(dict(asked))))
         with _writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder):
@@ -122,16 +122,28 @@ class Workspace:
             _refuse_other(before, self.asked)
         else:
             for left in self.folder.iterdir():
-                if left.name != _LOCK and left != self.scratch:
+                if left.name not in (_LOCK, _SCRATCH) and left != self.scratch:
                     left.unlink(missing_ok=True) if left.is_file() else shutil.rmtree(left, ignore_errors=True)
             shutil.rmtree(self.scratch, ignore_errors=True)
         with _writing(self.scratch):
+            self._note_scratch()
             self.scratch.mkdir(parents=True, exist_ok=True)
         for half_written in (*self.folder.glob(".*"), *self.scratch.glob(".*")):
             half_written.unlink(missing_ok=True)
         if not (resume and before is not None):
             with atomic(self.folder / _ASKED) as temporary:
                 temporary.write_text(json.dumps(self.asked), encoding="utf-8")
+
+    def _note_scratch(self) -> None:
+        """Remember where points wait; those that an earlier run left elsewhere go away: nobody would find them."""
+        here = self.scratch.resolve()
+        earlier = Path((_record(self.folder / _SCRATCH) or {}).get("path", here))
+        inside = self.folder.resolve() / _POINTS
+        # A folder of another name belongs to another run: this output may be a copy.
+        if earlier != here and (earlier == inside or earlier.name == _scratch_name(self.folder.parent)):
+            shutil.rmtree(earlier, ignore_errors=True)
+        with atomic(self.folder / _SCRATCH) as temporary:
+            temporary.write_text(json.dumps({"path": str(here)}), encoding="utf-8")
 
     def _remove(self) -> None:
         """Remove everything, the folder at one stroke: a kill leaves nothing that looks like a run to go on with.
@@ -145,6 +157,11 @@ class Workspace:
         except OSError:  # Windows keeps folders in place that hold an open file
             gone = self.folder
         shutil.rmtree(gone, ignore_errors=True)
+
+
+def _scratch_name(out: Path) -> str:
+    """One name for one output, so that a run that goes on finds its points."""
+    return f"bumpymap-{hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:12]}"
 
 
 @contextmanager
