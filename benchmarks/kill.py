@@ -75,7 +75,7 @@ class Killer:
             return None
         if again is not None and (stage := self._killed(again, "--resume")):
             stages.append(stage)
-        # A run that ended after all has nothing to go on with; its layers are compared as they are.
+        # A run that has ended has nothing to go on with; its layers are compared as they are.
         ended = (self._out / "run.json").exists() and not (self._out / _WORK).exists()
         resumed = 0.0 if ended else self._finish("--resume")
         faults = _differences(self._wanted, self._files())
@@ -117,7 +117,7 @@ class Killer:
             len(list(folder.glob(pack)))
             for folder, pack in ((self._scratch, "*/points-*.pack"), (work, "tiles-*.pack"))
         )
-        packs = f"{points} packs of points and {tiles} of tiles on disk"
+        packs = f"packs on disk: {points} of points, {tiles} of tiles"
         if (self._out / "run.json").exists():
             return "at the end, layers in place"
         if staged:
