@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from bumpymap.engine import Workspace, work_folder
+from bumpymap.engine.workspace import Workspace, work_folder
 
 ASKED = {"inputs": {"a.laz": 1}, "cut": {"piece_points": 100}}
 
