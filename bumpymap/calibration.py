@@ -11,10 +11,57 @@ from typing import Any
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.types import TEXTURES
 
-__all__ = ["Calibration", "shipped_calibrations"]
+__all__ = ["Calibration", "DrivenTerrain", "RideFit", "shipped_calibrations"]
 
 _FORMAT = "bumpymap-calibration"
-_VERSION = 1
+_VERSION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenTerrain:
+    """One terrain of the library and what the drives over it gave: what a ride model is fitted to."""
+
+    kind: str
+    index: int
+    """Of the terrain in its kind."""
+    c_r: float | None
+    """Mean over the completed drives, rad/m; None without one."""
+    c_r_error: float | None
+    """Standard error of that mean, rad/m; None with fewer than two completed drives."""
+    completed: int
+    """Drives that came through."""
+    stuck: int
+    rolled: int
+
+    @property
+    def p_fail(self) -> float:
+        """Share of the drives that rolled over or got stuck."""
+        return (self.stuck + self.rolled) / (self.completed + self.stuck + self.rolled)
+
+
+@dataclass(frozen=True, slots=True)
+class RideFit:
+    """What the ride model leaves to be calibrated, for one vehicle."""
+
+    c_r: tuple[float, ...]
+    """Coefficients of C_r."""
+    spread: tuple[float, ...]
+    """Coefficients of its interval."""
+    p_fail: tuple[float, ...]
+    """Coefficients of the share of failed drives."""
+    origin: dict[str, Any] = field(default_factory=dict)
+    """What it was fitted to and how well, in plain JSON."""
+
+    def __post_init__(self) -> None:
+        numbers = [*self.c_r, *self.spread, *self.p_fail]
+        if not all(map(_is_number, numbers)):
+            raise ValueError("a coefficient of the ride model is missing, not finite, or no number")
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> "RideFit":
+        """Build from what JSON holds; raises LookupError, TypeError or ValueError."""
+        c_r, spread, p_fail = (tuple(record[name]) for name in ("c_r", "spread", "p_fail"))
+        return cls(c_r, spread, p_fail, dict(record["origin"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +92,11 @@ class Calibration:
     """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
     class_c_r: tuple[float, float, float, float]
     """Mean C_r [rad/m] of the driven patches of each class."""
+    ride: RideFit | None = None
+    """The fitted ride model; None where the library was not driven."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again."""
+    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
+    ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -109,6 +159,8 @@ class Calibration:
                     f"this bumpymap reads version {_VERSION}. {hint}"
                 )
             known = {f.name: record[f.name] for f in fields(cls)}
+            if known["ride"] is not None:
+                known["ride"] = RideFit.from_dict(known["ride"])
             return cls(**{key: _tuples(value) for key, value in known.items()})
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
@@ -150,9 +202,12 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers = [number for table in tables for line in table for number in line]
     numbers += [*named.values(), *calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels]
-    finite = [n for n in numbers if isinstance(n, int | float) and not isinstance(n, bool) and math.isfinite(n)]
-    if len(finite) + len(gaps) != len(numbers):
+    if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def shipped_calibrations() -> list[str]:

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,11 +18,12 @@ from bumpymap.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from bumpymap.calibration import Calibration
-    from bumpymap.vehicle.calibrate import Progress
     from bumpymap.vehicle.plan import CalibrationSettings
+    from bumpymap.vehicle.pool import Progress
     from bumpymap.vehicle.profile import VehicleProfile
 
-_QUICK = {"patches": 4, "starts": 1, "z_ranges": 6}
+_QUICK = {"patches": 4, "starts": 1, "terrains": 16, "terrain_starts": 4}
+_QUICK_Z_RANGES = 6
 
 
 @click.command("calibrate")
@@ -29,11 +31,23 @@ _QUICK = {"patches": 4, "starts": 1, "z_ranges": 6}
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Calibration file to write (JSON).")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Makes every random choice.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
-@click.option("--patches", type=click.IntRange(min=2), default=16, show_default=True, help="Patches of each cell.")
+@click.option(
+    "--patches", type=click.IntRange(min=2), default=8, show_default=True, help="Patches of each texture and z range."
+)
 @click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Drives over each patch.")
+@click.option(
+    "--terrains",
+    type=click.IntRange(min=0),
+    default=24,
+    show_default=True,
+    help="Terrains of each kind of the library; 0: table only.",
+)
+@click.option(
+    "--terrain-starts", type=click.IntRange(min=2), default=8, show_default=True, help="Drives over each terrain."
+)
 @click.option("--tile-size", type=float, default=3.0, show_default=True, help="Side of a patch, m.")
 @click.option("--pixels", type=click.IntRange(min=4), default=15, show_default=True, help="Pixels along a side.")
-@click.option("--quick", is_flag=True, help="A rough calibration in about a minute: 4 patches, 1 start, 6 z ranges.")
+@click.option("--quick", is_flag=True, help="A rough calibration in some minutes: a quarter of the drives.")
 @click.option("--overwrite", is_flag=True, help="Replace OUT, and drop the progress of other settings.")
 @click.option("--check", is_flag=True, help="Check the simulation against closed forms instead; writes nothing.")
 def command(
@@ -43,6 +57,8 @@ def command(
     workers: int | None,
     patches: int,
     starts: int,
+    terrains: int,
+    terrain_starts: int,
     tile_size: float,
     pixels: int,
     quick: bool,
@@ -62,18 +78,11 @@ def command(
         return
     if out is None:
         raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
+    effort = {"patches": patches, "starts": starts, "terrains": terrains, "terrain_starts": terrain_starts}
+    settings = CalibrationSettings(profile, seed, tile_size=tile_size, pixels=pixels, **(_QUICK if quick else effort))
     if quick:
-        patches, starts = _QUICK["patches"], _QUICK["starts"]
-    default = CalibrationSettings(profile).z_range
-    settings = CalibrationSettings(
-        profile=profile,
-        seed=seed,
-        patches=patches,
-        starts=starts,
-        z_range=log_spaced(default[0], default[-1], _QUICK["z_ranges"]) if quick else default,
-        tile_size=tile_size,
-        pixels=pixels,
-    )
+        lowest, highest = settings.z_range[0], settings.z_range[-1]
+        settings = replace(settings, z_range=log_spaced(lowest, highest, _QUICK_Z_RANGES))
     _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, _command_line(settings, vehicle, out, quick))
 
 
@@ -96,7 +105,7 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
                 command=again,
             )
     except KeyboardInterrupt:
-        click.echo("\nStopped. The finished cells are kept: give the same command again to go on.", err=True)
+        click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
         sys.exit(130)
     with atomic(out) as beside:
         beside.write_text(calibration.to_json(), encoding="utf-8")
@@ -120,6 +129,7 @@ def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quic
     """How to make the file again."""
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
+    words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
     words += ["--tile-size", f"{settings.tile_size:g}", "--pixels", str(settings.pixels)]
     return shlex.join(words + (["--quick"] if quick else []))
 

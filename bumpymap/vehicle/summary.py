@@ -7,7 +7,7 @@ can cross: beyond it C_r is that of the survivors, and p_fail speaks for the gro
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from bumpymap.calibration import Calibration
 from bumpymap.errors import BumpymapError
 from bumpymap.types import CLASS_NAMES, TEXTURES
-from bumpymap.vehicle.journal import Cell
-from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
+from bumpymap.vehicle.journal import Key
+from bumpymap.vehicle.library import FitRide, driven_library, library_heights, library_record
+from bumpymap.vehicle.patch import PatchDrives
+from bumpymap.vehicle.plan import CalibrationSettings
 
 __all__ = ["class_limits", "natural_breaks", "summarise"]
 
@@ -32,24 +34,37 @@ _RULE = (
 _CROSSABLE_P_FAIL = 0.05
 
 
-def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]], command: str = "") -> Calibration:
-    """Sum up finished cells.
+def summarise(
+    settings: CalibrationSettings, results: Mapping[Key, PatchDrives], command: str = "", fit: FitRide | None = None
+) -> Calibration:
+    """Sum up the drives of every job of the settings.
 
     Parameters
     ----------
     settings : CalibrationSettings
-    cells : dict
-        (texture, z range) indices -> drives of each patch; every cell of the settings.
+    results : mapping
+        Key of a job -> its drives.
     command : str
         Noted in the calibration.
+    fit : callable, optional
+        Fits the ride model to the drives over the terrain library.
     """
-    table = [[cells[texture, z] for z in range(len(settings.z_range))] for texture in range(len(TEXTURES))]
+    table = [
+        [
+            [results["table", texture, z, patch] for patch in range(settings.patches)]
+            for z in range(len(settings.z_range))
+        ]
+        for texture in range(len(TEXTURES))
+    ]
+    driven = driven_library(settings, results)
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
     p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
     limits = class_limits(means, p_fail)
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
+    record["library"] = library_record(driven)
+    vehicle = record.pop("vehicle")
     return Calibration(
-        vehicle=record.pop("vehicle"),
+        vehicle=vehicle,
         tile_size=settings.tile_size,
         pixels=settings.pixels,
         textures=TEXTURES,
@@ -60,6 +75,7 @@ def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]
         drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
         class_limits=limits,
         class_c_r=_class_means(_known(means), limits),
+        ride=fit(vehicle, library_heights(settings, driven), settings.tile_size, driven) if fit and driven else None,
         settings=record,
     )
 
