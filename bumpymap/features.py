@@ -66,7 +66,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         np.empty((3, SAMPLE), np.float32),
         np.empty(SUMS * LANES),
         np.empty((2, settings.stray_points + 1)),
-        np.empty((3, px * px + 1)),
+        np.empty((4, px * px + 1)),
         np.empty((px, px)),
     )
     reason = _reasons(count, scalars, settings)
