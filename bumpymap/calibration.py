@@ -11,7 +11,7 @@ from typing import Any
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.types import TEXTURES
 
-__all__ = ["Calibration", "DrivenTerrain", "RideFit", "shipped_calibrations"]
+__all__ = ["Calibration", "DrivenTerrain", "shipped_calibrations"]
 
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
@@ -34,34 +34,19 @@ class DrivenTerrain:
     rolled: int
 
     @property
+    def failed(self) -> int:
+        """Drives that got stuck or rolled over."""
+        return self.stuck + self.rolled
+
+    @property
+    def drives(self) -> int:
+        """All drives."""
+        return self.completed + self.failed
+
+    @property
     def p_fail(self) -> float:
-        """Share of the drives that rolled over or got stuck."""
-        return (self.stuck + self.rolled) / (self.completed + self.stuck + self.rolled)
-
-
-@dataclass(frozen=True, slots=True)
-class RideFit:
-    """What the ride model leaves to be calibrated, for one vehicle."""
-
-    c_r: tuple[float, ...]
-    """Coefficients of C_r."""
-    spread: tuple[float, ...]
-    """Coefficients of its interval."""
-    p_fail: tuple[float, ...]
-    """Coefficients of the share of failed drives."""
-    origin: dict[str, Any] = field(default_factory=dict)
-    """What it was fitted to and how well, in plain JSON."""
-
-    def __post_init__(self) -> None:
-        numbers = [*self.c_r, *self.spread, *self.p_fail]
-        if not all(map(_is_number, numbers)):
-            raise ValueError("a coefficient of the ride model is missing, not finite, or no number")
-
-    @classmethod
-    def from_dict(cls, record: dict[str, Any]) -> "RideFit":
-        """Build from what JSON holds; raises LookupError, TypeError or ValueError."""
-        c_r, spread, p_fail = (tuple(record[name]) for name in ("c_r", "spread", "p_fail"))
-        return cls(c_r, spread, p_fail, dict(record["origin"]))
+        """Share of the drives that failed."""
+        return self.failed / self.drives
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +77,8 @@ class Calibration:
     """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
     class_c_r: tuple[float, float, float, float]
     """Mean C_r [rad/m] of the driven patches of each class."""
-    ride: RideFit | None = None
-    """The fitted ride model; None where the library was not driven."""
+    ride: dict[str, Any] | None = None
+    """What the drives over the terrain library taught the ride model, as its room reads it; None without them."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
     ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""
@@ -111,6 +96,9 @@ class Calibration:
             raise ValueError("z_range must be positive and rise")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
             raise ValueError("class_limits must be positive and rise")
+        if not isinstance(self.ride, dict | None):
+            raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
+        self._body()
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
             raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
@@ -159,8 +147,6 @@ class Calibration:
                     f"this bumpymap reads version {_VERSION}. {hint}"
                 )
             known = {f.name: record[f.name] for f in fields(cls)}
-            if known["ride"] is not None:
-                known["ride"] = RideFit.from_dict(known["ride"])
             return cls(**{key: _tuples(value) for key, value in known.items()})
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error

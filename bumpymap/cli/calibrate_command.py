@@ -6,7 +6,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,9 +20,6 @@ if TYPE_CHECKING:
     from bumpymap.vehicle.plan import CalibrationSettings
     from bumpymap.vehicle.pool import Progress
     from bumpymap.vehicle.profile import VehicleProfile
-
-_QUICK = {"patches": 4, "starts": 1, "terrains": 16, "terrain_starts": 4}
-_QUICK_Z_RANGES = 6
 
 
 @click.command("calibrate")
@@ -69,7 +65,7 @@ def command(
 
     An interrupted run goes on where it was when the same command is given again.
     """
-    from bumpymap.vehicle.plan import CalibrationSettings, log_spaced
+    from bumpymap.vehicle.plan import CalibrationSettings
     from bumpymap.vehicle.profile import load_profile
 
     profile = load_profile(vehicle)
@@ -78,11 +74,18 @@ def command(
         return
     if out is None:
         raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
-    effort = {"patches": patches, "starts": starts, "terrains": terrains, "terrain_starts": terrain_starts}
-    settings = CalibrationSettings(profile, seed, tile_size=tile_size, pixels=pixels, **(_QUICK if quick else effort))
+    settings = CalibrationSettings(
+        profile=profile,
+        seed=seed,
+        patches=patches,
+        starts=starts,
+        terrains=terrains,
+        terrain_starts=terrain_starts,
+        tile_size=tile_size,
+        pixels=pixels,
+    )
     if quick:
-        lowest, highest = settings.z_range[0], settings.z_range[-1]
-        settings = replace(settings, z_range=log_spaced(lowest, highest, _QUICK_Z_RANGES))
+        settings = settings.quick()
     _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, _command_line(settings, vehicle, out, quick))
 
 
@@ -156,15 +159,16 @@ def _progress(total: int) -> Iterator["Progress | None"]:
 
 def _summary(calibration: "Calibration", out: Path) -> None:
     from bumpymap.types import CLASS_NAMES
+    from bumpymap.vehicle.library import library_terrains
 
-    drives = sum(map(sum, calibration.drives))
-    failed = sum(
-        p * n
-        for ps, ns in zip(calibration.p_fail, calibration.drives, strict=True)
-        for p, n in zip(ps, ns, strict=True)
-    )
+    pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
+    drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
+    click.echo(f"calibration {calibration.id} of {calibration.vehicle['name']}")
+    click.echo(f"  {drives} drives over textures, {failed:.0f} failed")
+    library = library_terrains(calibration)
+    drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
+    click.echo(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
     limits = (0.0, *calibration.class_limits)
-    click.echo(f"{drives} drives, {failed:.0f} failed; calibration {calibration.id} of {calibration.vehicle['name']}")
     for klass, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
         click.echo(
             f"  class {klass} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "

@@ -8,18 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bumpymap.calibration import Calibration, DrivenTerrain, RideFit
+from bumpymap.calibration import Calibration, DrivenTerrain
 from bumpymap.errors import BadInputError
-from bumpymap.terrains import KINDS
+from bumpymap.terrains import KINDS, Terrain
 from bumpymap.vehicle.journal import Key
 from bumpymap.vehicle.patch import PatchDrives
 from bumpymap.vehicle.plan import CalibrationSettings, library_terrain
 from bumpymap.vehicle.profile import VehicleProfile
 
-__all__ = ["FitRide", "driven_library", "library_heights", "library_record", "library_terrains", "read_library"]
+__all__ = ["FitRide", "driven_library", "library_ground", "library_record", "library_terrains", "read_library"]
 
 _COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
 
@@ -28,19 +25,22 @@ class FitRide(Protocol):
     """Fits a ride model to driven terrains."""
 
     def __call__(
-        self, vehicle: dict[str, Any], heights: NDArray[np.float64], tile_size: float, driven: Sequence[DrivenTerrain]
-    ) -> RideFit:
+        self, profile: VehicleProfile, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+    ) -> dict[str, Any]:
         """Fit.
 
         Parameters
         ----------
-        vehicle : dict
-            The vehicle profile, as in its TOML file.
-        heights : array (n, pixels, pixels) float64
-            The ground that was driven, m, north row first; slopes are in it.
-        tile_size : float
-            m.
+        profile : VehicleProfile
+        terrains : sequence, length n
+            The ground that was driven.
         driven : sequence, length n
+            What the drives over it gave.
+
+        Returns
+        -------
+        dict
+            Plain JSON: the calibration's ``ride``.
         """
 
 
@@ -51,10 +51,9 @@ def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDri
     )
 
 
-def library_heights(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> NDArray[np.float64]:
-    """Make the ground of driven terrains again: (n, pixels, pixels) heights, m, north row first."""
-    heights = [library_terrain(settings, terrain.kind, terrain.index).heights for terrain in driven]
-    return np.array(heights).reshape(-1, settings.pixels, settings.pixels)
+def library_ground(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> list[Terrain]:
+    """Make the ground of driven terrains again."""
+    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
 
 
 def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
@@ -89,24 +88,22 @@ def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
         ) from error
 
 
-def read_library(calibration: Calibration) -> tuple[NDArray[np.float64], tuple[DrivenTerrain, ...]]:
+def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
     """Ground and drives of the terrain library that a calibration was made with: what a fit takes.
 
-    Returns
-    -------
-    array (n, pixels, pixels) float64
-        Heights, m, north row first.
-    tuple of DrivenTerrain, length n
+    Raises
+    ------
+    BadInputError
+        The record is damaged.
     """
     driven = library_terrains(calibration)
-    made = calibration.settings
     settings = CalibrationSettings(
         VehicleProfile.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
-        seed=made["seed"],
+        seed=calibration.settings["seed"],
         tile_size=calibration.tile_size,
         pixels=calibration.pixels,
     )
-    return library_heights(settings, driven), driven
+    return library_ground(settings, driven), driven
 
 
 def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:

@@ -18,7 +18,7 @@ from bumpymap.calibration import Calibration
 from bumpymap.errors import BumpymapError
 from bumpymap.types import CLASS_NAMES, TEXTURES
 from bumpymap.vehicle.journal import Key
-from bumpymap.vehicle.library import FitRide, driven_library, library_heights, library_record
+from bumpymap.vehicle.library import FitRide, driven_library, library_ground, library_record
 from bumpymap.vehicle.patch import PatchDrives
 from bumpymap.vehicle.plan import CalibrationSettings
 
@@ -62,9 +62,8 @@ def summarise(
     limits = class_limits(means, p_fail)
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
     record["library"] = library_record(driven)
-    vehicle = record.pop("vehicle")
     return Calibration(
-        vehicle=vehicle,
+        vehicle=record.pop("vehicle"),
         tile_size=settings.tile_size,
         pixels=settings.pixels,
         textures=TEXTURES,
@@ -75,7 +74,7 @@ def summarise(
         drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
         class_limits=limits,
         class_c_r=_class_means(_known(means), limits),
-        ride=fit(vehicle, library_heights(settings, driven), settings.tile_size, driven) if fit and driven else None,
+        ride=fit(settings.profile, library_ground(settings, driven), driven) if fit and driven else None,
         settings=record,
     )
 
