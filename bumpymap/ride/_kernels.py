@@ -221,10 +221,8 @@ def _take_noise_off(
                 waves[i, j] = 0.0
                 continue
             power = waves[i, j] * waves[i, j]
-            if power > _SIGNIFICANT * noise:
-                kept = (power - noise) / power
-            else:
-                kept = ground[b] / (ground[b] + noise)
+            stands_out = power > _SIGNIFICANT * noise
+            kept = (power - noise) / power if stands_out else ground[b] / (ground[b] + noise)
             before += transfer[i, j] * power
             after += transfer[i, j] * kept * power
             waves[i, j] *= math.sqrt(kept)
@@ -311,13 +309,13 @@ def _lay_nodes(patch: Singles, fine: int, wide: Singles, margin: int) -> None:
         row = (r - margin) % period
         row = min(row, period - row)
         y = row / fine - 0.5
-        j = min(max(int(math.floor(y)), 0), pixels - 2)
+        j = min(max(math.floor(y), 0), pixels - 2)
         up = np.float32(min(max(y - j, 0.0), 1.0))
         for c in range(wide.shape[1]):
             col = (c - margin) % period
             col = min(col, period - col)
             x = col / fine - 0.5
-            i = min(max(int(math.floor(x)), 0), pixels - 2)
+            i = min(max(math.floor(x), 0), pixels - 2)
             right = np.float32(min(max(x - i, 0.0), 1.0))
             north = patch[j, i] + (patch[j, i + 1] - patch[j, i]) * right
             south = patch[j + 1, i] + (patch[j + 1, i + 1] - patch[j + 1, i]) * right
@@ -346,7 +344,7 @@ def _roll_wheel(
 
 @inner
 def _pitch_sums(starts: Integers, node: Integers, weight: Singles, envelope: Singles, sums: Floats) -> None:
-    """Sums of the size and of the square of every sample's pitch change, for a group of patches."""
+    """Sum the size and the square of every sample's pitch change, for a group of patches."""
     for lane in range(GROUP):
         sums[0, lane] = sums[1, lane] = 0.0
     for s in range(len(starts) - 1):

@@ -79,13 +79,17 @@ class Correction:
         """
         try:
             values = {f.name: record[f.name] for f in fields(cls)}
-            made = cls(**{name: dict(v) if name == "origin" else _numbers(v) for name, v in values.items()})
-            shapes = {np.shape(getattr(made, name)) for name in ("noise_low", "noise_middle", "noise_high")}
-            if shapes != {(len(made.pixel_points), len(made.excess))} or len(made.log_range) != 2:
-                raise ValueError("tables of different sizes")
+            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else _numbers(v) for k, v in values.items()}
+            made = cls(**numbers)
+            made._check()
         except (LookupError, TypeError, ValueError) as error:
             raise BadInputError(f"the ride model of the calibration is damaged: {error!r}") from error
         return made
+
+    def _check(self) -> None:
+        shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
+        if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
+            raise ValueError("tables of different sizes")
 
     def to_record(self) -> dict[str, Any]:
         """Return plain numbers for JSON."""
@@ -120,7 +124,6 @@ class Correction:
             above=np.hypot(sd, (up - shift) / NORMAL_TAIL),
             p_fail=1 / (1 + np.exp(-np.clip(fail_features(rides, slope_deg) @ np.array(self.fail), -40, 40))),
         )
-
 
     def _read(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
         """Read a noise table: straight between its knots, the nearest knot beyond them."""

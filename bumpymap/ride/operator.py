@@ -2,12 +2,12 @@
 
 Strategy. A patch goes on forever, mirrored at its edges, and a wheel's centre rolls on the envelope of that ground
 (grey dilation with the wheel's shape). Everything after that is linear in the envelope: the pitch of a side is the
-height of its front axle less that of its rear axle over the wheelbase, the chassis takes the mean of both sides, follows
-it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre of way. So each
-*sample*, a place and a heading, is one row of a sparse matrix over the nodes of the envelope, the same for every patch,
-and the geometric C_r of a patch is the mean absolute value of matrix times envelope. The samples are spread evenly over
-the patch and all headings and are closed under the symmetries of the square: a patch that is turned or mirrored gets
-the same answer.
+height of its front axle less that of its rear axle over the wheelbase, the chassis takes the mean of both sides,
+follows it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre of way.
+So each *sample*, a place and a heading, is one row of a sparse matrix over the nodes of the envelope, the same for
+every patch, and the geometric C_r of a patch is the mean absolute value of matrix times envelope. The samples are
+spread evenly over the patch and all headings and are closed under the symmetries of the square: a patch that is turned
+or mirrored gets the same answer.
 """
 
 from collections.abc import Mapping
@@ -261,18 +261,20 @@ def _poses(
 
 
 def _transfer(samples: Samples, pixels: int, fine: int) -> NDArray[np.float32]:
-    """Mean square answer of the samples to each cosine of the patch."""
+    """Mean square answer of the samples to each cosine of the patch.
+
+    A mirrored cosine is the same but for its sign, and a turned one swaps its two orders: the samples before the
+    symmetries are enough.
+    """
     basis = interpolation(pixels, fine) @ cosines(pixels).T
-    nodes = len(basis)
-    rows = np.repeat(np.arange(len(samples.starts) - 1), np.diff(samples.starts))
-    answer = np.zeros((pixels, pixels))
-    for row in range(pixels):
-        # (nodes^2, pixels): this row's cosines at every node.
-        pictures = np.einsum("r,ck->rck", basis[:, row], basis).reshape(nodes * nodes, pixels)
-        read = pictures[samples.node] * samples.weight[:, None]
-        total = np.add.reduceat(read, samples.starts[:-1], axis=0)
-        answer[row] = (total**2).sum(axis=0) / (rows[-1] + 1)
-    return answer.astype(np.float32)
+    starts = samples.starts[: _RIDE_SAMPLES + 1]
+    node, weight = samples.node[: starts[-1]], samples.weight[: starts[-1], None]
+    row, col = np.divmod(node, len(basis))
+    answer = np.empty((pixels, pixels))
+    for order in range(pixels):
+        total = np.add.reduceat(basis[row, order, None] * basis[col] * weight, starts[:-1], axis=0)
+        answer[order] = (total**2).mean(axis=0)
+    return ((answer + answer.T) / 2).astype(np.float32)
 
 
 def cosines(pixels: int) -> Floats:
