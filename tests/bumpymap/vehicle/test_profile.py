@@ -72,6 +72,8 @@ def test_file_with_a_path_is_read(tmp_path):
         ("rocker.limit_rad", 2, ["rocker.limit_rad is 2", "<= 1.2"]),
         ("rocker.damping_nms_per_rad", -1, ["rocker.damping_nms_per_rad is -1", ">= 0"]),
         ("wheel.radius_m", float("inf"), ["wheel.radius_m is inf", "finite"]),
+        ("belly.clearance_m", 0, ["belly.clearance_m is 0", "> 0"]),
+        ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
     ],
 )
 def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(warthog, key, value, words):
@@ -89,6 +91,11 @@ def test_borders_of_ranges_are_allowed(warthog):
     assert VehicleProfile.from_dict(warthog, "x").rocker.limit_rad == 0
 
 
+def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
+    warthog["belly"].update(width_m=1.4, clearance_m=0.6)
+    assert VehicleProfile.from_dict(warthog, "x").belly.width_m == 1.4
+
+
 def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
     warthog["wheel"]["radius"] = 0.3
     with pytest.raises(BadInputError, match=r"unknown radius in \[wheel\]; allowed: mass_kg, radius_m, width_m"):
@@ -96,8 +103,8 @@ def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
 
 
 def test_missing_key_is_refused(warthog):
-    del warthog["track_m"]
-    with pytest.raises(BadInputError, match="missing track_m"):
+    del warthog["track_m"], warthog["belly"]
+    with pytest.raises(BadInputError, match="missing track_m, belly"):
         VehicleProfile.from_dict(warthog, "my.toml")
 
 

@@ -8,15 +8,22 @@ from hypothesis import strategies as st
 
 from bumpymap.errors import BumpymapError
 from bumpymap.types import TEXTURES
-from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
+from bumpymap.vehicle import summary
+from bumpymap.vehicle.patch import PatchDrives
+from bumpymap.vehicle.plan import CalibrationSettings
 from bumpymap.vehicle.profile import load_profile
-from bumpymap.vehicle.summary import class_limits, natural_breaks, summarise
+from bumpymap.vehicle.summary import class_limits, natural_breaks
 
-SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0))
+SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=0)
 
 
 def drives(*c_r):
     return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
+
+
+def summarise(cells, command=""):
+    results = {("table", t, z, patch): d for (t, z), cell in cells.items() for patch, d in enumerate(cell)}
+    return summary.summarise(SETTINGS, results, command)
 
 
 @pytest.fixture
@@ -55,7 +62,7 @@ def test_too_few_patches_for_four_classes_is_said():
 
 
 def test_cell_is_the_mean_over_patches_of_patch_means(cells):
-    calibration = summarise(SETTINGS, cells, "how")
+    calibration = summarise(cells, "how")
     assert calibration.textures == TEXTURES
     np.testing.assert_allclose(calibration.c_r, [[0.02 * 2**t, 0.1 * 2**t] for t in range(4)], rtol=1e-12)
     sd = np.std(np.log([0.8, 1.0, 1.2]), ddof=1)
@@ -69,7 +76,7 @@ def test_cell_is_the_mean_over_patches_of_patch_means(cells):
 
 def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
     cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
-    calibration = summarise(SETTINGS, cells)
+    calibration = summarise(cells)
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
     assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
@@ -77,14 +84,14 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
 
 def test_cell_without_a_completed_drive_has_no_c_r(cells):
     cells[2, 1] = [drives(None, None)] * 3
-    calibration = summarise(SETTINGS, cells)
+    calibration = summarise(cells)
     assert calibration.c_r[2][1] is None
     assert calibration.c_r_log_sd[2][1] is None
     assert calibration.p_fail[2][1] == 1.0
 
 
 def test_class_means_lie_between_their_limits(cells):
-    calibration = summarise(SETTINGS, cells)
+    calibration = summarise(cells)
     low, middle, high = calibration.class_limits
     a, b, c, d = calibration.class_c_r
     assert 0 < a < low <= b < middle <= c < high <= d
@@ -93,7 +100,7 @@ def test_class_means_lie_between_their_limits(cells):
 def test_ground_that_cannot_be_crossed_does_not_move_the_limits(cells):
     # At the upper z range the last texture fails in 1 of 6 drives: the limits come from the lower one alone.
     cells[3, 1] = [drives(5.0, None), drives(5.0, 5.0), drives(5.0, 5.0)]
-    limits = summarise(SETTINGS, cells).class_limits
+    limits = summarise(cells).class_limits
     lower = np.array([patch.mean_c_r for (_, z), cell in cells.items() if z == 0 for patch in cell])
     assert limits == pytest.approx(natural_breaks(lower, 4), abs=0.0006)
 
@@ -106,4 +113,4 @@ def test_vehicle_that_fails_everywhere_is_said():
 def test_limits_too_close_together_are_refused():
     cells = {(t, z): [drives(1e-5 * (1 + t + z + i)) for i in range(3)] for t in range(4) for z in range(2)}
     with pytest.raises(BumpymapError, match="too close together"):
-        summarise(SETTINGS, cells)
+        summarise(cells)
