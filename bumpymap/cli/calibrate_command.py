@@ -93,6 +93,7 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
     from bumpymap.vehicle.calibrate import calibrate
     from bumpymap.vehicle.journal import Journal
     from bumpymap.vehicle.model import require_dart
+    from bumpymap.vehicle.ride_fit import fit_ride
 
     require_dart()
     _check_place(out, overwrite)
@@ -106,6 +107,7 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
                 journal=journal,
                 discard_other=overwrite,
                 command=again,
+                fit=fit_ride,
             )
     except KeyboardInterrupt:
         click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)

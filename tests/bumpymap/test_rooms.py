@@ -37,7 +37,12 @@ ROOMS = {
         {"calibration", "classify", "cost", "engine", "features", "products", "readers"},
         {"bumpytiles", "numpy"},
     ),
-    "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),
+    "terrains": ({"textures"}, {"numpy", "scipy"}),
+    "ride": ({"calibration", "native"}, {"numpy", "scipy"}),
+    "vehicle": (
+        {"calibration", "features", "ride", "terrains", "textures"},
+        {"bumpytiles", "dartpy", "numpy"},
+    ),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
