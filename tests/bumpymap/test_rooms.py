@@ -44,6 +44,10 @@ ROOMS = {
         {"bumpytiles", "dartpy", "numpy"},
     ),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "evaluate": (
+        {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
+        {"bumpytiles", "matplotlib", "numpy", "scipy"},
+    ),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {
