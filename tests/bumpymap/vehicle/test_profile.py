@@ -126,3 +126,25 @@ def test_bytes_and_folders_are_refused(tmp_path):
     for place in (path, tmp_path):
         with pytest.raises(BadInputError, match="cannot read the vehicle profile"):
             load_profile(place)
+
+
+def test_the_docs_name_every_key_and_tell_the_shipped_values():
+    page = (Path(__file__).parents[3] / "docs" / "pages" / "vehicle-profile.md").read_text()
+    schema, shipped = page.split("## The three that ship")
+    rows = {}
+    for line in shipped.splitlines():
+        if line.startswith("| `"):
+            key, *values = [cell.strip(" `") for cell in line.strip("|").split("|")]
+            rows[key] = values
+    profiles = [load_profile(name).to_dict() for name in ("warthog", "small_rover", "car")]
+    flat = [
+        {f"{k}.{kk}": vv for k, v in p.items() if isinstance(v, dict) for kk, vv in v.items()}
+        | {k: v for k, v in p.items() if not isinstance(v, dict) and k not in {"name", "description"}}
+        for p in profiles
+    ]
+    assert set(rows) == set(flat[0])
+    for key, values in rows.items():
+        assert f"| `{key}` |" in schema
+        for text, profile in zip(values, flat, strict=True):
+            numbers = profile[key] if isinstance(profile[key], list) else [profile[key]]
+            assert [float(number) for number in text.split(",")] == numbers
