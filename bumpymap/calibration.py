@@ -76,9 +76,9 @@ class Calibration:
     class_limits: tuple[float, float, float]
     """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
     class_c_r: tuple[float, float, float, float]
-    """Mean C_r [rad/m] of the driven patches of each class."""
+    """Mean C_r [rad/m] of the driven terrains of each class."""
     ride: dict[str, Any] | None = None
-    """What the drives over the terrain library taught the ride model, as its room reads it; None without them."""
+    """What the drives over the terrain library taught the ride model, in its own words; None where none was fitted."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
     ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 @click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Drives over each patch.")
 @click.option(
     "--terrains",
-    type=click.IntRange(min=0),
+    type=click.IntRange(min=1),
     default=24,
     show_default=True,
-    help="Terrains of each kind of the library; 0: table only.",
+    help="Terrains of each kind of the library.",
 )
 @click.option(
     "--terrain-starts", type=click.IntRange(min=2), default=8, show_default=True, help="Drives over each terrain."

@@ -68,7 +68,7 @@ def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[
 
 
 def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
-    """Read the driven terrains out of a calibration; empty where the library was left out.
+    """Read the driven terrains out of a calibration.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class CalibrationSettings:
     z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
     """max - min of the table's plane-removed patches, m."""
     terrains: int = 24
-    """Terrains of each kind of the library; 0 leaves the library out."""
+    """Terrains of each kind of the library."""
     terrain_starts: int = 8
     """Drives over one terrain."""
     tile_size: float = 3.0
@@ -57,7 +57,7 @@ class CalibrationSettings:
     drive: DriveSettings = field(default_factory=DriveSettings)
 
     def __post_init__(self) -> None:
-        lowest = {"seed": 0, "patches": 2, "starts": 1, "terrains": 0, "terrain_starts": 2, "pixels": 4}
+        lowest = {"seed": 0, "patches": 2, "starts": 1, "terrains": 1, "terrain_starts": 2, "pixels": 4}
         for name, least in lowest.items():
             if getattr(self, name) < least:
                 raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")

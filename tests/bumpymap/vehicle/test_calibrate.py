@@ -84,7 +84,7 @@ def test_log_spaced_values_have_equal_ratios():
     [
         ({"patches": 1}, "patches is 1; it must be 2"),
         ({"starts": 0}, "starts is 0"),
-        ({"terrains": -1}, "terrains is -1"),
+        ({"terrains": 0}, "terrains is 0; it must be 1"),
         ({"terrain_starts": 1}, "terrain_starts is 1; it must be 2"),
         ({"seed": -1}, "seed is -1"),
         ({"tile_size": 0.0}, "tile size is 0.0"),
@@ -155,7 +155,6 @@ def test_fit_gets_ground_and_drives_and_its_answer_is_kept(fake_drives, tmp_path
     assert seen["profile"] == SETTINGS.profile
     assert [t.kind for t in seen["terrains"]] == [d.kind for d in seen["driven"]]
     assert seen["driven"] == library_terrains(Calibration.from_json(made.to_json(), "x"))
-    assert calibrate(replace(SETTINGS, terrains=0), fit=fit).ride is None
 
 
 def test_jobs_differ_in_patch_and_in_start():
@@ -257,9 +256,10 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
 
 
-def test_shipped_class_limits_follow_from_the_shipped_drives():
-    shipped = Calibration.shipped("warthog")
-    assert shipped.class_limits == class_limits(shipped.settings["patch_c_r"], shipped.p_fail)
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.class_limits == class_limits(library_terrains(shipped))
     means = [
         [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
     ]
