@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ class DensityRow:
     """Share of them that can be judged with fewer points."""
     same_class: float
     """Share of those that keep their class."""
+    same_by_class: float
+    """The same, each class counted alike however many tiles it has: mean over the classes of all points."""
     off_two: float
     """Share of those that move by two classes or more."""
     c_r_ratio: float
@@ -116,6 +119,7 @@ def _row(name: str, density: float, share: float, full: Verdict, few: Verdict) -
         tiles=len(judged),
         still_judged=float(judged.mean()),
         same_class=_share(away == 0),
+        same_by_class=_share(np.array([np.mean(away[before.klass == k] == 0) for k in np.unique(before.klass)])),
         off_two=_share(away > 1),
         c_r_ratio=_median(after.c_r / before.c_r),
         confidence_kept=_median(after.confidence[away == 0]),
@@ -123,7 +127,7 @@ def _row(name: str, density: float, share: float, full: Verdict, few: Verdict) -
     )
 
 
-def _share(right: NDArray[np.bool_]) -> float:
+def _share(right: NDArray[Any]) -> float:
     return float(right.mean()) if len(right) else float("nan")
 
 

@@ -75,7 +75,8 @@ _ORDER = (
 _DENSITY = (
     "The survey with a random part of its points, rated again and held against the rating of all points. A density is "
     "the mean over the judged tiles; those that the survey does not exceed are left out. Shares of kept classes are "
-    "over tiles that can still be judged."
+    "over tiles that can still be judged; *classes alike* is the mean of that share over the classes, so that the one "
+    "that holds most tiles does not speak for all."
 )
 _NOISE = (
     "Ground of the library, surveyed with white noise. Errors are against the ride model's own C_r of the same ground "

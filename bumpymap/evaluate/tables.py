@@ -150,8 +150,8 @@ def order_lines(orders: Sequence[Order]) -> list[str]:
 
 def density_lines(rows: Sequence[DensityRow]) -> list[str]:
     """Show what thinning does."""
-    header = ("rating", "points per m2", "points kept", "still judged", "same class", "two or more off")
-    more = ("C_r over that of all points", "confidence where kept", "confidence where moved")
+    header = ("rating", "points per m2", "points kept", "still judged", "same class", "classes alike")
+    more = ("two or more off", "C_r over that of all points", "confidence where kept", "confidence where moved")
     return table(
         (*header, *more),
         [
@@ -161,6 +161,7 @@ def density_lines(rows: Sequence[DensityRow]) -> list[str]:
                 percent(row.share_of_points),
                 percent(row.still_judged),
                 percent(row.same_class),
+                percent(row.same_by_class),
                 percent(row.off_two),
                 number(row.c_r_ratio),
                 number(row.confidence_kept),
