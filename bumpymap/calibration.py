@@ -11,10 +11,42 @@ from typing import Any
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.types import TEXTURES
 
-__all__ = ["Calibration", "shipped_calibrations"]
+__all__ = ["Calibration", "DrivenTerrain", "shipped_calibrations"]
 
 _FORMAT = "bumpymap-calibration"
-_VERSION = 1
+_VERSION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenTerrain:
+    """One terrain of the library and what the drives over it gave: what a ride model is fitted to."""
+
+    kind: str
+    index: int
+    """Of the terrain in its kind."""
+    c_r: float | None
+    """Mean over the completed drives, rad/m; None without one."""
+    c_r_error: float | None
+    """Standard error of that mean, rad/m; None with fewer than two completed drives."""
+    completed: int
+    """Drives that came through."""
+    stuck: int
+    rolled: int
+
+    @property
+    def failed(self) -> int:
+        """Drives that got stuck or rolled over."""
+        return self.stuck + self.rolled
+
+    @property
+    def drives(self) -> int:
+        """All drives."""
+        return self.completed + self.failed
+
+    @property
+    def p_fail(self) -> float:
+        """Share of the drives that failed."""
+        return self.failed / self.drives
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +76,12 @@ class Calibration:
     class_limits: tuple[float, float, float]
     """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
     class_c_r: tuple[float, float, float, float]
-    """Mean C_r [rad/m] of the driven patches of each class."""
+    """Mean C_r [rad/m] of the driven terrains of each class."""
+    ride: dict[str, Any] | None = None
+    """What the drives over the terrain library taught the ride model, in its own words; None where none was fitted."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again."""
+    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
+    ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -61,6 +96,9 @@ class Calibration:
             raise ValueError("z_range must be positive and rise")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
             raise ValueError("class_limits must be positive and rise")
+        if not isinstance(self.ride, dict | None):
+            raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
+        self._body()
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
             raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
@@ -150,9 +188,12 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers = [number for table in tables for line in table for number in line]
     numbers += [*named.values(), *calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels]
-    finite = [n for n in numbers if isinstance(n, int | float) and not isinstance(n, bool) and math.isfinite(n)]
-    if len(finite) + len(gaps) != len(numbers):
+    if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def shipped_calibrations() -> list[str]:

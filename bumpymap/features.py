@@ -62,7 +62,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         np.empty((3, kernels.SAMPLE), np.float32),
         np.empty(kernels.SUMS * kernels.LANES),
         np.empty((2, settings.stray_points + 1)),
-        np.empty((3, px * px + 1)),
+        np.empty((4, px * px + 1)),
         np.empty((px, px)),
     )
     reason = _reasons(count, scalars, settings)

@@ -18,6 +18,7 @@ __all__ = ["main"]
 _COMMANDS = {
     "calibrate": "drive a vehicle over simulated terrain: what each kind of ground costs it",
     "demo": "map a made-up quarry: see what bumpymap writes",
+    "evaluate": "hold the map against drives over the same ground",
     "info": "what is in a survey, and what a run would need",
     "map": "make roughness layers and a cost map from surveys",
     "train": "train the texture network",

@@ -17,11 +17,9 @@ from bumpymap.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from bumpymap.calibration import Calibration
-    from bumpymap.vehicle.calibrate import Progress
     from bumpymap.vehicle.plan import CalibrationSettings
+    from bumpymap.vehicle.pool import Progress
     from bumpymap.vehicle.profile import VehicleProfile
-
-_QUICK = {"patches": 4, "starts": 1, "z_ranges": 6}
 
 
 @click.command("calibrate")
@@ -29,11 +27,23 @@ _QUICK = {"patches": 4, "starts": 1, "z_ranges": 6}
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Calibration file to write (JSON).")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Makes every random choice.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
-@click.option("--patches", type=click.IntRange(min=2), default=16, show_default=True, help="Patches of each cell.")
+@click.option(
+    "--patches", type=click.IntRange(min=2), default=8, show_default=True, help="Patches of each texture and z range."
+)
 @click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Drives over each patch.")
+@click.option(
+    "--terrains",
+    type=click.IntRange(min=1),
+    default=24,
+    show_default=True,
+    help="Terrains of each kind of the library.",
+)
+@click.option(
+    "--terrain-starts", type=click.IntRange(min=2), default=8, show_default=True, help="Drives over each terrain."
+)
 @click.option("--tile-size", type=float, default=3.0, show_default=True, help="Side of a patch, m.")
 @click.option("--pixels", type=click.IntRange(min=4), default=15, show_default=True, help="Pixels along a side.")
-@click.option("--quick", is_flag=True, help="A rough calibration in about a minute: 4 patches, 1 start, 6 z ranges.")
+@click.option("--quick", is_flag=True, help="A rough calibration in some minutes: a quarter of the drives.")
 @click.option("--overwrite", is_flag=True, help="Replace OUT, and drop the progress of other settings.")
 @click.option("--check", is_flag=True, help="Check the simulation against closed forms instead; writes nothing.")
 def command(
@@ -43,6 +53,8 @@ def command(
     workers: int | None,
     patches: int,
     starts: int,
+    terrains: int,
+    terrain_starts: int,
     tile_size: float,
     pixels: int,
     quick: bool,
@@ -53,7 +65,7 @@ def command(
 
     An interrupted run goes on where it was when the same command is given again.
     """
-    from bumpymap.vehicle.plan import CalibrationSettings, log_spaced
+    from bumpymap.vehicle.plan import CalibrationSettings
     from bumpymap.vehicle.profile import load_profile
 
     profile = load_profile(vehicle)
@@ -62,18 +74,18 @@ def command(
         return
     if out is None:
         raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
-    if quick:
-        patches, starts = _QUICK["patches"], _QUICK["starts"]
-    default = CalibrationSettings(profile).z_range
     settings = CalibrationSettings(
         profile=profile,
         seed=seed,
         patches=patches,
         starts=starts,
-        z_range=log_spaced(default[0], default[-1], _QUICK["z_ranges"]) if quick else default,
+        terrains=terrains,
+        terrain_starts=terrain_starts,
         tile_size=tile_size,
         pixels=pixels,
     )
+    if quick:
+        settings = settings.quick()
     _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, _command_line(settings, vehicle, out, quick))
 
 
@@ -81,6 +93,7 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
     from bumpymap.vehicle.calibrate import calibrate
     from bumpymap.vehicle.journal import Journal
     from bumpymap.vehicle.model import require_dart
+    from bumpymap.vehicle.ride_fit import fit_ride
 
     require_dart()
     _check_place(out, overwrite)
@@ -94,9 +107,10 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
                 journal=journal,
                 discard_other=overwrite,
                 command=again,
+                fit=fit_ride,
             )
     except KeyboardInterrupt:
-        click.echo("\nStopped. The finished cells are kept: give the same command again to go on.", err=True)
+        click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
         sys.exit(130)
     with atomic(out) as beside:
         beside.write_text(calibration.to_json(), encoding="utf-8")
@@ -120,6 +134,7 @@ def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quic
     """How to make the file again."""
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
+    words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
     words += ["--tile-size", f"{settings.tile_size:g}", "--pixels", str(settings.pixels)]
     return shlex.join(words + (["--quick"] if quick else []))
 
@@ -146,15 +161,16 @@ def _progress(total: int) -> Iterator["Progress | None"]:
 
 def _summary(calibration: "Calibration", out: Path) -> None:
     from bumpymap.types import CLASS_NAMES
+    from bumpymap.vehicle.library import library_terrains
 
-    drives = sum(map(sum, calibration.drives))
-    failed = sum(
-        p * n
-        for ps, ns in zip(calibration.p_fail, calibration.drives, strict=True)
-        for p, n in zip(ps, ns, strict=True)
-    )
+    pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
+    drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
+    click.echo(f"calibration {calibration.id} of {calibration.vehicle['name']}")
+    click.echo(f"  {drives} drives over textures, {failed:.0f} failed")
+    library = library_terrains(calibration)
+    drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
+    click.echo(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
     limits = (0.0, *calibration.class_limits)
-    click.echo(f"{drives} drives, {failed:.0f} failed; calibration {calibration.id} of {calibration.vehicle['name']}")
     for klass, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
         click.echo(
             f"  class {klass} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "

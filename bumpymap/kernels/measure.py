@@ -39,6 +39,8 @@ _MIN_TRIANGLE = 1e-3
 _NOTHING = 1e-6
 """Relief below this is rounding, not ground, m."""
 _NO_PLANE: Plane = (0.0, 0.0, 0.0, 0.0)
+_STEEPEST = 0.2
+"""A plane whose upward normal is less than this (steeper than 78 degrees) is a wall, not the slope of the ground."""
 
 
 @inner
@@ -480,14 +482,30 @@ def _pixel_index(
 
 
 @inner
-def _pixel_sums(pixel: Integers, z: Floats, sums: Floats) -> None:
-    """Count, sum and sum of squares of z by pixel, into the three rows of ``sums``."""
+def _pixel_sums(pixel: Integers, x: Floats, y: Floats, z: Floats, plane: Plane, sums: Floats) -> None:
+    """Count, sum and sum of squares of z, sum of the plane's height, by pixel, into the four rows of ``sums``."""
     _set_map(sums, 0.0)
+    a, b, c, _ = plane
+    east, north = (-a / c, -b / c) if c > _STEEPEST else (0.0, 0.0)
     for i in range(len(pixel)):
         k = pixel[i]
         sums[0, k] += 1.0
         sums[1, k] += z[i]
         sums[2, k] += z[i] * z[i]
+        sums[3, k] += east * x[i] + north * y[i]
+
+
+@inner
+def _take_plane_off(sums: Floats, level: Floats) -> None:
+    """Take the plane off the pixels' heights where their points are.
+
+    On a slope the mean of some points is not the height of the pixel's middle: where they fell by chance, the slope
+    would look rough.
+    """
+    size = level.shape[0]
+    for r in range(size):
+        for c in range(size):
+            level[r, c] -= sums[3, r * size + c] / sums[0, r * size + c]
 
 
 @inner
@@ -598,7 +616,7 @@ def measure_tiles(
         Partial sums.
     ends : (2, most strays on one side + 1) float64
         Highest and lowest distances.
-    sums : (3, pixels^2 + 1) float64
+    sums : (4, pixels^2 + 1) float64
         Sums by pixel; the last column takes the strays.
     level : (pixels, pixels) float64
         Heights about the tile's mean.
@@ -638,8 +656,9 @@ def measure_tiles(
             for i in range(n):
                 if not low <= distance[i] <= high:
                     pixel[i] = size * size
-        _pixel_sums(pixel[:n], z, sums)
+        _pixel_sums(pixel[:n], x, y, z, plane, sums)
         known, scalars[t, 5] = _heightmap(sums, mean, level, heights[t], variance[t], count[t])
+        _take_plane_off(sums, level)
         scalars[t, 6] = known / (size * size)
         scalars[t, 7] = _relief(level, depth, known == size * size, pixel, sums[1], relief[t])
         scalars[t, 8] = strays

@@ -23,6 +23,8 @@ __all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
 
 _GRAVITY = 9.80665
 _CLEARANCE_M = 0.001
+_BODY_SHARE = 0.3
+"""Height of the body over its length; it matters only to a vehicle that has rolled over."""
 _URDF = (
     '<robot name="ground"><link name="ground"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
     "</robot>"
@@ -159,6 +161,7 @@ class DartVehicle:
         """Chassis, two rockers, four wheels; returns the chassis."""
         _, chassis = robot.createFreeJointAndBodyNodePair()
         chassis.setInertia(self._inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
+        self._add_belly(chassis, profile, physics)
         for side, left in (("left", profile.track_m / 2), ("right", -profile.track_m / 2)):
             pivot, rocker = robot.createRevoluteJointAndBodyNodePair(chassis)
             rocker.setInertia(self._inertia(profile.rocker.mass_kg, profile.rocker.inertia_kgm2))
@@ -179,6 +182,19 @@ class DartVehicle:
                 self._set_surface(shape, physics)
                 self._wheels[side].append(axle)
         return chassis
+
+    def _add_belly(self, chassis: Any, profile: VehicleProfile, physics: Physics) -> None:
+        """Give the chassis a body that strikes the ground: a box from the belly up."""
+        belly = profile.belly
+        size = [belly.length_m, belly.width_m, _BODY_SHARE * belly.length_m]
+        node = chassis.createShapeNode(self._dart.dynamics.BoxShape(size))
+        node.createCollisionAspect()
+        node.createDynamicsAspect()
+        below = belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
+        place = self._dart.math.Isometry3()
+        place.set_translation([0.0, 0.0, below + size[2] / 2])
+        node.setRelativeTransform(place)
+        self._set_surface(node, physics)
 
     def _hinge(self, joint: Any, place: tuple[float, float, float]) -> None:
         """Put a joint about the left axis at a place of the parent body."""

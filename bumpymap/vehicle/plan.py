@@ -1,22 +1,33 @@
-"""What a calibration drives: settings, and the jobs they spell out. A job depends on nothing but the settings."""
+"""What a calibration drives: settings, and the jobs they spell out. A job depends on nothing but the settings.
+
+There are two kinds of jobs. The table's cells are the paper's way: one of four textures, scaled to a height range. The
+terrain library is where the ride model is fitted: ground of many kinds, as high and as steep as it comes.
+"""
 
 import math
 import platform
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from bumpymap.errors import UsageError
+from bumpymap.terrains import KINDS, Terrain, make_terrain
 from bumpymap.textures import make_textures
 from bumpymap.types import TEXTURES
-from bumpymap.vehicle.drive import DriveSettings, Outcome, drive
+from bumpymap.vehicle.drive import DriveSettings
+from bumpymap.vehicle.journal import Key
+from bumpymap.vehicle.patch import Effort, PatchDrives, drive_patch
 from bumpymap.vehicle.profile import VehicleProfile
-from bumpymap.vehicle.terrain import PatchGround
 
-__all__ = ["CalibrationSettings", "Job", "PatchDrives", "log_spaced", "run_job"]
+__all__ = ["CalibrationSettings", "LibraryJob", "TableJob", "library_terrain", "log_spaced", "run_job"]
+
+_LIBRARY_STREAM = len(TEXTURES)
+"""First number of the random streams of library drives: the index of no texture."""
+_LIBRARY_WHEEL_M = 0.3
+"""The library's heights are made for wheels of this radius; those of others are scaled."""
 
 
 def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
@@ -30,37 +41,55 @@ class CalibrationSettings:
 
     profile: VehicleProfile
     seed: int = 1
-    patches: int = 16
-    """Patches of one cell (texture and z range)."""
+    patches: int = 8
+    """Patches of one cell of the table (texture and z range)."""
     starts: int = 3
-    """Drives over one patch, each from its own start and heading."""
+    """Drives over one patch of the table, each from its own start and heading."""
     z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
-    """max - min of the plane-removed patches, m."""
+    """max - min of the table's plane-removed patches, m."""
+    terrains: int = 24
+    """Terrains of each kind of the library."""
+    terrain_starts: int = 8
+    """Drives over one terrain."""
     tile_size: float = 3.0
     """Side of a patch, m."""
     pixels: int = 15
     drive: DriveSettings = field(default_factory=DriveSettings)
 
     def __post_init__(self) -> None:
-        for name, lowest in (("seed", 0), ("patches", 2), ("starts", 1), ("pixels", 4)):
-            if getattr(self, name) < lowest:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be {lowest} or more")
+        lowest = {"seed": 0, "patches": 2, "starts": 1, "terrains": 1, "terrain_starts": 2, "pixels": 4}
+        for name, least in lowest.items():
+            if getattr(self, name) < least:
+                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
             raise UsageError(f"tile size is {self.tile_size}; it must be a positive number of metres")
         if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
             raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise")
 
+    def quick(self) -> "CalibrationSettings":
+        """Return the same with a quarter of the drives: enough for a ride model, rough in the table."""
+        z_range = log_spaced(self.z_range[0], self.z_range[-1], 6)
+        return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
+
+    @property
+    def height_scale(self) -> float:
+        """What the library's heights are multiplied by: what a wheel climbs grows with its radius."""
+        return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
+
     @property
     def total_drives(self) -> int:
         """Number of drives of the whole calibration."""
-        return len(TEXTURES) * len(self.z_range) * self.patches * self.starts
+        return sum(job.starts for job in self.jobs())
 
-    def jobs(self) -> Iterator["Job"]:
-        """Every job, cell by cell."""
+    def jobs(self) -> Iterator["TableJob | LibraryJob"]:
+        """Every job: the table cell by cell, then the library kind by kind."""
         for texture in range(len(TEXTURES)):
             for z in range(len(self.z_range)):
                 for patch in range(self.patches):
-                    yield Job(texture, z, patch)
+                    yield TableJob(texture, z, patch, self.starts)
+        for kind in KINDS:
+            for index in range(self.terrains):
+                yield LibraryJob(kind, index, self.terrain_starts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides the numbers, with the versions of what computes them, as JSON has it."""
@@ -70,6 +99,8 @@ class CalibrationSettings:
             "patches": self.patches,
             "starts": self.starts,
             "z_range": list(self.z_range),
+            "terrains": self.terrains,
+            "terrain_starts": self.terrain_starts,
             "tile_size": self.tile_size,
             "pixels": self.pixels,
             "drive": asdict(self.drive),
@@ -82,53 +113,62 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
-    """One patch to drive over: indices of texture, z range and patch."""
+class TableJob:
+    """One patch of the table: indices of texture, z range and patch."""
 
     texture: int
     z: int
     patch: int
+    starts: int
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("table", self.texture, self.z, self.patch)
 
 
 @dataclass(frozen=True, slots=True)
-class PatchDrives:
-    """What the drives over one patch gave, in the order of the starts."""
+class LibraryJob:
+    """One terrain of the library."""
 
-    outcome: tuple[Outcome, ...]
-    c_r: tuple[float | None, ...]
-    """rad/m; None unless completed."""
-
-    @property
-    def mean_c_r(self) -> float | None:
-        """Mean over the completed drives, rad/m; None without one."""
-        completed = [value for value in self.c_r if value is not None]
-        return math.fsum(completed) / len(completed) if completed else None
+    kind: str
+    index: int
+    starts: int
 
     @property
-    def failed(self) -> int:
-        """Drives that rolled over or got stuck."""
-        return sum(outcome != "completed" for outcome in self.outcome)
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("library", self.kind, self.index)
 
 
-def run_job(settings: CalibrationSettings, job: Job) -> PatchDrives:
-    """Make the patch of a job and drive over it.
-
-    Patch and starts have random streams of their own, derived from the seed and the job's indices: which process runs
-    the job, and what ran before it, changes nothing.
-    """
-    stream = (job.texture, job.z, job.patch)
-    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-    patch = make_textures(TEXTURES[job.texture], 1, rng, settings.pixels)[0]
-    ground = PatchGround.from_heights(patch.astype(np.float64) * settings.z_range[job.z], settings.tile_size)
-    drives = [
-        drive(settings.profile, ground, _seed(settings.seed, (*stream, start)), settings.drive)
-        for start in range(settings.starts)
-    ]
-    return PatchDrives(
-        outcome=tuple(d.outcome for d in drives),
-        c_r=tuple(d.c_r if d.outcome == "completed" else None for d in drives),
+def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
+    """Make a terrain of the library as high and as steep as suits the vehicle."""
+    return make_terrain(
+        kind,
+        settings.seed,
+        index,
+        height_scale=settings.height_scale,
+        slope_limit_deg=settings.profile.slope_limit_deg,
+        tile_size=settings.tile_size,
+        pixels=settings.pixels,
     )
 
 
-def _seed(seed: int, stream: tuple[int, ...]) -> int:
-    return int(np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0])
+def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchDrives:
+    """Make the ground of a job and drive over it.
+
+    Ground and starts have random streams of their own, derived from the seed and the job's indices: which process runs
+    the job, and what ran before it, changes nothing.
+    """
+    if isinstance(job, TableJob):
+        stream: tuple[int, ...] = (job.texture, job.z, job.patch)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
+        patch = make_textures(TEXTURES[job.texture], 1, rng, settings.pixels)[0]
+        heights = patch.astype(np.float64) * settings.z_range[job.z]
+    else:
+        stream = (_LIBRARY_STREAM, KINDS.index(job.kind), job.index)
+        heights = library_terrain(settings, job.kind, job.index).heights
+    effort = Effort.fixed(job.starts)
+    return drive_patch(
+        settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
+    )

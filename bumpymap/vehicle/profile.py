@@ -9,7 +9,7 @@ from typing import Any
 
 from bumpymap.errors import BadInputError
 
-__all__ = ["Chassis", "Rocker", "VehicleProfile", "Wheel", "load_profile", "shipped_profiles"]
+__all__ = ["Belly", "Chassis", "Rocker", "VehicleProfile", "Wheel", "load_profile", "shipped_profiles"]
 
 _SCHEMA = "docs/pages/vehicle-profile.md lists every key"
 _LARGEST_ROCKER_LIMIT_RAD = 1.2
@@ -26,6 +26,17 @@ class Chassis:
     """Moments about the centre of mass: roll (forward axis), pitch (left axis), yaw (upward axis)."""
     com_height_m: float
     """Centre of mass above the axles when the vehicle stands on level ground; may be negative."""
+
+
+@dataclass(frozen=True, slots=True)
+class Belly:
+    """The underside of the chassis: a level plate amid the wheels, with walls above it."""
+
+    length_m: float
+    """Along the vehicle, bumpers included."""
+    width_m: float
+    clearance_m: float
+    """Over level ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +79,7 @@ class VehicleProfile:
     ride_weight: float
     """m/rad: cost = 1 + ride_weight * c_r."""
     chassis: Chassis
+    belly: Belly
     rocker: Rocker
     wheel: Wheel
 
@@ -218,6 +230,12 @@ def _check_together(profile: VehicleProfile, origin: str) -> None:
         raise BadInputError(
             f"{origin}: wheel.width_m is {profile.wheel.width_m} and track_m {profile.track_m}; "
             "the track must exceed the wheel width"
+        )
+    between = profile.track_m - profile.wheel.width_m
+    if profile.belly.width_m > between and profile.belly.clearance_m < 2 * profile.wheel.radius_m:
+        raise BadInputError(
+            f"{origin}: belly.width_m is {profile.belly.width_m}, and the wheels are {between:g} apart on the inside; "
+            "a belly below the top of the wheels must fit between them"
         )
     if profile.chassis.com_height_m < -profile.wheel.radius_m:
         raise BadInputError(

@@ -1,53 +1,66 @@
-"""From the drives of all cells to the tables, class limits and class means of a calibration.
+"""From the drives of all jobs to the table, class limits and class means of a calibration.
 
-The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of patch C_r. The
-planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error of C_r least
-are those that cost a planner least when it knows no more than the class. They are taken over ground that the vehicle
-can cross: beyond it C_r is that of the survivors, and p_fail speaks for the ground.
+The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of the C_r of the terrain
+library. The planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error
+of C_r least are those that cost a planner least when it knows no more than the class. They are taken over terrains that
+the vehicle can cross: on the others C_r is that of the survivors, and p_fail speaks for the ground.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.calibration import Calibration
+from bumpymap.calibration import Calibration, DrivenTerrain
 from bumpymap.errors import BumpymapError
 from bumpymap.types import CLASS_NAMES, TEXTURES
-from bumpymap.vehicle.journal import Cell
-from bumpymap.vehicle.plan import CalibrationSettings, PatchDrives
+from bumpymap.vehicle.journal import Key
+from bumpymap.vehicle.library import FitRide, driven_library, library_ground, library_record
+from bumpymap.vehicle.patch import PatchDrives
+from bumpymap.vehicle.plan import CalibrationSettings
 
 __all__ = ["class_limits", "natural_breaks", "summarise"]
 
-PatchMeans = Sequence[Sequence[Sequence[float | None]]]
-
+_MOST_FAILED = 0.25
 _RULE = (
-    "natural breaks (exact one-dimensional k-means, 4 groups) of the patch-mean C_r; terrain mix: the four textures "
-    "alike, z range uniform in its logarithm from the lowest to the highest at which, and below which, at least 95 % "
-    "of the drives over every texture were completed; limits rounded to 0.001 rad/m"
+    "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
+    "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
+    "1.2 times the vehicle's limit, all terrains on which at least 3/4 of the drives were completed; limits rounded to "
+    "0.001 rad/m"
 )
-_CROSSABLE_P_FAIL = 0.05
 
 
-def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]], command: str = "") -> Calibration:
-    """Sum up finished cells.
+def summarise(
+    settings: CalibrationSettings, results: Mapping[Key, PatchDrives], command: str = "", fit: FitRide | None = None
+) -> Calibration:
+    """Sum up the drives of every job of the settings.
 
     Parameters
     ----------
     settings : CalibrationSettings
-    cells : dict
-        (texture, z range) indices -> drives of each patch; every cell of the settings.
+    results : mapping
+        Key of a job -> its drives.
     command : str
         Noted in the calibration.
+    fit : callable, optional
+        Fits the ride model to the drives over the terrain library.
     """
-    table = [[cells[texture, z] for z in range(len(settings.z_range))] for texture in range(len(TEXTURES))]
+    table = [
+        [
+            [results["table", texture, z, patch] for patch in range(settings.patches)]
+            for z in range(len(settings.z_range))
+        ]
+        for texture in range(len(TEXTURES))
+    ]
+    driven = driven_library(settings, results)
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
     p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
-    limits = class_limits(means, p_fail)
+    limits = class_limits(driven)
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
+    record["library"] = library_record(driven)
     return Calibration(
         vehicle=record.pop("vehicle"),
         tile_size=settings.tile_size,
@@ -59,34 +72,39 @@ def summarise(settings: CalibrationSettings, cells: dict[Cell, list[PatchDrives]
         p_fail=p_fail,
         drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
         class_limits=limits,
-        class_c_r=_class_means(_known(means), limits),
+        class_c_r=_class_means(driven, limits),
+        ride=fit(settings.profile, library_ground(settings, driven), driven) if fit else None,
         settings=record,
     )
 
 
-def class_limits(means: PatchMeans, p_fail: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     """C_r between the classes, rad/m.
 
     Parameters
     ----------
-    means : nested sequence [texture][z_range][patch]
-        C_r, rad/m; None where no drive over the patch was completed.
-    p_fail : nested sequence [texture][z_range]
+    driven : sequence
+        The terrains of the library.
+
+    Raises
+    ------
+    BumpymapError
+        The vehicle can cross too few of them, or hardly pitches on any.
     """
-    worst = np.max(p_fail, axis=0)
-    crossable = int(np.argmax(worst > _CROSSABLE_P_FAIL)) if worst.max() > _CROSSABLE_P_FAIL else len(worst)
-    if crossable == 0:
+    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= _MOST_FAILED]
+    if len(set(crossable)) < len(CLASS_NAMES):
         raise BumpymapError(
-            f"{100 * worst[0]:.0f} % of the drives fail at the lowest z range; this vehicle can cross none of the "
-            "simulated ground. Look for a wrong number in its profile: bumpymap calibrate --check"
+            f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
+            f"{len(CLASS_NAMES)} with different C_r. Look for a wrong number in its profile: bumpymap calibrate "
+            "--check; or drive more terrains"
         )
-    low, middle, high = (
-        round(limit, 3) for limit in natural_breaks(_known([line[:crossable] for line in means]), len(CLASS_NAMES))
-    )
-    if not 0 < low < middle < high:
+    breaks = natural_breaks(np.array(crossable, dtype=np.float64), len(CLASS_NAMES))
+    low, middle, high = (round(limit, 3) for limit in breaks)
+    filled = set(np.searchsorted((low, middle, high), crossable, side="right").tolist())
+    if not 0 < low < middle < high or len(filled) < len(CLASS_NAMES):
         raise BumpymapError(
             f"the class limits come out as {low}, {middle}, {high} rad/m, too close together for four classes; "
-            "the vehicle hardly pitches on these z ranges"
+            "the vehicle hardly pitches on this ground"
         )
     return low, middle, high
 
@@ -101,7 +119,7 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     ----------
     values : array (n,)
     groups : int
-        2 or more; n distinct numbers must be at least as many.
+        2 or more; there must be at least as many distinct numbers.
 
     Returns
     -------
@@ -109,11 +127,6 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
         Half way between the means of neighbouring groups.
     """
     x = np.sort(values)
-    if len(np.unique(x)) < groups:
-        raise BumpymapError(
-            f"{len(np.unique(x))} patches with a completed drive; classes need at least {groups}. "
-            "Drive more patches, lower z ranges, or slower"
-        )
     edges = _best_edges(x - x.mean(), groups)
     centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
     return [(a + b) / 2 for a, b in pairwise(centre)]
@@ -142,12 +155,11 @@ def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
     return edges[::-1]
 
 
-def _known(means: PatchMeans) -> NDArray[np.float64]:
-    """C_r of all patches that have one."""
-    return np.array([c for line in means for cell in line for c in cell if c is not None], dtype=np.float64)
-
-
-def _class_means(known: NDArray[np.float64], limits: tuple[float, float, float]) -> tuple[float, float, float, float]:
+def _class_means(
+    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Mean C_r of all terrains of each class, those that few drives came through too."""
+    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
     klass = np.searchsorted(limits, known, side="right")
     a, b, c, d = (float(known[klass == k].mean()) for k in range(len(CLASS_NAMES)))
     return a, b, c, d

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from bumpymap.calibration import Calibration, shipped_calibrations
+from bumpymap.calibration import Calibration, DrivenTerrain, shipped_calibrations
 from bumpymap.errors import BadInputError, UsageError
 
 
@@ -20,14 +20,41 @@ def test_a_calibration_survives_its_file(record, tmp_path):
 
 
 def test_the_id_changes_with_any_number(record):
+    ids = {record["id"]}
+    for change in ({"tile_size": 2.5}, {"ride": {"c_r": [1.0]}}, {"ride": {"c_r": [1.5]}}, {"ride": None}):
+        ids.add(Calibration.from_json(json.dumps(record | change), "c.json").id)
     record["p_fail"][0][0] += 0.001
-    assert Calibration.from_json(json.dumps(record), "c.json").id != record["id"]
+    ids.add(Calibration.from_json(json.dumps(record), "c.json").id)
+    assert len(ids) == 6
 
 
-def test_the_shipped_warthog_is_sound():
-    assert "warthog" in shipped_calibrations()
+def test_a_file_without_the_ride_key_is_damaged(record):
+    del record["ride"]
+    with pytest.raises(BadInputError, match="damaged calibration: KeyError"):
+        Calibration.from_json(json.dumps(record), "c.json")
+
+
+def test_a_driven_terrain_counts_its_drives():
+    terrain = DrivenTerrain("kerb", 2, 0.1, 0.01, completed=5, stuck=2, rolled=1)
+    assert (terrain.failed, terrain.drives, terrain.p_fail) == (3, 8, 3 / 8)
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.vehicle["name"] == name
+    library = shipped.settings["library"]
+    drives = sum(sum(columns[name]) for columns in library.values() for name in ("completed", "stuck", "rolled"))
+    # The paper drove 2,478 times.
+    assert sum(map(sum, shipped.drives)) + drives >= 2478
+    assert shipped.ride is not None
+    assert shipped.ride["origin"]["drives"] == drives
+    assert 0 < shipped.class_c_r[0] < shipped.class_limits[0] < shipped.class_c_r[1] < shipped.class_limits[1]
+    assert shipped.class_limits[1] < shipped.class_c_r[2] < shipped.class_limits[2] < shipped.class_c_r[3]
+
+
+def test_the_warthogs_table_is_sound():
     shipped = Calibration.shipped("warthog")
-    assert sum(map(sum, shipped.drives)) >= 2478
     c_r = np.array(shipped.c_r, float)
     assert (shipped.z_range[0], shipped.z_range[-1]) == (0.02, 2.5)
     # Rougher forms cost more, and more relief costs more, wherever drives were completed by all.
@@ -42,6 +69,9 @@ def test_the_shipped_warthog_is_sound():
     [
         ({"format": "other"}, "is not a bumpymap calibration"),
         ({"version": 99}, "version 99"),
+        ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
+        ({"ride": [1.0]}, "damaged"),
+        ({"ride": {"c_r": [float("inf")]}}, "damaged"),
         ({"vehicle": {}}, "damaged"),
         ({"vehicle": "x"}, "damaged"),
         ({"z_range": []}, "damaged"),

@@ -36,8 +36,17 @@ ROOMS = {
         {"calibration", "classify", "cost", "engine", "features", "products", "readers"},
         {"bumpytiles", "numpy"},
     ),
-    "vehicle": ({"calibration", "textures"}, {"dartpy", "matplotlib", "numpy", "scipy"}),
+    "terrains": ({"textures"}, {"numpy", "scipy"}),
+    "ride": ({"calibration", "native"}, {"numpy", "scipy"}),
+    "vehicle": (
+        {"calibration", "features", "ride", "terrains", "textures"},
+        {"bumpytiles", "dartpy", "numpy"},
+    ),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "evaluate": (
+        {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
+        {"bumpytiles", "matplotlib", "numpy", "scipy"},
+    ),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {

@@ -1,25 +1,36 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
 
 from bumpymap.calibration import Calibration
-from bumpymap.cli import calibrate_command, main
+from bumpymap.cli import main
+from bumpymap.terrains import KINDS
 from bumpymap.vehicle import calibrate as calibrate_module
-from bumpymap.vehicle import checks
+from bumpymap.vehicle import checks, ride_fit
 from bumpymap.vehicle.checks import CheckResult
-from bumpymap.vehicle.plan import PatchDrives
+from bumpymap.vehicle.patch import PatchDrives
+from bumpymap.vehicle.plan import CalibrationSettings, LibraryJob
 
 pytest.importorskip("dartpy")
 
 
 @pytest.fixture
 def fake_drives(monkeypatch):
-    monkeypatch.setattr(calibrate_command, "_QUICK", {"patches": 3, "starts": 2, "z_ranges": 3})
+    monkeypatch.setattr(
+        CalibrationSettings,
+        "quick",
+        lambda self: replace(self, patches=3, starts=2, z_range=(0.02, 0.2, 2.0), terrains=1, terrain_starts=2),
+    )
 
     def run(settings, job):
+        if isinstance(job, LibraryJob):
+            c_r = 0.02 * (1 + KINDS.index(job.kind))
+            failed = job.kind == "kerb"
+            return PatchDrives(("completed", "stuck" if failed else "completed"), (c_r, None if failed else c_r))
         c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
         return (
             PatchDrives(("completed", "rolled"), (c_r, None))
@@ -28,6 +39,7 @@ def fake_drives(monkeypatch):
         )
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
+    monkeypatch.setattr(ride_fit, "fit_ride", lambda _profile, _terrains, driven: {"terrains": len(driven)})
 
 
 def calibrate(*words):
@@ -42,9 +54,11 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
     assert calibration.settings["seed"] == 9
     assert calibration.settings["command"] == (
         "bumpymap calibrate --vehicle warthog --out warthog.json --seed 9 --patches 3 --starts 2 "
-        "--tile-size 3 --pixels 15 --quick"
+        "--terrains 1 --terrain-starts 2 --tile-size 3 --pixels 15 --quick"
     )
-    assert "72 drives, 12 failed" in result.output
+    assert calibration.ride == {"terrains": 17}
+    assert "72 drives over textures, 12 failed" in result.output
+    assert "34 drives over 17 terrains of the library, 1 failed" in result.output
     assert "class 3 very rough" in result.output
     assert calibration.id in result.output
     assert [path.name for path in out.parent.iterdir()] == ["warthog.json"]
@@ -78,7 +92,7 @@ def test_interrupted_run_says_how_to_go_on(tmp_path, fake_drives, monkeypatch):
     assert "same command again" in result.output
     assert not out.exists()
     assert calibrate("--out", out, "--quick", "--workers", 1).exit_code == 0
-    assert len(ran) == 8 + 36 - 6
+    assert len(ran) == 8 + (36 + 17) - 7
 
 
 def test_missing_out_is_wrong_usage():

@@ -8,20 +8,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bumpymap.calibration import Calibration
+from bumpymap.calibration import Calibration, shipped_calibrations
 from bumpymap.errors import BumpymapError, OutputError, UsageError
+from bumpymap.terrains import KINDS
 from bumpymap.types import TEXTURES
 from bumpymap.vehicle import calibrate as calibrate_module
+from bumpymap.vehicle import pool as pool_module
 from bumpymap.vehicle.calibrate import calibrate
 from bumpymap.vehicle.drive import DriveSettings
 from bumpymap.vehicle.journal import Journal
-from bumpymap.vehicle.plan import CalibrationSettings, Job, PatchDrives, log_spaced, run_job
+from bumpymap.vehicle.library import library_terrains, read_library
+from bumpymap.vehicle.patch import PatchDrives
+from bumpymap.vehicle.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
 from bumpymap.vehicle.profile import load_profile
 from bumpymap.vehicle.summary import class_limits
 
 pytest.importorskip("dartpy")
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
-SETTINGS = CalibrationSettings(load_profile("warthog"), seed=4, patches=2, starts=1, z_range=(0.05, 0.4), drive=SHORT)
+SETTINGS = CalibrationSettings(
+    load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
+)
+TABLE, LIBRARY = 16, len(KINDS)
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +43,11 @@ def fake_drives(monkeypatch):
 
     def run(settings, job):
         ran.append(job)
-        c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
-        return PatchDrives(("completed",) * settings.starts, (c_r,) * settings.starts)
+        if isinstance(job, TableJob):
+            c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
+        else:
+            c_r = 0.01 * (1 + KINDS.index(job.kind))
+        return PatchDrives(("completed",) * job.starts, (c_r,) * job.starts)
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
     return ran
@@ -47,7 +57,21 @@ def test_default_covers_the_papers_drives_from_two_centimetres_to_two_and_a_half
     settings = CalibrationSettings(load_profile("warthog"))
     assert settings.total_drives >= 2478
     assert (settings.z_range[0], settings.z_range[-1]) == (0.02, 2.5)
-    assert len(list(settings.jobs())) * settings.starts == settings.total_drives
+    assert settings.total_drives == 4 * 14 * 8 * 3 + 17 * 24 * 8
+    assert len({job.key for job in settings.jobs()}) == 4 * 14 * 8 + 17 * 24
+
+
+def test_quick_setting_is_at_most_a_quarter_of_the_drives_over_the_same_z_ranges():
+    full = CalibrationSettings(load_profile("car"))
+    quick = full.quick()
+    assert quick.total_drives < full.total_drives / 3.5
+    assert (quick.z_range[0], quick.z_range[-1]) == (full.z_range[0], full.z_range[-1])
+
+
+def test_library_is_as_high_as_the_wheels_ask_for():
+    warthog, rover = (CalibrationSettings(load_profile(name)) for name in ("warthog", "small_rover"))
+    assert warthog.height_scale == 1.0
+    assert rover.height_scale == pytest.approx(0.11 / 0.3)
 
 
 def test_log_spaced_values_have_equal_ratios():
@@ -60,6 +84,8 @@ def test_log_spaced_values_have_equal_ratios():
     [
         ({"patches": 1}, "patches is 1; it must be 2"),
         ({"starts": 0}, "starts is 0"),
+        ({"terrains": 0}, "terrains is 0; it must be 1"),
+        ({"terrain_starts": 1}, "terrain_starts is 1; it must be 2"),
         ({"seed": -1}, "seed is -1"),
         ({"tile_size": 0.0}, "tile size is 0.0"),
         ({"z_range": (0.2, 0.1)}, "rise"),
@@ -74,6 +100,7 @@ def test_settings_that_cannot_be_used_are_refused(change, words):
 def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
     assert all(low < high for low, high in calibration.c_r)
     assert calibration.drives == ((2, 2),) * 4
+    assert calibration.ride is None
     assert Calibration.from_json(calibration.to_json(), "x") == calibration
 
 
@@ -81,41 +108,68 @@ def test_number_of_workers_changes_nothing(calibration):
     assert calibrate(SETTINGS, workers=2) == calibration
 
 
-def test_interruption_changes_nothing_and_finished_cells_are_not_driven_again(calibration, tmp_path, monkeypatch):
+def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
     path = tmp_path / "out.json.progress.jsonl"
 
     def stop(done, _total):
-        if done >= 5:
+        if done >= TABLE + 6:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         calibrate(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
-    assert len(path.read_text().splitlines()) == 1 + 2
+    assert len(path.read_text().splitlines()) == 1 + TABLE + 3
     ran = []
     monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
     assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
-    assert len(ran) == 16 - 4
+    assert len(ran) == LIBRARY - 3
 
 
 def test_job_depends_on_nothing_but_the_settings(calibration):
-    job = Job(texture=3, z=1, patch=1)
-    more = replace(SETTINGS, patches=5, starts=2)
-    assert run_job(more, job).c_r[:1] == run_job(SETTINGS, job).c_r
-    assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, job).c_r[0]
+    more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
+    table, library = TableJob(3, 1, 1, 1), LibraryJob("furrows", 0, 2)
+    assert run_job(more, replace(table, starts=2)).c_r[:1] == run_job(SETTINGS, table).c_r
+    assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, table).c_r[0]
+    made = run_job(SETTINGS, library)
+    assert run_job(more, replace(library, starts=3)).c_r[:2] == made.c_r
+    assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
+
+
+def test_library_travels_in_the_file_with_the_ground_it_was(calibration):
+    again = Calibration.from_json(calibration.to_json(), "x")
+    terrains, driven = read_library(again)
+    assert [d.kind for d in driven] == list(KINDS)
+    assert all(d.drives == 2 for d in driven)
+    for terrain, record in zip(terrains, driven, strict=True):
+        np.testing.assert_array_equal(terrain.surface, library_terrain(SETTINGS, record.kind, record.index).surface)
+
+
+def test_fit_gets_ground_and_drives_and_its_answer_is_kept(fake_drives, tmp_path):
+    seen = {}
+
+    def fit(profile, terrains, driven):
+        seen.update(profile=profile, terrains=terrains, driven=driven)
+        return {"c_r": [1.0, 2.0], "origin": {"terrains": len(driven)}}
+
+    made = calibrate(replace(SETTINGS, terrains=2), fit=fit)
+    assert made.ride == {"c_r": [1.0, 2.0], "origin": {"terrains": 2 * LIBRARY}}
+    assert seen["profile"] == SETTINGS.profile
+    assert [t.kind for t in seen["terrains"]] == [d.kind for d in seen["driven"]]
+    assert seen["driven"] == library_terrains(Calibration.from_json(made.to_json(), "x"))
 
 
 def test_jobs_differ_in_patch_and_in_start():
-    jobs = [run_job(replace(SETTINGS, starts=2), Job(3, 1, patch)) for patch in (0, 1)]
-    values = [value for job in jobs for value in job.c_r]
-    assert len(set(values)) == 4
+    jobs = [TableJob(3, 1, 0, 2), TableJob(3, 1, 1, 2), LibraryJob("furrows", 0, 2), LibraryJob("furrows", 1, 2)]
+    values = [value for job in jobs for value in run_job(SETTINGS, job).c_r]
+    assert len(set(values)) == 8
 
 
 def test_progress_counts_drives(fake_drives):
     seen = []
     calibrate(replace(SETTINGS, starts=3), lambda done, total: seen.append((done, total)))
-    assert seen[0] == (0, 48)
-    assert seen[-1] == (48, 48)
-    assert [done for done, _ in seen] == list(range(0, 49, 3))
+    total = 3 * TABLE + 2 * LIBRARY
+    assert seen[0] == (0, total)
+    assert seen[-1] == (total, total)
+    assert [done for done, _ in seen] == [*range(0, 3 * TABLE, 3), *range(3 * TABLE, total + 1, 2)]
 
 
 def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
@@ -125,7 +179,7 @@ def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
     path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
     fake_drives.clear()
     assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
-    assert len(fake_drives) == 16 - 3 * 2
+    assert len(fake_drives) == TABLE + LIBRARY - 3
     assert "damaged line" in caplog.text
     assert path.read_text().splitlines() == lines
 
@@ -138,7 +192,7 @@ def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path
         calibrate(other, journal=Journal(path, other.to_dict()))
     fake_drives.clear()
     calibrate(other, journal=Journal(path, other.to_dict()), discard_other=True)
-    assert len(fake_drives) == 16
+    assert len(fake_drives) == TABLE + LIBRARY
     assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
 
 
@@ -162,7 +216,7 @@ def test_dead_worker_is_reported_with_what_to_do(monkeypatch):
         def shutdown(self, **_kwargs):
             pass
 
-    monkeypatch.setattr(calibrate_module, "ProcessPoolExecutor", DeadPool)
+    monkeypatch.setattr(pool_module, "ProcessPoolExecutor", DeadPool)
     with pytest.raises(BumpymapError, match="run the same command again"):
         calibrate(SETTINGS, workers=2)
 
@@ -172,7 +226,7 @@ def test_workers_end_with_a_main_process_that_was_killed():
     code = (
         "import multiprocessing, os, time\n"
         "from concurrent.futures import ProcessPoolExecutor\n"
-        "from bumpymap.vehicle.calibrate import _prepare_worker\n"
+        "from bumpymap.vehicle.pool import _prepare_worker\n"
         "context = multiprocessing.get_context('spawn')\n"
         "pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare_worker)\n"
         "print(pool.submit(os.getpid).result(), flush=True)\n"
@@ -185,26 +239,27 @@ def test_workers_end_with_a_main_process_that_was_killed():
     assert main.communicate(timeout=30)[0] == ""
 
 
-def test_shipped_calibration_is_what_this_code_makes():
-    shipped = Calibration.shipped("warthog")
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_calibration_is_what_this_code_makes(name):
+    shipped = Calibration.shipped(name)
     made = shipped.settings
-    profile = load_profile("warthog")
+    profile = load_profile(name)
     assert shipped.vehicle == profile.to_dict()
-    settings = CalibrationSettings(
-        profile, made["seed"], made["patches"], made["starts"], shipped.z_range, shipped.tile_size, shipped.pixels
-    )
+    settings = CalibrationSettings(profile, made["seed"])
     assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {
         k: v for k, v in settings.to_dict().items() if k not in ("versions", "vehicle")
     }
-    for texture, z in ((0, 5), (1, 3), (2, 4), (3, 2)):
-        assert run_job(settings, Job(texture, z, 0)).mean_c_r == pytest.approx(
-            made["patch_c_r"][texture][z][0], rel=0.01
-        )
+    for texture, z in ((0, 5), (3, 2)):
+        drives = run_job(settings, TableJob(texture, z, 0, settings.starts))
+        assert drives.mean_c_r == pytest.approx(made["patch_c_r"][texture][z][0], rel=0.01)
+    drives = run_job(settings, LibraryJob("fractal_5", 1, settings.terrain_starts))
+    assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
 
 
-def test_shipped_class_limits_follow_from_the_shipped_drives():
-    shipped = Calibration.shipped("warthog")
-    assert shipped.class_limits == class_limits(shipped.settings["patch_c_r"], shipped.p_fail)
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.class_limits == class_limits(library_terrains(shipped))
     means = [
         [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
     ]

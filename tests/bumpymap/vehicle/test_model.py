@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,6 +142,26 @@ def test_other_seed_starts_elsewhere():
     first, again, other = (drive(WARTHOG, ground, seed, SHORT) for seed in (1, 1, 2))
     assert first == again
     assert first.c_r != other.c_r
+
+
+def ridge(height):
+    """A ridge between the wheels: endless to the east, 0.7 m wide, as high as it is given."""
+    axis = (np.arange(15) + 0.5) * 0.2
+    profile = height * (np.abs(axis - 1.5) < 0.35)
+    return PatchGround(np.repeat(profile[:, None], 15, axis=1), 3.0, 0.0, (0.0, 0.0))
+
+
+@pytest.mark.parametrize(("height", "outcome"), [(0.22, "completed"), (0.45, "stuck")])
+def test_ridge_between_the_wheels_holds_the_belly_that_it_reaches(height, outcome):
+    along = Start(0.5, 1.5, 0.0)
+    assert drive_from(WARTHOG, ridge(height), along, 0, SHORT).outcome == outcome
+    high = replace(WARTHOG, belly=replace(WARTHOG.belly, clearance_m=0.55))
+    assert drive_from(high, ridge(height), along, 0, SHORT).outcome == "completed"
+
+
+def test_belly_that_touches_nothing_changes_no_bit():
+    high = replace(WARTHOG, belly=replace(WARTHOG.belly, clearance_m=0.55))
+    assert drive(WARTHOG, rough_ground(0.2), 4, SHORT) == drive(high, rough_ground(0.2), 4, SHORT)
 
 
 @pytest.mark.parametrize("name", ["small_rover", "car"])

@@ -72,6 +72,8 @@ def test_file_with_a_path_is_read(tmp_path):
         ("rocker.limit_rad", 2, ["rocker.limit_rad is 2", "<= 1.2"]),
         ("rocker.damping_nms_per_rad", -1, ["rocker.damping_nms_per_rad is -1", ">= 0"]),
         ("wheel.radius_m", float("inf"), ["wheel.radius_m is inf", "finite"]),
+        ("belly.clearance_m", 0, ["belly.clearance_m is 0", "> 0"]),
+        ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
     ],
 )
 def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(warthog, key, value, words):
@@ -89,6 +91,11 @@ def test_borders_of_ranges_are_allowed(warthog):
     assert VehicleProfile.from_dict(warthog, "x").rocker.limit_rad == 0
 
 
+def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
+    warthog["belly"].update(width_m=1.4, clearance_m=0.6)
+    assert VehicleProfile.from_dict(warthog, "x").belly.width_m == 1.4
+
+
 def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
     warthog["wheel"]["radius"] = 0.3
     with pytest.raises(BadInputError, match=r"unknown radius in \[wheel\]; allowed: mass_kg, radius_m, width_m"):
@@ -96,8 +103,8 @@ def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
 
 
 def test_missing_key_is_refused(warthog):
-    del warthog["track_m"]
-    with pytest.raises(BadInputError, match="missing track_m"):
+    del warthog["track_m"], warthog["belly"]
+    with pytest.raises(BadInputError, match="missing track_m, belly"):
         VehicleProfile.from_dict(warthog, "my.toml")
 
 
@@ -119,3 +126,25 @@ def test_bytes_and_folders_are_refused(tmp_path):
     for place in (path, tmp_path):
         with pytest.raises(BadInputError, match="cannot read the vehicle profile"):
             load_profile(place)
+
+
+def test_the_docs_name_every_key_and_tell_the_shipped_values():
+    page = (Path(__file__).parents[3] / "docs" / "pages" / "vehicle-profile.md").read_text()
+    schema, shipped = page.split("## The three that ship")
+    rows = {}
+    for line in shipped.splitlines():
+        if line.startswith("| `"):
+            key, *values = [cell.strip(" `") for cell in line.strip("|").split("|")]
+            rows[key] = values
+    profiles = [load_profile(name).to_dict() for name in ("warthog", "small_rover", "car")]
+    flat = [
+        {f"{k}.{kk}": vv for k, v in p.items() if isinstance(v, dict) for kk, vv in v.items()}
+        | {k: v for k, v in p.items() if not isinstance(v, dict) and k not in {"name", "description"}}
+        for p in profiles
+    ]
+    assert set(rows) == set(flat[0])
+    for key, values in rows.items():
+        assert f"| `{key}` |" in schema
+        for text, profile in zip(values, flat, strict=True):
+            numbers = profile[key] if isinstance(profile[key], list) else [profile[key]]
+            assert [float(number) for number in text.split(",")] == numbers

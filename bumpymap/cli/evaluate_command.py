@@ -1,0 +1,153 @@
+"""``bumpymap evaluate``: can the map be trusted? Its predictions beside drives over the very same ground."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import click
+
+from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
+from bumpymap.config import Ground, ZUnit
+from bumpymap.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from bumpymap.evaluate.findings import Findings
+    from bumpymap.evaluate.settings import EvaluateSettings
+    from bumpymap.evaluate.subject import Subject
+
+
+@click.command("evaluate")
+@click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
+@click.option("--library", is_flag=True, help="Evaluate on unseen terrain of the library instead of a survey.")
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
+@click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
+@click.option("--local", is_flag=True, help="Take coordinates without a CRS as metres.")
+@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
+@click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points used.")
+@click.option("--vehicle", multiple=True, metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
+@click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
+@click.option(
+    "--rating", type=click.Choice(["both", "table"]), default="both", show_default=True, help="table: no ride model."
+)
+@click.option("--patches", type=int, default=300, show_default=True, metavar="N", help="Patches to drive over.")
+@click.option(
+    "--starts", type=int, default=16, show_default=True, metavar="N", help="Drives over a patch, at least; at most 48."
+)
+@click.option("--seed", type=int, default=7, show_default=True, help="Makes every random choice.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
+@click.option(
+    "--densities", default="100,50,20,10,5", show_default=True, metavar="LIST", help="Points per m2 to thin to."
+)
+@click.option("--skip", default="", metavar="LIST", help="Of drives, density, invariance, noise, timing: leave out.")
+@click.option("--overwrite", is_flag=True, help="Replace the report, and drop drives of other settings.")
+def command(
+    *,
+    surveys: tuple[Any, ...],
+    library: bool,
+    out: Path,
+    crs: str | None,
+    local: bool,
+    z_unit: ZUnit | None,
+    ground: Ground,
+    workers: int | None,
+    overwrite: bool,
+    **given: Any,
+) -> None:
+    """Hold the map of SURVEY files or folders against drives over the same ground.
+
+    Give several vehicles to see whether the map puts them in the right order. The first one chooses the patches. An
+    interrupted run goes on where it was when the same command is given again.
+
+    \b
+    bumpymap evaluate site.laz --out trust
+    bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
+    bumpymap evaluate --library --out trust
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    if library == bool(surveys):
+        raise UsageError("evaluate takes either surveys, such as site.laz, or --library")
+    set_up_logging(as_json=False)
+    settings = _settings(given)
+    subjects = _subjects(given)
+    _prepare(out, settings, overwrite=overwrite)
+    from bumpymap.evaluate.report import write_report
+    from bumpymap.evaluate.run import evaluate_library, evaluate_survey
+    from bumpymap.evaluate.survey import open_readers
+    from bumpymap.evaluate.trial import Crew
+    from bumpymap.readers import ReadOptions
+
+    options = ReadOptions(crs=crs, z_unit=z_unit)
+    readers = [] if library else open_readers(surveys, options, local=local)
+    try:
+        with BarProgress() as told:
+            crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
+            findings = (
+                evaluate_library(subjects, settings, crew)
+                if library
+                else evaluate_survey(readers, options, ground, subjects, settings, crew)
+            )
+            files = write_report(findings, out)
+    except KeyboardInterrupt:
+        click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
+        sys.exit(130)
+    _summary(findings, files)
+
+
+def _settings(given: dict[str, Any]) -> "EvaluateSettings":
+    from bumpymap.evaluate.settings import EvaluateSettings
+
+    try:
+        densities = tuple(float(word) for word in given["densities"].split(",") if word.strip())
+    except ValueError as error:
+        raise UsageError(f"--densities is '{given['densities']}'; it must be numbers, such as 100,50,20") from error
+    skip = frozenset(word.strip() for word in given["skip"].split(",") if word.strip())
+    names = ("patches", "starts", "seed", "rating")
+    return EvaluateSettings(densities=densities, skip=skip, **{name: given[name] for name in names})
+
+
+def _subjects(given: dict[str, Any]) -> "list[Subject]":
+    from bumpymap.calibration import Calibration
+    from bumpymap.classify import TextureModel
+    from bumpymap.evaluate.subject import Subject
+
+    names = given["vehicle"] or (() if given["calibration"] else ("warthog",))
+    calibrations = [Calibration.shipped(name) for name in names] + [Calibration.load(p) for p in given["calibration"]]
+    ids = [calibration.id for calibration in calibrations]
+    if len(set(ids)) < len(ids):
+        raise UsageError("the same calibration was given twice; give each vehicle once")
+    textures = TextureModel.shipped()
+    return [Subject.of(calibration, textures, given["rating"]) for calibration in calibrations]
+
+
+def _prepare(out: Path, settings: "EvaluateSettings", *, overwrite: bool) -> None:
+    """Refuse what would fail after the hours of work."""
+    from bumpymap.evaluate.pictures import require_matplotlib
+    from bumpymap.evaluate.report import REPORT
+    from bumpymap.vehicle.model import require_dart
+
+    require_matplotlib()
+    if "drives" not in settings.skip:
+        require_dart()
+    if (out / REPORT).exists() and not overwrite:
+        raise OutputError(
+            f"{out} holds a report; give --overwrite to make it anew (drives that still fit are kept), or another --out"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / ".probe").touch()
+        (out / ".probe").unlink()
+    except OSError as error:
+        raise OutputError(f"cannot write to {out}: {error}; choose an --out that you may write to") from error
+
+
+def _summary(findings: "Findings", files: list[Path]) -> None:
+    from bumpymap.evaluate.tables import number, percent
+
+    for vehicle, found in findings.comparisons.items():
+        click.echo(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")
+        for name, own in found.agreement.items():
+            click.echo(
+                f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
+                f"same class {percent(own.steps.same):>7s}"
+            )
+    click.echo(f"wrote {files[0]}")

@@ -1,0 +1,165 @@
+"""The tiles of a survey: its points wait by block, in memory or on disk, and are measured block by block."""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.config import FeatureSettings, Ground
+from bumpymap.errors import BadInputError, OutputError
+from bumpymap.features import join_stacks, measure
+from bumpymap.progress import Progress
+from bumpymap.readers import (
+    Location,
+    ReadOptions,
+    SurveyReader,
+    Tally,
+    common_georeference,
+    find_surveys,
+    open_survey,
+)
+from bumpymap.types import PatchStack
+from bumpytiles import BLOCK_TILES, Grid, Room, TileBuckets, TilePoints, group_points
+
+__all__ = ["Survey", "gather", "open_readers", "take"]
+
+_MOST_POINTS = 10_000_000
+"""Points that wait in memory (26 bytes each); the others wait on disk."""
+_BLOCK_POINTS = 10_000_000
+_CLASSIFIED_SHARE = 0.5
+"""``auto`` measures class 2 alone where more than this share of the tiles has such points, as ``map`` does."""
+
+Ints = NDArray[np.int64]
+
+
+def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bool) -> list[SurveyReader]:
+    """Open survey files; settle on one CRS.
+
+    Raises
+    ------
+    BadInputError
+        A file that cannot be read, files of different CRS, or none while ``local`` is False.
+    """
+    readers = [open_survey(path, options) for path in find_surveys(surveys)]
+    if common_georeference([reader.info for reader in readers]).crs is None and not local:
+        raise BadInputError(
+            f"{readers[0].info.path} has no CRS, so the unit of its coordinates is unknown. Pass --crs EPSG:CODE, "
+            "or --local where they are metres"
+        )
+    return readers
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """All points of a survey, by block."""
+
+    buckets: TileBuckets
+    ground_only: bool
+    """Points of class 2 alone are measured."""
+    features: FeatureSettings
+
+    @property
+    def grid(self) -> Grid:
+        """The tiles."""
+        return self.buckets.grid
+
+    @property
+    def blocks(self) -> int:
+        """How many there are."""
+        return len(self.buckets)
+
+    def points(self) -> Iterator[TilePoints]:
+        """Points of each block (of a share of it, where it is dense), south-west first."""
+        return self.buckets.blocks()
+
+    def measured(self, points: TilePoints) -> PatchStack:
+        """Measure tiles."""
+        return measure(points, self.features, ground_only=self.ground_only)
+
+    def patches(self, col: Ints, row: Ints) -> PatchStack:
+        """Measure chosen tiles (at least one, all of which hold points), in the order in which they are asked for."""
+        wanted = set(zip(col.tolist(), row.tolist(), strict=True))
+        keys = sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted})
+        stacks = []
+        for key in keys:
+            for points in self.buckets.block(key):
+                stack = self.measured(points)
+                own = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
+                stacks.append(take(stack, np.array([tile in wanted for tile in own])))
+        joined = join_stacks(stacks)
+        place = {tile: i for i, tile in enumerate(zip(joined.col.tolist(), joined.row.tolist(), strict=True))}
+        return take(joined, np.array([place[tile] for tile in zip(col.tolist(), row.tolist(), strict=True)]))
+
+
+def take(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
+    """Choose tiles of a stack."""
+    return PatchStack(patches.grid, *(getattr(patches, f.name)[rows] for f in fields(PatchStack) if f.name != "grid"))
+
+
+@contextmanager
+def gather(
+    readers: Sequence[SurveyReader],
+    ground: Ground,
+    grid: Grid,
+    features: FeatureSettings,
+    folder: Path,
+    told: Progress,
+) -> Iterator[Survey]:
+    """Read surveys; their points stay at hand for the body of the ``with``.
+
+    Parameters
+    ----------
+    readers : sequence of SurveyReader
+    ground : Ground
+    grid : Grid
+    features : FeatureSettings
+    folder : Path
+        Where points wait that memory has no room for; they are gone at the end.
+    told : Progress
+
+    Raises
+    ------
+    BadInputError
+        A file is damaged, or no point is left.
+    OutputError
+        The disk is full.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".points-") as scratch:
+            buckets = TileBuckets(grid, Room(_MOST_POINTS, _BLOCK_POINTS, Path(scratch)))
+            told.start("reading points", sum(reader.info.point_count for reader in readers))
+            lot = 0
+            for reader in readers:
+                lot = _read(reader, buckets, lot, told)
+            if not len(buckets):
+                raise BadInputError("no point is left: every point is withheld, noise or without return")
+            yield Survey(buckets, _ground_only(buckets, ground), features)
+    except OSError as error:
+        raise OutputError(f"cannot keep points in {folder} meanwhile: {error}. Choose another --out") from error
+
+
+def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, told: Progress) -> int:
+    """Read a file into buckets; gives the number of the next lot."""
+    tally = Tally()
+    for piece in reader.pieces():
+        batch = reader.convert(piece, reader.fetch(piece))
+        cloud = batch.cloud
+        tally = tally.merge(batch.tally)
+        buckets.take(group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), lot)
+        told.advance(piece.points)
+        lot += 1
+    reader.judge(tally)
+    return lot
+
+
+def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
+    if ground == "all":
+        return False
+    share = buckets.flagged_share()
+    if ground == "class" and share == 0:
+        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+    return ground == "class" or share > _CLASSIFIED_SHARE

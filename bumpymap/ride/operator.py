@@ -1,0 +1,297 @@
+"""The ride operator: where a vehicle's wheels stand on a patch, and how fast its chassis pitches there.
+
+Strategy. A patch goes on forever, mirrored at its edges, and a wheel's centre rolls on the envelope of that ground
+(grey dilation with the wheel's shape). Everything after that is linear in the envelope: the pitch of a side is the
+height of its front axle less that of its rear axle over the wheelbase, the chassis takes the mean of both sides,
+follows it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre of way.
+So each *sample*, a place and a heading, is one row of a sparse matrix over the nodes of the envelope, the same for
+every patch, and the geometric C_r of a patch is the mean absolute value of matrix times envelope. The samples are
+spread evenly over the patch and all headings and are closed under the symmetries of the square: a patch that is turned
+or mirrored gets the same answer.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Poses", "RideOperator", "Samples", "Wheel"]
+
+Floats = NDArray[np.float64]
+_WHEEL_NODES = 2.0
+"""Nodes of the envelope along a wheel's radius, at least."""
+_RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
+"""Samples before the eight symmetries."""
+_MOST_TAPS = 400
+_SETTLED = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """The lower half of a wheel (a sphere) on the nodes of the envelope."""
+
+    row: NDArray[np.int32]
+    """(n,) nodes to the north of the centre."""
+    col: NDArray[np.int32]
+    """(n,) nodes to the east."""
+    rise: NDArray[np.float32]
+    """(n,) how much higher than its lowest point the wheel is there, negative, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Rows of a sparse matrix over the nodes (compressed rows)."""
+
+    starts: NDArray[np.int32]
+    """(samples + 1,) where each row begins."""
+    node: NDArray[np.int32]
+    """(entries,) index into the flat (nodes, nodes) envelope."""
+    weight: NDArray[np.float32]
+    """(entries,) rad/m of pitch change per metre of height."""
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where the wheels and the belly are at some places and headings: bilinear reads of the nodes."""
+
+    wheel_node: NDArray[np.int32]
+    """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right."""
+    wheel_weight: NDArray[np.float32]
+    """The same shape."""
+    belly_node: NDArray[np.int32]
+    """(poses, 3 places, 4 corners): front end, middle, rear end of the belly."""
+    belly_weight: NDArray[np.float32]
+    """The same shape."""
+
+
+@dataclass(frozen=True, slots=True)
+class RideOperator:
+    """All that the ride of one vehicle over patches of one size takes."""
+
+    fine: int
+    """Nodes along the side of a pixel."""
+    nodes: int
+    """Along the side of a patch, both edges among them."""
+    wheel: Wheel
+    samples: Samples
+    poses: Poses
+    wheelbase: float
+    track: float
+    belly_half: float
+    """Half of the belly's length, m."""
+    clearance: float
+    transfer: NDArray[np.float32]
+    """(pixels, pixels) mean square of the pitch change that one cosine of the patch with unit coefficient makes where
+    wheels are points: what a change of that part of the ground is worth."""
+
+    @classmethod
+    def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int) -> "RideOperator":
+        """Make the operator of a vehicle profile (the nested dictionary of its TOML file)."""
+        radius = float(vehicle["wheel"]["radius_m"])
+        wheelbase, track = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
+        fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
+        nodes, step = pixels * fine + 1, tile_size / (pixels * fine)
+        lattice = _Lattice(nodes, step)
+        places = _spread(_RIDE_SAMPLES, tile_size)
+        taps = _chassis_response(vehicle, step / 2)
+        samples = _pitch_change(lattice, places, taps, step / 2, wheelbase, track)
+        belly = vehicle["belly"]
+        return cls(
+            fine=fine,
+            nodes=nodes,
+            wheel=_wheel(radius, step),
+            samples=samples,
+            poses=_poses(lattice, _spread(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2),
+            wheelbase=wheelbase,
+            track=track,
+            belly_half=float(belly["length_m"]) / 2,
+            clearance=float(belly["clearance_m"]),
+            transfer=_transfer(samples, pixels, fine),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Lattice:
+    """The nodes of a patch that is mirrored at its edges forever."""
+
+    nodes: int
+    step: float
+
+    def read(self, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Bilinear reads at places [m] of any shape: nodes and weights, one more axis of four corners."""
+        across, up = x / self.step, y / self.step
+        i, j = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
+        part_x, part_y = across - i, up - j
+        node, weight = [], []
+        for row, share_y in ((j, 1 - part_y), (j + 1, part_y)):
+            for col, share_x in ((i, 1 - part_x), (i + 1, part_x)):
+                node.append(self._mirrored(row) * self.nodes + self._mirrored(col))
+                weight.append(share_y * share_x)
+        return np.stack(node, axis=-1), np.stack(weight, axis=-1)
+
+    def _mirrored(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Mirror at the edge nodes, which lie on the patch's edges."""
+        period = 2 * (self.nodes - 1)
+        wrapped = index % period
+        return np.minimum(wrapped, period - wrapped)
+
+
+def _wheel(radius: float, step: float) -> Wheel:
+    reach = int(radius / step + 1e-9)
+    offset = np.arange(-reach, reach + 1)
+    row, col = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
+    away = (row**2 + col**2) * step**2
+    under = away <= radius**2 * (1 + 1e-9)
+    rise = np.sqrt(np.maximum(radius**2 - away[under], 0.0)) - radius
+    return Wheel(row[under].astype(np.int32), col[under].astype(np.int32), rise.astype(np.float32))
+
+
+def _spread(count: int, side: float) -> tuple[Floats, Floats, Floats]:
+    """Places [m] and headings [rad], evenly spread (Halton), with all their turns by 90 degrees and mirror images."""
+    u, v, w = (_halton(count, base) for base in (2, 3, 5))
+    x, y, heading = (u - 0.5) * side, (v - 0.5) * side, w * np.pi / 2
+    turned = []
+    for px, py, angle in ((x, y, heading), (-x, y, np.pi - heading)):
+        for cos, sin, turn in ((1, 0, 0.0), (0, 1, np.pi / 2), (-1, 0, np.pi), (0, -1, 3 * np.pi / 2)):
+            turned.append((cos * px - sin * py, sin * px + cos * py, angle + turn))
+    east, north, way = (np.concatenate(parts) for parts in zip(*turned, strict=True))
+    return east + side / 2, north + side / 2, way
+
+
+def _halton(count: int, base: int) -> Floats:
+    """Give the first ``count`` numbers of van der Corput's sequence in a base."""
+    left, share, total = np.arange(1, count + 1), 1.0, np.zeros(count)
+    while left.any():
+        share /= base
+        total += share * (left % base)
+        left //= base
+    return total
+
+
+def _chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
+    """How much the chassis pitches, step by step of ``way`` [m], after its rockers pitched by one in the first step.
+
+    I theta'' = 2 k (phi - theta) + 2 b (phi' - theta') with both rockers' spring k and damper b, I the chassis' moment
+    of pitch, phi the mean pitch of the rockers. Exact for a rocker that turns evenly during a step. The taps sum to 1.
+    """
+    inertia = float(vehicle["chassis"]["inertia_kgm2"][1])
+    spring = 2 * float(vehicle["rocker"]["stiffness_nm_per_rad"]) / inertia
+    damper = 2 * float(vehicle["rocker"]["damping_nms_per_rad"]) / inertia
+    seconds = way / float(vehicle["speed_mps"])
+    if spring <= 0:
+        return np.ones(1)
+    # State: theta, theta', phi, phi'.
+    change = np.array([[0, 1, 0, 0], [-spring, -damper, spring, damper], [0, 0, 0, 1], [0, 0, 0, 0]])
+    step = _exponential(change * seconds)
+    state, before, taps = np.array([0.0, 0.0, 0.0, 1 / seconds]), 0.0, []
+    for _ in range(_MOST_TAPS):
+        state = step @ state
+        taps.append(state[0] - before)
+        before, state[3] = state[0], 0.0
+        if abs(before - 1) < _SETTLED and abs(state[1]) * seconds < _SETTLED:
+            break
+    response = np.array(taps)
+    scaled: Floats = response / response.sum()
+    return scaled
+
+
+def _exponential(matrix: Floats) -> Floats:
+    """Exponential of a small matrix: a Taylor series of its 2^-k-th part, squared k times."""
+    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 4)
+    part = matrix / 2.0**halvings
+    total = term = np.eye(len(matrix))
+    for n in range(1, 18):
+        term = term @ part / n
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def _pitch_change(
+    lattice: _Lattice, places: tuple[Floats, Floats, Floats], taps: Floats, way: float, wheelbase: float, track: float
+) -> Samples:
+    """Rows that give the change of the chassis' pitch per metre at each sample."""
+    x, y, heading = places
+    # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
+    shares = np.diff(taps, prepend=0.0, append=0.0) / way
+    back = way * (np.arange(len(shares)) - 0.5)
+    nodes, weights = [], []
+    for forward, left, sign in ((1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, -1)):
+        along, beside = forward * wheelbase / 2 - back, left * track / 2
+        east = x[:, None] + np.cos(heading)[:, None] * along - np.sin(heading)[:, None] * beside
+        north = y[:, None] + np.sin(heading)[:, None] * along + np.cos(heading)[:, None] * beside
+        node, weight = lattice.read(east, north)
+        nodes.append(node.reshape(len(x), -1))
+        weights.append((weight * (sign * shares / (2 * wheelbase))[:, None]).reshape(len(x), -1))
+    return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
+
+
+def _compressed(node: NDArray[np.int64], weight: Floats) -> Samples:
+    """Put (samples, entries) together: one entry for each node of a sample, in the order of the nodes."""
+    samples = node.shape[0]
+    size = int(node.max()) + 1
+    flat = (np.arange(samples)[:, None] * size + node).ravel()
+    order = np.argsort(flat, kind="stable")
+    sorted_flat = flat[order]
+    first = np.flatnonzero(np.diff(sorted_flat, prepend=-1))
+    total = np.add.reduceat(weight.ravel()[order], first)
+    keys = sorted_flat[first]
+    felt = np.abs(total) > 1e-9 * np.abs(total).max()
+    keys, total = keys[felt], total[felt]
+    starts = np.searchsorted(keys // size, np.arange(samples + 1))
+    return Samples(starts.astype(np.int32), (keys % size).astype(np.int32), total.astype(np.float32))
+
+
+def _poses(
+    lattice: _Lattice, places: tuple[Floats, Floats, Floats], wheelbase: float, track: float, belly_half: float
+) -> Poses:
+    x, y, heading = places
+    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    along = np.array([1, 1, -1, -1]) * wheelbase / 2
+    beside = np.array([1, -1, 1, -1]) * track / 2
+    node, weight = lattice.read(x[:, None] + cos * along - sin * beside, y[:, None] + sin * along + cos * beside)
+    ends = np.array([1, 0, -1]) * belly_half
+    belly, share = lattice.read(x[:, None] + cos * ends, y[:, None] + sin * ends)
+    return Poses(
+        node.astype(np.int32), weight.astype(np.float32), belly.astype(np.int32), share.astype(np.float32)
+    )  # fmt: skip
+
+
+def _transfer(samples: Samples, pixels: int, fine: int) -> NDArray[np.float32]:
+    """Mean square answer of the samples to each cosine of the patch.
+
+    A mirrored cosine is the same but for its sign, and a turned one swaps its two orders: the samples before the
+    symmetries are enough.
+    """
+    basis = interpolation(pixels, fine) @ cosines(pixels).T
+    starts = samples.starts[: _RIDE_SAMPLES + 1]
+    node, weight = samples.node[: starts[-1]], samples.weight[: starts[-1], None]
+    row, col = np.divmod(node, len(basis))
+    answer = np.empty((pixels, pixels))
+    for order in range(pixels):
+        total = np.add.reduceat(basis[row, order, None] * basis[col] * weight, starts[:-1], axis=0)
+        answer[order] = (total**2).mean(axis=0)
+    return ((answer + answer.T) / 2).astype(np.float32)
+
+
+def cosines(pixels: int) -> Floats:
+    """Orthonormal cosines (DCT-II), (order, pixel): those of a line that is mirrored at its ends."""
+    k, i = np.arange(pixels)[:, None], np.arange(pixels)[None, :]
+    scale = np.where(k == 0, 1.0, 2.0) / pixels
+    waves: Floats = np.sqrt(scale) * np.cos(np.pi * (i + 0.5) * k / pixels)
+    return waves
+
+
+def interpolation(pixels: int, fine: int) -> Floats:
+    """Weights (nodes, pixels) that turn a line of pixels into nodes: linear between centres, level outside of them."""
+    place = np.arange(pixels * fine + 1) / fine - 0.5
+    low = np.clip(np.floor(place), 0, pixels - 2).astype(np.int64)
+    part = np.clip(place - low, 0.0, 1.0)
+    weights = np.zeros((len(place), pixels))
+    rows = np.arange(len(place))
+    weights[rows, low] = 1 - part
+    weights[rows, low + 1] += part
+    return weights

@@ -1,0 +1,111 @@
+"""Rate tiles by rolling the vehicle over them (``--rating ride``)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.calibration import Calibration
+from bumpymap.errors import UsageError
+from bumpymap.ride.correction import NORMAL_TAIL, Correction, Prediction
+from bumpymap.ride.geometry import roll_over
+from bumpymap.ride.noise import take_noise_off
+from bumpymap.ride.operator import RideOperator
+from bumpymap.types import NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+
+__all__ = ["RideModel"]
+
+Floats = NDArray[np.float64]
+_FAIL = 0.5
+"""A tile where at least this share of drives failed is of the last class whatever its C_r."""
+
+
+class RideModel:
+    """One vehicle on tiles of one size: what it will feel on each.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the vehicle; it holds the profile and what its drives taught.
+
+    Raises
+    ------
+    UsageError
+        The calibration was made without a ride model.
+    BadInputError
+        Its ride model is damaged.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        if calibration.ride is None:
+            raise UsageError(
+                f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
+                "texture and relief: --rating table"
+            )
+        self.calibration = calibration
+        self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
+        self.correction = Correction.from_record(calibration.ride)
+
+    def predict(self, patches: PatchStack) -> Prediction:
+        """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
+        clean = take_noise_off(patches, self.operator)
+        rides = roll_over(clean.relief_map, self.operator)
+        pixel_points = patches.count / patches.grid.pixels**2
+        return self.correction.predict(rides, patches.slope.astype(np.float64), clean.excess, pixel_points)
+
+    def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
+        """Rate tiles.
+
+        Parameters
+        ----------
+        patches : PatchStack
+            n tiles.
+        textures : TextureMap
+            Travels with the result; the ride model does not look at it.
+        georeference : Georeference
+            Travels with the result.
+
+        Raises
+        ------
+        UsageError
+            The calibration was made for tiles of another size or another number of pixels.
+        """
+        calibration = self.calibration
+        calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
+        found = self.predict(patches)
+        known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
+        too_steep = patches.slope > float(calibration.vehicle["slope_limit_deg"])
+        p_fail = np.where(too_steep, 1.0, found.p_fail)
+        klass, chance = _classes(found, calibration.class_limits)
+        last = len(calibration.class_limits)
+        lost = p_fail >= _FAIL
+        klass, chance = np.where(lost, last, klass), np.where(lost, np.maximum(p_fail, chance), chance)
+        return CostMap(
+            georeference=georeference,
+            patches=patches,
+            textures=textures,
+            klass=np.where(known, klass, NO_CLASS).astype(np.uint8),
+            c_r=_where(known, np.exp(found.log_c_r)),
+            c_r_low=_where(known, np.exp(found.log_c_r - NORMAL_TAIL * found.below)),
+            c_r_high=_where(known, np.exp(found.log_c_r + NORMAL_TAIL * found.above)),
+            p_fail=_where(known, p_fail),
+            # Filled pixels are a guess; a tile full of them is believed less.
+            confidence=_where(known, chance * np.sqrt(patches.coverage)),
+            ride_weight=float(calibration.vehicle["ride_weight"]),
+        )
+
+
+def _classes(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
+    """Class of the median of each tile, and its probability under the two-sided distribution."""
+    from scipy.special import ndtr
+
+    log_limits = np.log(np.array(limits))
+    klass = np.searchsorted(log_limits, found.log_c_r, side="right")
+    edges = np.concatenate(([-np.inf], log_limits, [np.inf]))
+    below = [
+        ndtr((edge - found.log_c_r) / np.where(edge < found.log_c_r, found.below, found.above))
+        for edge in (edges[klass], edges[klass + 1])
+    ]
+    return klass, below[1] - below[0]
+
+
+def _where(known: NDArray[np.bool_], values: Floats) -> NDArray[np.float32]:
+    return np.where(known, values, np.nan).astype(np.float32)

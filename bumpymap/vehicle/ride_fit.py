@@ -1,0 +1,94 @@
+"""From the drives over the terrain library to a ride model: what geometry leaves out, and what noise hides.
+
+The drives teach the correction. The noise needs none: the same ground is surveyed at many densities with much and
+little noise, cleaned as a map would be, and set beside itself without noise.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.calibration import DrivenTerrain
+from bumpymap.config import FeatureSettings
+from bumpymap.features import measure
+from bumpymap.ride import DrivenPatches, NoisyPatches, RideOperator, fit_correction, roll_over, take_noise_off
+from bumpymap.terrains import ScanEffects, Terrain, survey_terrain
+from bumpymap.types import PatchStack, Reason
+from bumpymap.vehicle.profile import VehicleProfile
+from bumpymap.vehicle.terrain import fit_plane
+from bumpytiles import Grid, TileBuckets
+
+__all__ = ["fit_ride", "relief_of", "survey_patches"]
+
+_DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
+_NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)
+_NOISE_SEED = 20_000
+_LEAST_C_R = 0.001
+"""Ground that a vehicle does not feel has no relative error, rad/m."""
+
+
+def fit_ride(
+    profile: VehicleProfile, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+) -> dict[str, Any]:  # fmt: skip
+    """Fit a ride model; see `bumpymap.vehicle.library.FitRide`."""
+    side, pixels = terrains[0].tile_size, terrains[0].pixels
+    operator = RideOperator.of(profile.to_dict(), side, pixels)
+    relief, slope = relief_of(terrains)
+    rides = roll_over(relief, operator)
+    return fit_correction(
+        DrivenPatches(
+            rides=rides,
+            slope_deg=slope,
+            c_r=_column(driven, "c_r"),
+            error=_column(driven, "c_r_error"),
+            completed=np.array([terrain.completed for terrain in driven], dtype=np.int64),
+            failed=np.array([terrain.failed for terrain in driven], dtype=np.int64),
+        ),
+        _noisy(terrains, rides.pitch_change, operator),
+    ).to_record()
+
+
+def relief_of(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return relief maps (n, pixels, pixels) [m] and slopes (n,) [deg] of terrains, as if surveyed without an error."""
+    relief, slope = [], []
+    for terrain in terrains:
+        heights = terrain.heights
+        plane, gradient = fit_plane(heights)
+        relief.append((heights - plane).astype(np.float32))
+        slope.append(np.degrees(np.arctan(np.hypot(*gradient) * terrain.pixels / terrain.tile_size)))
+    return np.stack(relief), np.array(slope)
+
+
+def survey_patches(terrains: Sequence[Terrain], effects: ScanEffects, rng: np.random.Generator) -> list[PatchStack]:
+    """Survey terrains, one tile beside the other to the east, and measure them; ``col`` is the terrain's index."""
+    side = terrains[0].tile_size
+    buckets = TileBuckets(Grid(side, terrains[0].pixels))
+    for place, terrain in enumerate(terrains):
+        points = survey_terrain(terrain, effects, rng)
+        flag = np.zeros(len(points.easting), dtype=np.bool_)
+        buckets.add(points.easting + place * side, points.northing, points.upward, flag)
+    return [measure(block, FeatureSettings(), ground_only=False) for block in buckets.blocks()]
+
+
+def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: RideOperator) -> NoisyPatches:
+    columns: list[list[NDArray[np.float64]]] = [[], [], []]
+    conditions = [ScanEffects(density, noise) for density in _DENSITIES for noise in _NOISES_M]
+    for number, effects in enumerate(conditions):
+        for patches in survey_patches(terrains, effects, np.random.default_rng(_NOISE_SEED + number)):
+            clean = take_noise_off(patches, operator)
+            found = roll_over(clean.relief_map, operator).pitch_change
+            wanted = truth[patches.col]
+            known = (patches.reason == Reason.OK) & np.isfinite(clean.excess) & (wanted > _LEAST_C_R)
+            error = np.log(wanted[known] / np.maximum(found[known], _LEAST_C_R / 10))
+            values = (clean.excess[known], patches.count[known] / patches.grid.pixels**2, error)
+            for column, value in zip(columns, values, strict=True):
+                column.append(value)
+    return NoisyPatches(*(np.concatenate(column) for column in columns))
+
+
+def _column(driven: Sequence[DrivenTerrain], name: str) -> NDArray[np.float64]:
+    """Give a column of the drives; NaN where a terrain has no such number."""
+    values = [getattr(terrain, name) for terrain in driven]
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -1,0 +1,66 @@
+"""Noise: told from the points, taken off the ground, and ground left alone."""
+
+import numpy as np
+import pytest
+
+from bumpymap.config import FeatureSettings
+from bumpymap.features import measure
+from bumpymap.ride import RideOperator, roll_over, take_noise_off
+from bumpymap.terrains import ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.vehicle.profile import load_profile
+from bumpytiles import Grid, TileBuckets
+
+OPERATOR = RideOperator.of(load_profile("warthog").to_dict(), 3.0, 15)
+PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
+
+
+def surveyed(terrains, effects, seed=1):
+    """Patches of terrains side by side, in their order."""
+    rng = np.random.default_rng(seed)
+    buckets = TileBuckets(Grid(3.0, 15))
+    for place, terrain in enumerate(terrains):
+        points = survey_terrain(terrain, effects, rng)
+        buckets.add(points.easting + 3.0 * place, points.northing, points.upward, np.zeros(len(points.easting), bool))
+    (block,) = buckets.blocks()
+    return measure(block, FeatureSettings(), ground_only=False)
+
+
+@pytest.mark.parametrize(("density", "noise"), [(25, 0.03), (100, 0.01), (100, 0.03), (1000, 0.05)])
+def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
+    patches = surveyed([PLANE] * 16, ScanEffects(density, noise))
+    clean = take_noise_off(patches, OPERATOR)
+    assert np.median(clean.point_noise) == pytest.approx(noise, rel=0.08)
+    raw = roll_over(patches.relief_map, OPERATOR).pitch_change
+    left = roll_over(clean.relief_map, OPERATOR).pitch_change
+    assert np.median(left) < 0.4 * np.median(raw)
+
+
+def test_three_centimetres_of_noise_do_not_make_smooth_ground_rough():
+    patches = surveyed([PLANE] * 16, ScanEffects(100, 0.03))
+    ride = roll_over(take_noise_off(patches, OPERATOR).relief_map, OPERATOR)
+    assert np.median(ride.pitch_change) < 0.02
+
+
+def test_ground_without_noise_stays_as_it_is():
+    terrains = [make_terrain(kind, 3, 1, slope_limit_deg=5) for kind in ("low_noise", "kerb", "stones", "washboard")]
+    patches = surveyed(terrains, ScanEffects(1000, 0.0))
+    before = roll_over(patches.relief_map, OPERATOR).pitch_change
+    after = roll_over(take_noise_off(patches, OPERATOR).relief_map, OPERATOR).pitch_change
+    assert after == pytest.approx(before, rel=0.03)
+
+
+def test_a_kerb_survives_noise():
+    kerb = Terrain("kerb", np.where(np.arange(60) < 30, 0.0, 0.2)[None, :].repeat(60, axis=0), 3.0)
+    truth = surveyed([kerb] * 8, ScanEffects(1000, 0.0))
+    noisy = surveyed([kerb] * 8, ScanEffects(100, 0.03))
+    wanted = np.median(roll_over(truth.relief_map, OPERATOR).pitch_change)
+    raw = np.median(roll_over(noisy.relief_map, OPERATOR).pitch_change)
+    found = np.median(roll_over(take_noise_off(noisy, OPERATOR).relief_map, OPERATOR).pitch_change)
+    assert 0.9 * wanted < found < wanted + 0.8 * (raw - wanted)
+
+
+def test_noise_that_cannot_be_told_is_not_invented():
+    patches = surveyed([PLANE] * 4, ScanEffects(5, 0.03))
+    clean = take_noise_off(patches, OPERATOR)
+    assert np.isnan(clean.point_noise[np.isnan(clean.excess)]).all()
+    assert np.array_equal(clean.relief_map[np.isnan(clean.excess)], patches.relief_map[np.isnan(clean.excess)], True)  # noqa: FBT003
