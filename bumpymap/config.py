@@ -9,10 +9,11 @@ from typing import Any, Literal, get_args, get_origin
 
 from bumpymap.errors import UsageError
 
-__all__ = ["Compat", "FeatureSettings", "Ground", "MapConfig", "ZUnit", "read_settings"]
+__all__ = ["Compat", "FeatureSettings", "Ground", "MapConfig", "Rating", "ZUnit", "read_settings"]
 
 Ground = Literal["auto", "all", "class"]
 Compat = Literal["none", "paper"]
+Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 
 
@@ -59,6 +60,8 @@ class MapConfig:
     """Pixels along a side of a tile."""
     ground: Ground = "auto"
     """Which points count: all, class 2 alone, or class 2 where most tiles have such points."""
+    rating: Rating = "ride"
+    """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
     compat: Compat = "none"
     """``paper``: rate by the rules of the paper."""
     vehicle: str = "warthog"
@@ -98,6 +101,7 @@ class MapConfig:
         _within("pixels", self.pixels, 3, 255)
         _at_least("threads", self.threads, 1)
         _one_of("ground", self.ground, get_args(Ground))
+        _one_of("rating", self.rating, get_args(Rating))
         _one_of("compat", self.compat, get_args(Compat))
         if self.z_unit is not None:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))

@@ -1,5 +1,8 @@
 """Points of tiles in, measured patches out: heightmap, spread, z-variance, RANSAC residual, slope, reason."""
 
+from collections.abc import Sequence
+from dataclasses import fields
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,7 +11,7 @@ from bumpymap.config import FeatureSettings
 from bumpymap.types import PatchStack, Reason
 from bumpytiles import TilePoints
 
-__all__ = ["measure"]
+__all__ = ["join_stacks", "measure"]
 
 _SCALARS = 9
 
@@ -103,3 +106,10 @@ def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: F
         [Reason.NO_GROUND, Reason.TOO_FEW_POINTS, Reason.OUTLIER_RELIEF, Reason.TOO_MANY_HOLES],
         Reason.OK,
     ).astype(np.uint8)
+
+
+def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
+    """Put stacks of one grid (at least one) together, north to south, then west to east: the order of every file."""
+    columns = {f.name: [getattr(stack, f.name) for stack in stacks] for f in fields(PatchStack) if f.name != "grid"}
+    order = np.lexsort((np.concatenate(columns["col"]), -np.concatenate(columns["row"])))
+    return PatchStack(stacks[0].grid, **{name: np.concatenate(parts)[order] for name, parts in columns.items()})

@@ -26,6 +26,7 @@ from bumpymap.readers import (
     identity,
     open_survey,
 )
+from bumpymap.ride import RideModel
 from bumpymap.types import CostMosaic, Georeference, tile_columns
 from bumpytiles import Grid, TilePoints
 
@@ -72,13 +73,18 @@ class _Rating:
     compat: Compat
     model: TextureModel
     calibration: Calibration
+    ride: RideModel | None
+    """None: rate by texture and relief."""
     georeference: Georeference
 
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
         """Measure, classify, rate; columns of `tile_columns`."""
         patches = measure(points, self.features, ground_only=ground_only)
+        textures = classify(patches, self.model)
+        if self.ride is not None:
+            return self.ride.rate(patches, textures, self.georeference).columns()
         rating = rate_as_paper if self.compat == "paper" else rate
-        return rating(patches, classify(patches, self.model), self.calibration, self.georeference).columns()
+        return rating(patches, textures, self.calibration, self.georeference).columns()
 
 
 def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResult:
@@ -110,8 +116,9 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
+        ride = RideModel(calibration) if config.rating == "ride" and config.compat == "none" else None
         inputs = _open(config)
-    rating = _Rating(config.features, config.compat, model, calibration, inputs.georeference)
+    rating = _Rating(config.features, config.compat, model, calibration, ride, inputs.georeference)
     job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
     asked = _asked(config, inputs, budget, model, calibration)
     # Workers first: a failure to get them must not cost what an earlier run has finished.

@@ -6,7 +6,7 @@ from typing import Any, get_args
 import click
 
 from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
-from bumpymap.config import Compat, Ground, MapConfig, ZUnit, read_settings
+from bumpymap.config import Compat, Ground, MapConfig, Rating, ZUnit, read_settings
 from bumpymap.errors import UsageError
 
 __all__ = ["command"]
@@ -24,6 +24,7 @@ _PARTLY_DONE = 4
 @click.option("--vehicle", metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
 @click.option("--model", type=PATH, metavar="FILE", help="Texture network of your own.")
+@click.option("--rating", type=click.Choice(get_args(Rating)), help="How tiles are rated [default: ride].")
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: rate by the rules of the paper.")
 @click.option("--tile-size", type=float, metavar="M", help="Side of a tile [default: 3].")
 @click.option("--pixels", type=int, metavar="N", help="Pixels along a side of a tile [default: 15].")

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.native import entry, inner
+from bumpytiles.native import entry, inner
 
 __all__ = ["GROUP", "denoise_patches", "ride_patches"]
 

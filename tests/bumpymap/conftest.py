@@ -1,12 +1,10 @@
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bumpymap.config import FeatureSettings
-from bumpymap.features import measure
-from bumpymap.types import PatchStack
+from bumpymap.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -18,13 +16,6 @@ def shared_data():
     if not SHARED.is_dir():
         pytest.skip("the real surveys (../shared/data) are not here")
     return SHARED
-
-
-def join_stacks(stacks):
-    """Stacks of one grid as one, north to south, then west to east."""
-    columns = {f.name: [getattr(stack, f.name) for stack in stacks] for f in fields(PatchStack) if f.name != "grid"}
-    order = np.lexsort((np.concatenate(columns["col"]), -np.concatenate(columns["row"])))
-    return PatchStack(stacks[0].grid, **{name: np.concatenate(parts)[order] for name, parts in columns.items()})
 
 
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):

@@ -33,7 +33,7 @@ ROOMS = {
     ),
     "engine": ({"readers"}, {"bumpytiles", "numpy"}),
     "pipeline": (
-        {"calibration", "classify", "cost", "engine", "features", "products", "readers"},
+        {"calibration", "classify", "cost", "engine", "features", "products", "readers", "ride"},
         {"bumpytiles", "numpy"},
     ),
     "terrains": ({"textures"}, {"numpy", "scipy"}),

@@ -63,4 +63,4 @@ def test_noise_that_cannot_be_told_is_not_invented():
     patches = surveyed([PLANE] * 4, ScanEffects(5, 0.03))
     clean = take_noise_off(patches, OPERATOR)
     assert np.isnan(clean.point_noise[np.isnan(clean.excess)]).all()
-    assert np.array_equal(clean.relief_map[np.isnan(clean.excess)], patches.relief_map[np.isnan(clean.excess)], True)  # noqa: FBT003
+    assert np.array_equal(clean.relief_map[np.isnan(clean.excess)], patches.relief_map[np.isnan(clean.excess)], True)
