@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bumpytiles.native import entry, inner
 
-__all__ = ["GROUP", "denoise_patches", "ride_patches"]
+__all__ = ["GROUP", "denoise_patches", "normal_shares", "ride_patches"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -476,3 +476,10 @@ def ride_patches(
             _pose_numbers(
                 wheel_node, wheel_weight, belly_node, belly_weight, geometry, envelope, bare, lane, ride
             )  # fmt: skip
+
+
+@entry("f8:1 f8:1")
+def normal_shares(z: Floats, share: Floats) -> None:
+    """Fill the share of the standard normal distribution below each z, both (n,)."""
+    for i in range(len(z)):
+        share[i] = 0.5 * math.erfc(-z[i] / math.sqrt(2.0))

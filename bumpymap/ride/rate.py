@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
 from bumpymap.errors import UsageError
+from bumpymap.ride._kernels import normal_shares
 from bumpymap.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.ride.geometry import roll_over
 from bumpymap.ride.noise import take_noise_off
@@ -95,16 +96,13 @@ class RideModel:
 
 def _classes(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
     """Class of the median of each tile, and its probability under the two-sided distribution."""
-    from scipy.special import ndtr
-
     log_limits = np.log(np.array(limits))
     klass = np.searchsorted(log_limits, found.log_c_r, side="right")
     edges = np.concatenate(([-np.inf], log_limits, [np.inf]))
-    below = [
-        ndtr((edge - found.log_c_r) / np.where(edge < found.log_c_r, found.below, found.above))
-        for edge in (edges[klass], edges[klass + 1])
-    ]
-    return klass, below[1] - below[0]
+    shares = np.empty((2, len(klass)))
+    for edge, share in zip((edges[klass], edges[klass + 1]), shares, strict=True):
+        normal_shares((edge - found.log_c_r) / np.where(edge < found.log_c_r, found.below, found.above), share)
+    return klass, shares[1] - shares[0]
 
 
 def _where(known: NDArray[np.bool_], values: Floats) -> NDArray[np.float32]:

@@ -37,7 +37,7 @@ ROOMS = {
         {"bumpytiles", "numpy"},
     ),
     "terrains": ({"textures"}, {"numpy", "scipy"}),
-    "ride": ({"calibration", "native"}, {"numpy", "scipy"}),
+    "ride": ({"calibration"}, {"bumpytiles", "numpy"}),
     "vehicle": (
         {"calibration", "features", "ride", "terrains", "textures"},
         {"bumpytiles", "dartpy", "numpy"},
