@@ -67,7 +67,7 @@ def _machine_text(results: Results) -> str:
     trial = "" if results["scale"] == 1.0 else f" A trial with {results['scale']:g} of the points: it shows no speed."
     return (
         f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gb']} GB, {facts['system']}. {versions}. "
-        f"Medians of {results['rounds']} rounds.{trial}"
+        f"Medians of {results['rounds']} round(s).{trial}"
     )
 
 

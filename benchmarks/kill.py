@@ -73,11 +73,16 @@ class Killer:
         stages = [self._killed(instant)]
         if not stages[0]:
             return None
-        if again is not None and (stage := self._killed(again, "--resume")):
-            stages.append(stage)
+        resumed = 0.0
+        if again is not None:
+            begin = time.perf_counter()
+            if stage := self._killed(again, "--resume"):
+                stages.append(stage)
+            else:
+                resumed = time.perf_counter() - begin
         # A run that has ended has nothing to go on with; its layers are compared as they are.
-        ended = (self._out / "run.json").exists() and not (self._out / _WORK).exists()
-        resumed = 0.0 if ended else self._finish("--resume")
+        if not (self._out / "run.json").exists() or (self._out / _WORK).exists():
+            resumed = self._finish("--resume")
         faults = _differences(self._wanted, self._files())
         faults += [f"{left.name} is left in --scratch" for left in self._scratch.glob("*")]
         faults += [f"process {helper.name} lives on" for helper in self._orphans if helper.exists()]
