@@ -45,7 +45,7 @@ def findings(verdict_of):
     found.kinds = by_kind(["kerb"] * 30, verdicts["ride"], driven)
     found.orders = [Order("ride", ("rover", "car"), 20, 0.95, 12, 1.0)]
     found.densities = [DensityRow("ride", 50.0, 0.5, 6, 1.0, 0.9, 0.8, 0.0, 1.01, 0.8, float("nan"))]
-    found.noise = [NoiseRow(100.0, 0.03, 0.01, 0.08, (0.1,) * 3, (0.2,) * 3, 1.0, 0.8, (0.8,) * 3, 30)]
+    found.noise = [NoiseRow(100.0, 0.03, 0.01, 0.02, 0.08, (0.1,) * 3, (0.2,) * 3, 1.0, 0.8, (0.8,) * 3, 30)]
     found.moves = [MoveRow("ride", "mirrored", 6, 0.99, 0.01)]
     found.timing = [StepCost("measure", 256, 200_000, 0.02, 4.0, 3.6)]
     return found
