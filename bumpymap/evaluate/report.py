@@ -100,9 +100,11 @@ def _opening(findings: Findings) -> list[str]:
         first = f"{facts['terrains']} unseen terrains of the library, seed {facts['seed']}."
     else:
         points = "points of class 2 (ground) alone" if facts["ground_only"] else "all points"
+        why = ", ".join(f"{name}: {count}" for name, count in facts["unknown_tiles"].items())
+        unknown = f"{sum(facts['unknown_tiles'].values())} unknown" + (f" ({why})" if why else "")
         first = (
             f"Survey {', '.join(facts['files'])}: {facts['points']:,} points, measured from {points}; "
-            f"{facts['judged_tiles']} tiles judged, {facts['unknown_tiles']} unknown, "
+            f"{facts['judged_tiles']} tiles judged, {unknown}, "
             f"{facts['density']:.0f} points per m2 on the judged ones."
         )
     rows = [

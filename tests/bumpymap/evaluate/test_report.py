@@ -20,7 +20,7 @@ FACTS = {
     "points": 1234567,
     "ground_only": False,
     "judged_tiles": 6,
-    "unknown_tiles": 2,
+    "unknown_tiles": {"too few points": 2},
     "density": 97.3,
 }
 VEHICLES = [{"vehicle": "rover", "calibration": "abc", "class_limits": (0.1, 0.3, 0.5), "ratings": ["ride", "table"]}]
@@ -57,6 +57,7 @@ def test_everything_is_written(findings, tmp_path):
     text = (tmp_path / "report.md").read_text()
     for words in (
         "site.laz: 1,234,567 points",
+        "6 tiles judged, 2 unknown (too few points: 2), 97 points per m2",
         "**rover, `ride`**: C_r is off by",
         "`ride`: variance, residual and C_r rise from class to class",
         "30 patches, 480 drives, 27 of them failed. On 3 patches",

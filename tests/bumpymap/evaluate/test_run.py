@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.errors import UsageError
+from bumpymap.errors import BadInputError, UsageError
 from bumpymap.evaluate.run import evaluate_library, evaluate_survey
 from bumpymap.evaluate.settings import EvaluateSettings
 from bumpymap.evaluate.subject import Subject
@@ -82,6 +82,12 @@ def test_vehicles_drive_the_same_patches_and_are_put_in_order(quarry, subject, s
         ("ride", ("warthog", "other")),
         ("table", ("warthog", "other")),
     ]
+
+
+def test_a_survey_too_sparse_to_judge_says_why(quarry, subject, settings, tmp_path):
+    picky = replace(settings, features=replace(settings.features, min_points=100_000))
+    with pytest.raises(BadInputError, match=r"too few points: \d+"):
+        evaluate(quarry, [subject], picky, tmp_path)
 
 
 def test_calibrations_for_different_tiles_are_refused(quarry, subject, settings, tmp_path):
