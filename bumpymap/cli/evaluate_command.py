@@ -69,7 +69,7 @@ def command(
     set_up_logging(as_json=False)
     settings = _settings(given)
     subjects = _subjects(given)
-    _prepare(out, settings, overwrite=overwrite)
+    _require(settings)
     from bumpymap.evaluate.report import write_report
     from bumpymap.evaluate.run import evaluate_library, evaluate_survey
     from bumpymap.evaluate.survey import open_readers
@@ -78,6 +78,7 @@ def command(
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
+    _check_place(out, overwrite=overwrite)
     try:
         with BarProgress() as told:
             crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
@@ -119,15 +120,20 @@ def _subjects(given: dict[str, Any]) -> "list[Subject]":
     return [Subject.of(calibration, textures, given["rating"]) for calibration in calibrations]
 
 
-def _prepare(out: Path, settings: "EvaluateSettings", *, overwrite: bool) -> None:
-    """Refuse what would fail after the hours of work."""
+def _require(settings: "EvaluateSettings") -> None:
+    """Refuse before the hours of work what cannot be done without a library."""
     from bumpymap.evaluate.pictures import require_matplotlib
-    from bumpymap.evaluate.report import REPORT
     from bumpymap.vehicle.model import require_dart
 
     require_matplotlib()
     if "drives" not in settings.skip:
         require_dart()
+
+
+def _check_place(out: Path, *, overwrite: bool) -> None:
+    """Refuse a place that cannot be written before the hours of work, not after."""
+    from bumpymap.evaluate.report import REPORT
+
     if (out / REPORT).exists() and not overwrite:
         raise OutputError(
             f"{out} holds a report; give --overwrite to make it anew (drives that still fit are kept), or another --out"

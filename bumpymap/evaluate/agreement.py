@@ -16,6 +16,7 @@ __all__ = [
     "coverage",
     "driven_class",
     "fail_auc",
+    "left_out_fit",
     "median_error",
     "median_ratio",
     "monotone_fit",
@@ -70,6 +71,20 @@ def monotone_fit(predictor: Floats, c_r: Floats, wanted: Floats) -> Floats:
     fitted = isotonic_regression(mean, weights=count.astype(np.float64)).x
     value: Floats = np.exp(np.interp(wanted, place, fitted))
     return value
+
+
+def left_out_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floats:
+    """C_r of each patch by the monotone function that the other patches give, (n,) rad/m.
+
+    A fit to the very patches it is held against passes through them where they happen to rise, and says nothing.
+    """
+    part = np.arange(len(c_r)) % parts
+    fitted = np.empty(len(c_r))
+    for number in np.unique(part):
+        own = part == number
+        rest = ~own if not own.all() else own
+        fitted[own] = monotone_fit(predictor[rest], c_r[rest], predictor[own])
+    return fitted
 
 
 def driven_class(c_r: Floats, failed_share: Floats, limits: tuple[float, ...]) -> Ints:
@@ -128,7 +143,7 @@ def coverage(low: Floats, high: Floats, driven: Floats) -> Coverage:
     return Coverage(float(np.mean(~below & ~above)), float(np.mean(below)), float(np.mean(above)))
 
 
-def fail_auc(p_fail: Floats, failed: Ints, completed: Ints) -> float:
+def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:
     """Probability that a failed drive was over ground of higher ``p_fail`` than a completed one; ties count half.
 
     Parameters
@@ -136,12 +151,12 @@ def fail_auc(p_fail: Floats, failed: Ints, completed: Ints) -> float:
     p_fail : array (n,)
         Of each patch.
     failed, completed : array (n,)
-        Its drives.
+        Its drives, or their shares: then every patch counts alike.
 
     Returns
     -------
     float
-        Area under the ROC curve of all drives; NaN where none failed, or all did.
+        Area under the ROC curve; NaN where no drive failed, or all did.
     """
     pairs = float(failed.sum()) * float(completed.sum())
     if pairs == 0:
@@ -154,26 +169,23 @@ def fail_auc(p_fail: Floats, failed: Ints, completed: Ints) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityBin:
-    """Drives over ground of about one ``p_fail``."""
+    """Patches of about one ``p_fail``; every patch counts alike."""
 
     predicted: float
-    """Mean p_fail of the drives; NaN without any."""
+    """Mean p_fail; NaN without patches."""
     share_failed: float
-    """What came of them; NaN without any."""
-    drives: int
+    """Mean share of the drives that failed; NaN without patches."""
+    patches: int
 
 
-def reliability(p_fail: Floats, failed: Ints, completed: Ints, bins: int = 5) -> list[ReliabilityBin]:
+def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[ReliabilityBin]:
     """Predicted against driven failures in bins of equal width between 0 and 1."""
     place = np.minimum((p_fail * bins).astype(np.int64), bins - 1)
-    drives = failed + completed
     found = []
     for number in range(bins):
-        chosen = place == number
-        count = int(drives[chosen].sum())
-        predicted = float(np.sum((p_fail * drives)[chosen]) / count) if count else float("nan")
-        share = float(failed[chosen].sum() / count) if count else float("nan")
-        found.append(ReliabilityBin(predicted, share, count))
+        own = place == number
+        predicted, driven = (float(v[own].mean()) if own.any() else float("nan") for v in (p_fail, failed_share))
+        found.append(ReliabilityBin(predicted, driven, int(own.sum())))
     return found
 
 

@@ -1,7 +1,7 @@
 """Predictions beside drives: what each way to rate a patch gets right."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from bumpymap.evaluate.agreement import (
     coverage,
     driven_class,
     fail_auc,
+    left_out_fit,
     median_error,
     median_ratio,
     monotone_fit,
@@ -44,7 +45,7 @@ CLASSES = 4
 
 @dataclass(frozen=True, slots=True)
 class FailAgreement:
-    """How p_fail and the failed drives agree."""
+    """How p_fail and the failed drives agree; every patch counts alike, however many drives it took."""
 
     auc: float
     auc_below_limit: float
@@ -68,6 +69,8 @@ class Agreement:
     """Of the 80 % interval; None where there is none."""
     fail: FailAgreement | None
     """None where the predictor has no p_fail."""
+    fitted_error: float = float("nan")
+    """Of a plain predictor: its median error after the best fit to the very patches it is held against."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +115,7 @@ def compare(
     verdicts : mapping
         Name -> what a rating says.
     plain : mapping
-        Name -> predictor (n,); it gets the best monotone fit to the very drives that it is held against.
+        Name -> predictor (n,); its C_r is the best monotone function of it, fitted to the other patches.
     driven : Driven
     too_steep : array (n,)
         Beyond the vehicle's slope limit.
@@ -129,8 +132,10 @@ def compare(
         found[name] = _agreement(verdict.c_r, verdict.c_r, driven, table, held, fail)
     for name, predictor in plain.items() if good.any() else ():
         fitted = monotone_fit(predictor[good], driven.c_r[good], predictor)
+        best = median_error(fitted[good], driven.c_r[good])
+        fitted[good] = left_out_fit(predictor[good], driven.c_r[good])
         table = confusion(klass, np.searchsorted(np.array(limits), fitted, side="right"), CLASSES)
-        found[name] = _agreement(predictor, fitted, driven, table, None, None)
+        found[name] = replace(_agreement(predictor, fitted, driven, table, None, None), fitted_error=best)
     relative = driven.error[good] / driven.c_r[good]
     return Comparison(
         patches=len(good),
@@ -165,11 +170,11 @@ def _agreement(
 
 
 def _fail_agreement(p_fail: Floats, driven: Driven, too_steep: NDArray[np.bool_]) -> FailAgreement:
-    level = driven.take(~too_steep)
+    share, level = driven.failed_share, ~too_steep
     return FailAgreement(
-        auc=fail_auc(p_fail, driven.failed, driven.completed),
-        auc_below_limit=fail_auc(p_fail[~too_steep], level.failed, level.completed),
-        reliability=reliability(p_fail, driven.failed, driven.completed),
+        auc=fail_auc(p_fail, share, 1 - share),
+        auc_below_limit=fail_auc(p_fail[level], share[level], 1 - share[level]),
+        reliability=reliability(p_fail, share),
     )
 
 

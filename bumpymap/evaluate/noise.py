@@ -20,7 +20,7 @@ __all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_proof", "perfect_c_r"]
 Floats = NDArray[np.float64]
 DENSITIES = (25.0, 50.0, 100.0, 300.0, 1000.0)
 NOISE_M = (0.0, 0.01, 0.03, 0.05)
-_FLAT_TILES = 40
+_FLAT_TILES = 200
 _WITHOUT_NOISE = 1e3
 """Points a pixel that stand for a survey without end."""
 
@@ -35,6 +35,8 @@ class NoiseRow:
     """Standard deviation of the heights."""
     flat: float
     """Median C_r of dead-flat ground, rad/m."""
+    flat_worst: float
+    """Its 90 % quantile."""
     flat_raw: float
     """The same with the noise left in."""
     error: tuple[float, float, float]
@@ -144,6 +146,7 @@ def _row(
         density=effects.density,
         noise_m=effects.noise_m,
         flat=float(np.nanmedian(flat[0].c_r)),
+        flat_worst=float(np.nanquantile(flat[0].c_r, 0.9)),
         flat_raw=float(np.nanmedian(flat[1].c_r)),
         error=errors(clean.c_r),
         error_raw=errors(raw.c_r),

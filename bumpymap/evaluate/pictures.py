@@ -14,6 +14,8 @@ from bumpymap.evaluate.subject import MAPPED
 __all__ = ["draw", "require_matplotlib"]
 
 _COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
+_LEAST_DRAWN = 1e-4
+"""C_r below this is drawn as this, rad/m: nobody feels it."""
 _NOISE_COLOURS = ("#2a7f62", "#3b73b9", "#c77c11", "#b03a48")
 
 
@@ -66,8 +68,19 @@ def _scatter(axes: Any, patches: DrivenPatches, names: list[str]) -> None:
             ends = [min(driven.min(), verdict.c_r.min()) * 0.8, max(driven.max(), verdict.c_r.max()) * 1.25]
             axis.plot(ends, ends, color="0.4", linewidth=0.8)
             axis.set(xlim=ends, ylim=ends, xscale="log", yscale="log")
+            _plain_ticks(axis, both=True)
         axis.set(xlabel="driven C_r [rad/m]", ylabel="predicted C_r [rad/m], 80 % interval")
         axis.set_title(f"{name}: {len(driven)} patches", loc="left")
+
+
+def _plain_ticks(axis: Any, *, both: bool) -> None:
+    """Write 0.1, 0.2, 0.5, 1 along a logarithmic axis."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for side in (axis.xaxis, axis.yaxis) if both else (axis.xaxis,):
+        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_locator(NullLocator())
 
 
 def _reliability(axes: Any, findings: Findings, vehicle: str) -> None:
@@ -75,7 +88,7 @@ def _reliability(axes: Any, findings: Findings, vehicle: str) -> None:
     axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
     for name, own in findings.comparisons[vehicle].agreement.items():
         if own.fail and name in MAPPED:
-            bins = [one for one in own.fail.reliability if one.drives]
+            bins = [one for one in own.fail.reliability if one.patches]
             x, y = [one.predicted for one in bins], [one.share_failed for one in bins]
             axis.plot(x, y, "o-", color=_COLOUR[name], label=f"{name}, AUC {own.fail.auc:.3f}")
     axis.set(xlabel="predicted p_fail", ylabel="share of drives that failed", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
@@ -90,16 +103,21 @@ def _density(axes: Any, findings: Findings) -> None:
         axis.plot(x, [row.same_class for row in rows], "o-", color=_COLOUR[name], label=f"{name}: same class")
         axis.plot(x, [row.still_judged for row in rows], "o:", color=_COLOUR[name], label=f"{name}: still judged")
     axis.set(xscale="log", xlabel="points per m2", ylabel="share of the tiles", ylim=(0, 1.03))
+    _plain_ticks(axis, both=False)
     axis.legend(frameon=False)
 
 
 def _noise(axes: Any, findings: Findings) -> None:
     axis = axes[0]
+    axis.axhspan(_LEAST_DRAWN / 2, _LEAST_DRAWN, color="0.93")
     levels = dict.fromkeys(row.noise_m for row in findings.noise)
     for noise, colour in zip(levels, _NOISE_COLOURS, strict=False):
         rows = [row for row in findings.noise if row.noise_m == noise]
         x = np.array([row.density for row in rows])
-        axis.plot(x, [row.flat for row in rows], "o-", color=colour, label=f"{100 * noise:g} cm, noise taken off")
-        axis.plot(x, [row.flat_raw for row in rows], "o:", color=colour, label=f"{100 * noise:g} cm, left in")
-    axis.set(xscale="log", yscale="log", xlabel="points per m2", ylabel="C_r of dead-flat ground [rad/m]")
-    axis.legend(frameon=False, fontsize=7)
+        flat, raw = ([max(getattr(row, kind), _LEAST_DRAWN) for row in rows] for kind in ("flat", "flat_raw"))
+        axis.plot(x, flat, "o-", color=colour, label=f"{100 * noise:g} cm, noise taken off")
+        axis.plot(x, raw, "o:", color=colour, label=f"{100 * noise:g} cm, left in")
+    axis.set(xscale="log", yscale="log", xlabel="points per m2", ylabel="median C_r of dead-flat ground [rad/m]")
+    axis.set_ylim(bottom=_LEAST_DRAWN / 2)
+    axis.legend(frameon=False, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=2)
+    _plain_ticks(axis, both=False)

@@ -100,9 +100,11 @@ def _opening(findings: Findings) -> list[str]:
         first = f"{facts['terrains']} unseen terrains of the library, seed {facts['seed']}."
     else:
         points = "points of class 2 (ground) alone" if facts["ground_only"] else "all points"
+        why = ", ".join(f"{name}: {count}" for name, count in facts["unknown_tiles"].items())
+        unknown = f"{sum(facts['unknown_tiles'].values())} unknown" + (f" ({why})" if why else "")
         first = (
             f"Survey {', '.join(facts['files'])}: {facts['points']:,} points, measured from {points}; "
-            f"{facts['judged_tiles']} tiles judged, {facts['unknown_tiles']} unknown, "
+            f"{facts['judged_tiles']} tiles judged, {unknown}, "
             f"{facts['density']:.0f} points per m2 on the judged ones."
         )
     rows = [
@@ -146,7 +148,11 @@ def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[s
     for name in MAPPED:
         if name in found.agreement:
             lines += confusion_lines(name, found.agreement[name])
-    lines += ["Failed drives by predicted `p_fail`, in bins a fifth wide:", "", *reliability_lines(found)]
+    lines += [
+        "Failed drives by predicted `p_fail`, in bins a fifth wide; every patch counts alike:",
+        "",
+        *reliability_lines(found),
+    ]
     return [*lines, f"![Predicted against driven failures]({pictures[f'reliability {vehicle}']})", ""]
 
 
@@ -158,17 +164,18 @@ def _method(found: Comparison) -> str:
     return (
         f"{found.patches} patches, {found.drives} drives, {found.failed} of them failed. On {found.left_out} patches "
         "more than a quarter of the drives failed; their C_r, that of the survivors, is not compared. The drives' own "
-        f"standard error is {percent(found.label_error)} in the median, above 5 % on {found.label_error_over} patches. "
+        f"standard error is {percent(found.label_error)} in the median, above 5 % on {found.label_error_over} of them. "
         f"Classes and failures count on all patches; {found.beyond_limit} are beyond the vehicle's slope limit. Plain "
-        "predictors get the best monotone fit to these very drives, which no map has."
+        "predictors get C_r by their best monotone fit to the drives over the other patches, which no map has; *fitted "
+        "to these* is the error where the fit has seen the patch itself."
         + (noise if "ride_raw" in found.agreement else "")
     )
 
 
 def _against_plain(found: Comparison) -> list[str]:
     plain = {name: 1 - found.agreement[name].spearman for name in _PLAIN if name in found.agreement}
-    known = {name: lack for name, lack in plain.items() if math.isfinite(lack) and lack > 0}
-    if not known:
+    known = {name: lack for name, lack in plain.items() if math.isfinite(lack)}
+    if not known or min(known.values()) <= 0:
         return []
     best = min(known, key=lambda name: known[name])
     said = [

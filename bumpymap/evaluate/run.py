@@ -27,7 +27,7 @@ from bumpymap.evaluate.trial import Crew, Trial
 from bumpymap.features import measure
 from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpymap.terrains import KINDS, ScanEffects, Terrain
-from bumpymap.types import Reason
+from bumpymap.types import REASON_TEXT, Reason
 from bumpymap.vehicle.journal import Key
 from bumpytiles import Grid
 
@@ -52,8 +52,8 @@ class _Tiles:
     z_variance: NDArray[np.float64]
     ransac_residual: NDArray[np.float64]
     verdicts: dict[str, Verdict]
-    unknown: int
-    """Tiles with points that cannot be judged."""
+    unknown: dict[str, int]
+    """Why tiles with points cannot be judged -> how many."""
 
 
 def evaluate_survey(
@@ -164,19 +164,22 @@ def _rate(survey: Survey, subject: Subject, crew: Crew) -> _Tiles:
     crew.told.start("rating tiles", survey.blocks)
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _KEPT}
     verdicts: list[dict[str, Verdict]] = []
-    unknown = 0
+    reasons = np.zeros(len(Reason), np.int64)
     for points in survey.points():
         patches = survey.measured(points)
         judged = patches.reason == Reason.OK
-        unknown += int((~judged).sum())
+        reasons += np.bincount(patches.reason, minlength=len(Reason))
         verdicts.append({name: own.take(judged) for name, own in subject.judge(patches, MAPPED).items()})
         for name, parts in columns.items():
             parts.append(getattr(patches, name)[judged])
         crew.told.advance(1)
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    unknown = {REASON_TEXT[reason]: int(reasons[reason]) for reason in Reason if reason and reasons[reason]}
     if not len(joined["col"]):
+        listed = ", ".join(f"{name}: {count}" for name, count in unknown.items())
         raise BadInputError(
-            f"none of the {unknown} tiles can be judged, so there is nothing to evaluate; bumpymap map says why each"
+            f"no tile of the survey can be judged ({listed}), so there is nothing to evaluate"
+            + (". Points of class 2 alone were measured; try --ground all" if survey.ground_only else "")
         )
     return _Tiles(
         **joined,

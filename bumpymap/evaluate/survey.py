@@ -1,6 +1,6 @@
 """The tiles of a survey: its points wait by block, in memory or on disk, and are measured block by block."""
 
-import tempfile
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -129,8 +129,8 @@ def gather(
         The disk is full.
     """
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".points-") as scratch:
-            buckets = TileBuckets(grid, Room(_MOST_POINTS, _BLOCK_POINTS, Path(scratch)))
+        with _scratch(folder) as scratch:
+            buckets = TileBuckets(grid, Room(_MOST_POINTS, _BLOCK_POINTS, scratch))
             told.start("reading points", sum(reader.info.point_count for reader in readers))
             lot = 0
             for reader in readers:
@@ -140,6 +140,18 @@ def gather(
             yield Survey(buckets, _ground_only(buckets, ground), features)
     except OSError as error:
         raise OutputError(f"cannot keep points in {folder} meanwhile: {error}. Choose another --out") from error
+
+
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Path]:
+    """Give an empty folder; what a killed run left in it goes away too."""
+    scratch = folder / ".points"
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir()
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, told: Progress) -> int:

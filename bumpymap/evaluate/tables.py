@@ -92,9 +92,28 @@ def driven_lines(found: Comparison) -> list[str]:
         auc = (number(own.fail.auc), number(own.fail.auc_below_limit)) if own.fail else (_NONE, _NONE)
         steps = (percent(own.steps.same), percent(own.steps.one_off), percent(own.steps.further))
         ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
-        rows.append([f"`{name}`", *ranks, percent(own.median_error), number(own.median_ratio), *steps, held, *auc])
-    header = ("predictor", "Spearman", "1 - Spearman", "median error", "median predicted / driven", "same class")
-    more = ("one off", "two or more off", "80 % interval holds", "p_fail AUC", "within slope limit")
+        rows.append(
+            [
+                f"`{name}`",
+                *ranks,
+                percent(own.median_error),
+                percent(own.fitted_error),
+                number(own.median_ratio),
+                *steps,
+                held,
+                *auc,
+            ]
+        )
+    header = ("predictor", "Spearman", "1 - Spearman", "median error", "fitted to these")
+    more = (
+        "median predicted / driven",
+        "same class",
+        "one off",
+        "two or more off",
+        "80 % interval holds",
+        "p_fail AUC",
+        "within slope limit",
+    )
     return table((*header, *more), rows)
 
 
@@ -107,12 +126,13 @@ def confusion_lines(name: str, own: Agreement) -> list[str]:
 def reliability_lines(found: Comparison) -> list[str]:
     """Predicted against driven failures."""
     rows = [
-        [f"`{name}`", number(one.predicted), number(one.share_failed), str(one.drives)]
+        [f"`{name}`", number(one.predicted), number(one.share_failed), str(one.patches)]
         for name, own in found.agreement.items()
         if own.fail
         for one in own.fail.reliability
+        if one.patches
     ]
-    return table(("rating", "mean p_fail of the bin", "share of drives that failed", "drives"), rows)
+    return table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), rows)
 
 
 def kind_lines(kinds: Sequence[KindRow]) -> list[str]:
@@ -174,8 +194,17 @@ def density_lines(rows: Sequence[DensityRow]) -> list[str]:
 
 def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
     """Noisy surveys against the ground behind them."""
-    header = ("points per m2", "noise [cm]", "C_r of dead-flat ground", "noise left in", "median error, smooth third")
-    more = ("noise left in", "middle third", "noise left in", "rough third", "noise left in", "80 % interval holds")
+    header = ("points per m2", "noise [cm]", "C_r of dead-flat ground", "worst tenth")
+    more = (
+        "noise left in",
+        "median error, smooth third",
+        "noise left in",
+        "middle third",
+        "noise left in",
+        "rough third",
+        "noise left in",
+        "80 % interval holds",
+    )
     return table(
         (*header, *more, "smooth / middle / rough", "tiles"),
         [
@@ -183,6 +212,7 @@ def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
                 number(row.density, 4),
                 number(100 * row.noise_m),
                 number(row.flat),
+                number(row.flat_worst),
                 number(row.flat_raw),
                 *(percent(value) for pair in zip(row.error, row.error_raw, strict=True) for value in pair),
                 percent(row.held),

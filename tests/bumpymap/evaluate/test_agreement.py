@@ -14,6 +14,7 @@ from bumpymap.evaluate.agreement import (
     coverage,
     driven_class,
     fail_auc,
+    left_out_fit,
     median_error,
     median_ratio,
     monotone_fit,
@@ -63,11 +64,23 @@ def test_without_a_failure_there_is_no_area():
     assert np.isnan(fail_auc(np.array([0.1, 0.2]), np.array([0, 0]), np.array([3, 3])))
 
 
-def test_reliability_counts_drives_not_patches():
-    found = reliability(np.array([0.1, 0.15, 0.5, 1.0]), np.array([0, 3, 1, 4]), np.array([4, 9, 1, 0]))
-    assert [one.drives for one in found] == [16, 0, 2, 0, 4]
-    assert found[0].predicted == pytest.approx((4 * 0.1 + 12 * 0.15) / 16)
-    assert [found[i].share_failed for i in (0, 2, 4)] == [3 / 16, 0.5, 1.0]
+@given(SEEDS, st.integers(2, 40))
+def test_fit_without_a_tenth_is_that_of_scikit_learns_folds(seed, count):
+    rng = np.random.default_rng(seed)
+    predictor, c_r = rng.random(count), np.exp(rng.normal(size=count))
+    oracle = np.empty(count)
+    for part in range(min(10, count)):
+        own = np.arange(count) % 10 == part
+        model = IsotonicRegression(out_of_bounds="clip").fit(predictor[~own], np.log(c_r[~own]))
+        oracle[own] = np.exp(model.predict(predictor[own]))
+    np.testing.assert_allclose(left_out_fit(predictor, c_r), oracle, rtol=1e-9)
+
+
+def test_reliability_counts_patches():
+    found = reliability(np.array([0.1, 0.15, 0.5, 1.0]), np.array([0.0, 0.25, 0.5, 1.0]))
+    assert [one.patches for one in found] == [2, 0, 1, 0, 1]
+    assert found[0].predicted == pytest.approx(0.125)
+    assert [found[i].share_failed for i in (0, 2, 4)] == [0.125, 0.5, 1.0]
     assert np.isnan(found[1].predicted)
 
 

@@ -39,6 +39,7 @@ def test_noise_that_is_left_in_reads_as_roughness(rows):
     noisy = rows[1]
     assert noisy.flat_raw > 0.05
     assert noisy.flat < noisy.flat_raw / 2
+    assert noisy.flat <= noisy.flat_worst < noisy.flat_raw
     assert noisy.error_raw[0] > noisy.error_raw[2]
     assert noisy.error[0] < noisy.error_raw[0]
 

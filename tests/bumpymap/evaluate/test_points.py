@@ -131,6 +131,14 @@ def test_a_survey_gives_the_tiles_that_are_asked_for(readers, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_points_that_a_killed_run_left_go_away(readers, tmp_path):
+    (tmp_path / ".points").mkdir()
+    (tmp_path / ".points" / "points-00000000-00000003.pack").write_text("half")
+    with gather(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
+        assert survey.blocks > 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_points_that_find_no_room_wait_on_disk(readers, tmp_path, monkeypatch):
     def heights():
         with gather(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:

@@ -20,7 +20,7 @@ FACTS = {
     "points": 1234567,
     "ground_only": False,
     "judged_tiles": 6,
-    "unknown_tiles": 2,
+    "unknown_tiles": {"too few points": 2},
     "density": 97.3,
 }
 VEHICLES = [{"vehicle": "rover", "calibration": "abc", "class_limits": (0.1, 0.3, 0.5), "ratings": ["ride", "table"]}]
@@ -45,7 +45,7 @@ def findings(verdict_of):
     found.kinds = by_kind(["kerb"] * 30, verdicts["ride"], driven)
     found.orders = [Order("ride", ("rover", "car"), 20, 0.95, 12, 1.0)]
     found.densities = [DensityRow("ride", 50.0, 0.5, 6, 1.0, 0.9, 0.8, 0.0, 1.01, 0.8, float("nan"))]
-    found.noise = [NoiseRow(100.0, 0.03, 0.01, 0.08, (0.1,) * 3, (0.2,) * 3, 1.0, 0.8, (0.8,) * 3, 30)]
+    found.noise = [NoiseRow(100.0, 0.03, 0.01, 0.02, 0.08, (0.1,) * 3, (0.2,) * 3, 1.0, 0.8, (0.8,) * 3, 30)]
     found.moves = [MoveRow("ride", "mirrored", 6, 0.99, 0.01)]
     found.timing = [StepCost("measure", 256, 200_000, 0.02, 4.0, 3.6)]
     return found
@@ -57,6 +57,7 @@ def test_everything_is_written(findings, tmp_path):
     text = (tmp_path / "report.md").read_text()
     for words in (
         "site.laz: 1,234,567 points",
+        "6 tiles judged, 2 unknown (too few points: 2), 97 points per m2",
         "**rover, `ride`**: C_r is off by",
         "`ride`: variance, residual and C_r rise from class to class",
         "30 patches, 480 drives, 27 of them failed. On 3 patches",

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.errors import UsageError
+from bumpymap.errors import BadInputError, UsageError
 from bumpymap.evaluate.run import evaluate_library, evaluate_survey
 from bumpymap.evaluate.settings import EvaluateSettings
 from bumpymap.evaluate.subject import Subject
@@ -84,6 +84,12 @@ def test_vehicles_drive_the_same_patches_and_are_put_in_order(quarry, subject, s
     ]
 
 
+def test_a_survey_too_sparse_to_judge_says_why(quarry, subject, settings, tmp_path):
+    picky = replace(settings, features=replace(settings.features, min_points=100_000))
+    with pytest.raises(BadInputError, match=r"too few points: \d+"):
+        evaluate(quarry, [subject], picky, tmp_path)
+
+
 def test_calibrations_for_different_tiles_are_refused(quarry, subject, settings, tmp_path):
     other = replace(subject, calibration=replace(subject.calibration, tile_size=1.5))
     with pytest.raises(UsageError, match=r"1\.5 m with 15 pixels, 3 m"):
@@ -135,6 +141,49 @@ def test_wrong_usage_is_said_before_anything_is_read(words, said, tmp_path):
     assert result.exit_code == 2, result.output
     assert said in result.output
     assert not (tmp_path / "o").exists()
+
+
+def test_a_survey_that_is_not_there_leaves_no_folder(subject, tmp_path):
+    (tmp_path / "own.json").write_text(subject.calibration.to_json())
+    words = ["--calibration", tmp_path / "own.json", "--skip", "drives", "--out", tmp_path / "o"]
+    result = cli(tmp_path / "gone.laz", *words)
+    assert result.exit_code == 3
+    assert "does not exist" in result.output
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, fake_drives, monkeypatch):
+    monkeypatch.setattr("bumpymap.vehicle.model.require_dart", lambda: None)
+    (tmp_path / "own.json").write_text(subject.calibration.to_json())
+    words = [
+        quarry,
+        "--calibration",
+        tmp_path / "own.json",
+        "--out",
+        tmp_path / "o",
+        "--patches",
+        "12",
+        "--workers",
+        "1",
+    ]
+    words += ["--skip", "density,invariance,timing"]
+    drive = validate._drive
+
+    def interrupted(common, job):
+        if len(fake_drives) == 5:
+            raise KeyboardInterrupt
+        return drive(common, job)
+
+    with monkeypatch.context() as during:
+        during.setattr(validate, "_drive", interrupted)
+        result = cli(*words)
+    assert result.exit_code == 130
+    assert "same command again" in result.output
+    assert [path.suffix for path in (tmp_path / "o").iterdir()] == [".jsonl"]
+    result = cli(*words)
+    assert result.exit_code == 0, result.output
+    assert len(fake_drives) == 12
+    assert "12 patches, 24 drives, 0 failed" in result.output
 
 
 def test_a_calibration_without_a_ride_model_names_the_way_out(subject, tmp_path):
