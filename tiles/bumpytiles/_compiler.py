@@ -15,7 +15,7 @@ __all__ = ["Code", "compile_entry", "found", "link", "machine", "versions"]
 
 _log = logging.getLogger(__name__)
 _FORMAT = 2
-_LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow"})
+_LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow", "sqrt"})
 """What machine code may call outside itself."""
 
 
