@@ -13,7 +13,7 @@ from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
 from bumpymap.config import Compat, FeatureSettings, MapConfig
 from bumpymap.cost import rate, rate_as_paper
-from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes, work_folder
+from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, broken_off, hired, memory_bytes
 from bumpymap.errors import BadInputError, OutputError
 from bumpymap.features import measure
 from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
@@ -111,7 +111,10 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
     budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"):
         _check_unfinished(config)
-        check_folder(config.out, overwrite=config.overwrite, resume=config.resume)
+        # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
+        # between moving them to their places and clearing up.
+        may_replace = config.overwrite or (config.resume and broken_off(config.out))
+        check_folder(config.out, overwrite=may_replace, resume=config.resume)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
@@ -151,7 +154,7 @@ def _read_options(config: MapConfig) -> ReadOptions:
 
 
 def _check_unfinished(config: MapConfig) -> None:
-    if work_folder(config.out).exists() and not (config.resume or config.overwrite):
+    if broken_off(config.out) and not (config.resume or config.overwrite):
         raise OutputError(
             f"{config.out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, "
             "or choose another --out"

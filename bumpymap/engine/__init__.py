@@ -5,7 +5,7 @@ from bumpymap.engine.cluster import ClusterRun, Crew, hired
 from bumpymap.engine.estimate import Estimate, estimate
 from bumpymap.engine.job import Done, Job
 from bumpymap.engine.local import LocalRun
-from bumpymap.engine.workspace import Workspace, work_folder
+from bumpymap.engine.workspace import Workspace, broken_off
 
 __all__ = [
     "Budget",
@@ -16,8 +16,8 @@ __all__ = [
     "Job",
     "LocalRun",
     "Workspace",
+    "broken_off",
     "estimate",
     "hired",
     "memory_bytes",
-    "work_folder",
 ]

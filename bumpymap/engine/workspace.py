@@ -24,7 +24,7 @@ from bumpymap.atomic import STAGED, atomic
 from bumpymap.errors import OutputError, UsageError
 from bumpytiles import Pack, PackError
 
-__all__ = ["WORK_FOLDER", "Workspace", "work_folder"]
+__all__ = ["WORK_FOLDER", "Workspace", "broken_off", "work_folder"]
 
 WORK_FOLDER = ".bumpymap-run"
 """In the folder of the products, while a run is under way or was broken off."""
@@ -35,6 +35,11 @@ _POINTS = "points"
 def work_folder(out: Path) -> Path:
     """Where a run with these products keeps its work."""
     return out / WORK_FOLDER
+
+
+def broken_off(out: Path) -> bool:
+    """Whether a run with these products was broken off (or is under way): it may go on, and replace what it may."""
+    return (work_folder(out) / _ASKED).exists()
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,6 +150,8 @@ class _Server:
 
     def run(self) -> None:
         """Work until the parent closes its end, in whatever way it ends."""
+        # A batch system tells the whole group to end; that is for the parent, which then closes its end.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         while request := self._next():
             what, number, _, most_us, *_ = request
             if what == CLOSE:

@@ -441,3 +441,21 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert run("map", survey, "--out", left, "--resume").exit_code == 0
     assert layers_of(left) == layers_of(tmp_path / "whole")
     assert not (left / ".bumpymap-run").exists()
+
+
+def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp_path, monkeypatch):
+    out, left = tmp_path / "layers", tmp_path / "left"
+
+    def killed(*_):
+        shutil.copytree(out, left)  # the layers are there, and so is the work folder
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.engine.workspace.Workspace._remove", killed)
+        assert run("map", survey, "--out", out).exit_code == 130
+    refused = run("map", survey, "--out", left)
+    assert refused.exit_code == 3
+    assert "--resume" in refused.output
+    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert layers_of(left) == layers_of(layers)
+    assert not (left / ".bumpymap-run").exists()
