@@ -190,9 +190,8 @@ class DartVehicle:
         node = chassis.createShapeNode(self._dart.dynamics.BoxShape(size))
         node.createCollisionAspect()
         node.createDynamicsAspect()
-        below = belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
         place = self._dart.math.Isometry3()
-        place.set_translation([0.0, 0.0, below + size[2] / 2])
+        place.set_translation([0.0, 0.0, _belly_height(profile) + size[2] / 2])
         node.setRelativeTransform(place)
         self._set_surface(node, physics)
 
@@ -225,6 +224,8 @@ def standing_pose(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How the vehicle is put down: along the strip, level with the ground's mean slope, a hair above its bumps.
 
+    Neither wheels nor belly begin inside the ground: a vehicle that stands on a rock stands on it.
+
     Returns
     -------
     array (3, 3)
@@ -248,8 +249,22 @@ def standing_pose(
     easting = strip.easting + wheels[:, :1] + dx
     northing = strip.northing + wheels[:, 1:2] + dy
     centre = ground.height(easting, northing) + np.sqrt(radius**2 - dx**2 - dy**2)
-    upward_m = float((centre.max(axis=1) - wheels[:, 2]).max()) + _CLEARANCE_M
+    belly = belly_points(profile) @ rotation.T
+    rise = ground.height(strip.easting + belly[:, 0], strip.northing + belly[:, 1]) - belly[:, 2]
+    upward_m = max(float((centre.max(axis=1) - wheels[:, 2]).max()), float(rise.max())) + _CLEARANCE_M
     return rotation, np.array([strip.easting, strip.northing, upward_m])
+
+
+def belly_points(profile: VehicleProfile) -> NDArray[np.float64]:
+    """Points (n, 3) of the underside from the centre of mass, forward, left, upward, m."""
+    belly = profile.belly
+    along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
+    return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
+
+
+def _belly_height(profile: VehicleProfile) -> float:
+    """Height of the underside over the centre of mass, m: mostly negative."""
+    return profile.belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
 
 
 def stl_bytes(triangles: NDArray[np.float32]) -> bytes:

@@ -269,7 +269,6 @@ def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name
 def test_shipped_calibration_holds_together():
     shipped = Calibration.shipped("warthog")
     assert shipped.textures == TEXTURES
-    assert sum(map(sum, shipped.drives)) >= 2478
     c_r = np.array([[np.nan if c is None else c for c in line] for line in shipped.c_r])
     driven = np.array(shipped.p_fail) < 0.05
     steps = np.diff(np.where(driven, c_r, np.nan), axis=1)

@@ -11,7 +11,15 @@ from bumpymap.errors import OutputError, UsageError
 from bumpymap.textures import make_textures
 from bumpymap.vehicle import model
 from bumpymap.vehicle.drive import DriveSettings, Start, drive, drive_from
-from bumpymap.vehicle.model import DartVehicle, Physics, require_dart, standing_pose, stl_bytes, wheel_inertia
+from bumpymap.vehicle.model import (
+    DartVehicle,
+    Physics,
+    belly_points,
+    require_dart,
+    standing_pose,
+    stl_bytes,
+    wheel_inertia,
+)
 from bumpymap.vehicle.profile import load_profile
 from bumpymap.vehicle.terrain import PatchGround, PlaneGround, SineGround, Strip, strip_triangles
 
@@ -153,10 +161,19 @@ def ridge(height):
 
 @pytest.mark.parametrize(("height", "outcome"), [(0.22, "completed"), (0.45, "stuck")])
 def test_ridge_between_the_wheels_holds_the_belly_that_it_reaches(height, outcome):
-    along = Start(0.5, 1.5, 0.0)
-    assert drive_from(WARTHOG, ridge(height), along, 0, SHORT).outcome == outcome
+    along, brief = Start(0.5, 1.5, 0.0), DriveSettings(measure_s=1.0)
+    assert drive_from(WARTHOG, ridge(height), along, 0, brief).outcome == outcome
     high = replace(WARTHOG, belly=replace(WARTHOG.belly, clearance_m=0.55))
-    assert drive_from(high, ridge(height), along, 0, SHORT).outcome == "completed"
+    assert drive_from(high, ridge(height), along, 0, brief).outcome == "completed"
+
+
+@pytest.mark.parametrize("height", [0.1, 0.45])
+def test_vehicle_is_put_down_with_no_belly_in_the_ground(height):
+    strip = Strip(0.5, 1.5, 0.0, 1.0, 2.0)
+    rotation, place = standing_pose(WARTHOG, ridge(height), strip)
+    under = belly_points(WARTHOG) @ rotation.T + place
+    gap = under[:, 2] - ridge(height).height(under[:, 0], under[:, 1])
+    assert gap.min() == pytest.approx(0.001 if height > 0.25 else 0.25 - height, abs=0.002)
 
 
 def test_belly_that_touches_nothing_changes_no_bit():
