@@ -24,6 +24,9 @@ _LEAST_FREEDOM = 10.0
 _SIGNIFICANT = 9.0
 """A coefficient whose square is that many times its noise is ground, whatever its neighbours say (p = 0.003)."""
 _ROUNDS = 12
+_MOST_NOISE = 0.01
+"""Points that scatter by more than 0.1 m (variance, m^2) inside a pixel are leaves over ground or blocks: no scanner and
+no photogrammetry is that bad. What is beyond stays in the ground."""
 _FILLED = 0.4
 """Noise variance of a pixel that was filled, over that of one that was seen: a mean of some neighbours."""
 _TINY = 1e-12
@@ -119,7 +122,7 @@ def _point_noise(
         if below >= 0.5 * total:
             median = values[i]
             break
-    return max(median, 0.0) / (1.0 - 2.0 * total / (9.0 * squares)) ** 3
+    return min(max(median, 0.0) / (1.0 - 2.0 * total / (9.0 * squares)) ** 3, _MOST_NOISE)
 
 
 @inner
