@@ -18,7 +18,7 @@ _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 <<
 POINT_BYTES = 26
 """A point that waits, in memory or on disk."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
-_MOST_WAITING, _READING, _SORTING = 0.75, 0.15, 0.15
+_MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
 _PIECE_POINTS = 500_000
 _LEAST_PIECE = 50_000
 
