@@ -28,12 +28,14 @@ from bumpymap.readers import (
 )
 from bumpymap.ride import RideModel
 from bumpymap.types import CostMosaic, Georeference, tile_columns
-from bumpytiles import Grid, TilePoints
+from bumpytiles import Grid, TilePoints, TileWindow
 
 __all__ = ["MapResult", "map_surveys"]
 
 _log = logging.getLogger(__name__)
 
+_NAMED = 5
+"""Files that a message names."""
 _NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch", "workers", "scheduler"}
 """Settings without a say in the numbers: a run may go on with others."""
 
@@ -131,7 +133,11 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
     ):
         engine = _engine(config, job, space, budget, told, crew)
         done = engine.run(
-            inputs.readers, partial(_skip, inputs, config), partial(check_extent, grid), clock, may_skip=config.skip_bad
+            inputs.readers,
+            partial(_skip, inputs, config),
+            partial(_check_span, inputs, grid),
+            clock,
+            may_skip=config.skip_bad,
         )
         told.start("writing layers", None)
         mosaic = CostMosaic(inputs.georeference, float(calibration.vehicle["ride_weight"]), done.mosaic)
@@ -224,6 +230,16 @@ def _open(config: MapConfig) -> _Inputs:
             "or --local to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
         )
     return _Inputs(readers, georeference, skipped)
+
+
+def _check_span(inputs: _Inputs, grid: Grid, window: TileWindow) -> None:
+    """Refuse a map that spans too much, and say of which files."""
+    try:
+        check_extent(grid, window)
+    except BadInputError as error:
+        paths = [str(reader.info.path) for reader in inputs.readers if str(reader.info.path) not in inputs.skipped]
+        shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]
+        raise BadInputError(f"{error}. Read were: {', '.join(shown)}") from error
 
 
 def _skip(inputs: _Inputs, config: MapConfig, reader: SurveyReader, error: BadInputError) -> None:

@@ -13,10 +13,12 @@ from bumpymap.errors import BadInputError
 from bumpymap.types import CostMosaic, Georeference
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["MAX_PIXELS", "MAX_TILES", "Chunk", "Placement", "check_extent"]
+__all__ = ["MAX_PIXELS", "MAX_SIDE", "MAX_TILES", "Chunk", "Placement", "check_extent"]
 
 MAX_TILES = 100_000_000
 """Most tiles that the window around a survey may span: 30 km x 30 km of 3 m tiles."""
+MAX_SIDE = 100_000
+"""Most tiles along a side: 300 km. GDAL walks along a raster even where it is empty, however few tiles high it is."""
 MAX_PIXELS = 25_000_000_000
 """Most pixels of the height map of that window."""
 
@@ -29,15 +31,17 @@ def check_extent(grid: Grid, window: TileWindow) -> None:
     Raises
     ------
     BadInputError
-        More than ``MAX_TILES`` tiles or ``MAX_PIXELS`` pixels.
+        More than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
     """
     tiles = window.cols * window.rows
-    if tiles <= MAX_TILES and tiles * grid.pixels**2 <= MAX_PIXELS:
+    along = max(window.cols, window.rows)
+    if tiles <= MAX_TILES and along <= MAX_SIDE and tiles * grid.pixels**2 <= MAX_PIXELS:
         return
     width, height = (side * grid.tile_size / 1000 for side in (window.cols, window.rows))
     raise BadInputError(
         f"the survey spans {width:,.1f} km x {height:,.1f} km: {tiles:,} tiles of {grid.tile_size:g} m, or "
-        f"{tiles * grid.pixels**2:,} heightmap pixels. One map may span {MAX_TILES:,} tiles and {MAX_PIXELS:,} pixels. "
+        f"{tiles * grid.pixels**2:,} heightmap pixels. One map may span {MAX_TILES:,} tiles, {MAX_SIDE:,} along a "
+        f"side, and {MAX_PIXELS:,} pixels. "
         "Map sites that lie far apart in separate runs; if it is one site, look for points far outside it"
     )
 
