@@ -245,7 +245,8 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     made = shipped.settings
     profile = load_profile(name)
     assert shipped.vehicle == profile.to_dict()
-    settings = CalibrationSettings(profile, made["seed"])
+    effort = {name: made[name] for name in ("patches", "starts", "terrains", "terrain_starts")}
+    settings = CalibrationSettings(profile, made["seed"], **effort)
     assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {
         k: v for k, v in settings.to_dict().items() if k not in ("versions", "vehicle")
     }
