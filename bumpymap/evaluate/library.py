@@ -1,21 +1,19 @@
 """Terrain of the library as a survey sees it: tiles side by side, measured as any survey is."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from bumpymap.calibration import Calibration
 from bumpymap.config import FeatureSettings
 from bumpymap.errors import UsageError
 from bumpymap.features import join_stacks, measure
-from bumpymap.terrains import KINDS, ScanEffects, Terrain, survey_terrain
+from bumpymap.terrains import KINDS, Terrain
 from bumpymap.terrains.library import FINE
 from bumpymap.types import PatchStack
 from bumpymap.vehicle.plan import CalibrationSettings, library_terrain
 from bumpymap.vehicle.profile import VehicleProfile
-from bumpytiles import Grid, TileBuckets, TilePoints
+from bumpytiles import TileBuckets, TilePoints
 
-__all__ = ["bucketed", "dead_flat", "library_terrains", "require_unseen", "stack_of", "surveyed"]
+__all__ = ["bucketed", "dead_flat", "library_terrains", "require_unseen", "stack_of"]
 
 
 def require_unseen(calibration: Calibration, seed: int) -> None:
@@ -36,16 +34,6 @@ def dead_flat(calibration: Calibration, count: int) -> list[Terrain]:
     """Make ground without any relief."""
     side = calibration.pixels * FINE
     return [Terrain("dead flat", np.zeros((side, side)), calibration.tile_size)] * count
-
-
-def surveyed(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
-    """Survey terrains, each as the tile ``(index, 0)``, each with a random stream of its own."""
-    buckets = TileBuckets(Grid(terrains[0].tile_size, terrains[0].pixels))
-    for index, terrain in enumerate(terrains):
-        points = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
-        west = index * terrain.tile_size
-        buckets.add(points.easting + west, points.northing, points.upward, np.zeros(len(points.upward), np.bool_))
-    return buckets
 
 
 def stack_of(buckets: TileBuckets, features: FeatureSettings) -> PatchStack:

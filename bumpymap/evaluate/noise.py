@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from bumpymap.config import FeatureSettings
 from bumpymap.evaluate.agreement import coverage
-from bumpymap.evaluate.library import dead_flat, stack_of, surveyed
+from bumpymap.evaluate.library import dead_flat, stack_of
 from bumpymap.evaluate.subject import Subject, Verdict
 from bumpymap.progress import Progress
 from bumpymap.ride import RideModel, roll_over
 from bumpymap.terrains import ScanEffects, Terrain
-from bumpymap.vehicle.ride_fit import relief_of
+from bumpymap.vehicle.ride_fit import relief_of, surveyed
 
 __all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_proof", "perfect_c_r"]
 

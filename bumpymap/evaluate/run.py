@@ -16,7 +16,7 @@ from bumpymap.evaluate.density import density_sweep
 from bumpymap.evaluate.drives import ground_of
 from bumpymap.evaluate.findings import Findings
 from bumpymap.evaluate.invariance import invariance
-from bumpymap.evaluate.library import library_terrains, require_unseen, stack_of, surveyed
+from bumpymap.evaluate.library import library_terrains, require_unseen, stack_of
 from bumpymap.evaluate.noise import noise_proof
 from bumpymap.evaluate.settings import EvaluateSettings
 from bumpymap.evaluate.strata import choose, strata
@@ -29,6 +29,7 @@ from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpymap.terrains import KINDS, ScanEffects, Terrain
 from bumpymap.types import REASON_TEXT, Reason
 from bumpymap.vehicle.journal import Key
+from bumpymap.vehicle.ride_fit import surveyed
 from bumpytiles import Grid
 
 __all__ = ["evaluate_library", "evaluate_survey"]

@@ -15,12 +15,12 @@ from bumpymap.config import FeatureSettings
 from bumpymap.features import measure
 from bumpymap.ride import DrivenPatches, NoisyPatches, RideOperator, fit_correction, roll_over, take_noise_off
 from bumpymap.terrains import ScanEffects, Terrain, survey_terrain
-from bumpymap.types import PatchStack, Reason
+from bumpymap.types import Reason
 from bumpymap.vehicle.profile import VehicleProfile
 from bumpymap.vehicle.terrain import fit_plane
 from bumpytiles import Grid, TileBuckets
 
-__all__ = ["fit_ride", "relief_of", "survey_patches"]
+__all__ = ["fit_ride", "relief_of", "surveyed"]
 
 _DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
 _NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)
@@ -61,22 +61,22 @@ def relief_of(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray
     return np.stack(relief), np.array(slope)
 
 
-def survey_patches(terrains: Sequence[Terrain], effects: ScanEffects, rng: np.random.Generator) -> list[PatchStack]:
-    """Survey terrains, one tile beside the other to the east, and measure them; ``col`` is the terrain's index."""
-    side = terrains[0].tile_size
-    buckets = TileBuckets(Grid(side, terrains[0].pixels))
-    for place, terrain in enumerate(terrains):
-        points = survey_terrain(terrain, effects, rng)
-        flag = np.zeros(len(points.easting), dtype=np.bool_)
-        buckets.add(points.easting + place * side, points.northing, points.upward, flag)
-    return [measure(block, FeatureSettings(), ground_only=False) for block in buckets.blocks()]
+def surveyed(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
+    """Survey terrains, each as the tile ``(index, 0)``, each with a random stream of its own."""
+    buckets = TileBuckets(Grid(terrains[0].tile_size, terrains[0].pixels))
+    for index, terrain in enumerate(terrains):
+        points = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
+        west = index * terrain.tile_size
+        buckets.add(points.easting + west, points.northing, points.upward, np.zeros(len(points.upward), np.bool_))
+    return buckets
 
 
 def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: RideOperator) -> NoisyPatches:
     columns: list[list[NDArray[np.float64]]] = [[], [], []]
     conditions = [ScanEffects(density, noise) for density in _DENSITIES for noise in _NOISES_M]
     for number, effects in enumerate(conditions):
-        for patches in survey_patches(terrains, effects, np.random.default_rng(_NOISE_SEED + number)):
+        for block in surveyed(terrains, effects, _NOISE_SEED + number).blocks():
+            patches = measure(block, FeatureSettings(), ground_only=False)
             clean = take_noise_off(patches, operator)
             found = roll_over(clean.relief_map, operator).pitch_change
             wanted = truth[patches.col]

@@ -7,12 +7,13 @@ from bumpymap.config import FeatureSettings
 from bumpymap.errors import BadInputError
 from bumpymap.evaluate.density import density_sweep, thinned
 from bumpymap.evaluate.invariance import MOVES, _moved, invariance
-from bumpymap.evaluate.library import library_terrains, stack_of, surveyed
+from bumpymap.evaluate.library import library_terrains, stack_of
 from bumpymap.evaluate.survey import gather, open_readers
 from bumpymap.features import join_stacks, measure
 from bumpymap.progress import SilentProgress
 from bumpymap.readers import ReadOptions
 from bumpymap.terrains import ScanEffects
+from bumpymap.vehicle.ride_fit import surveyed
 from bumpytiles import Grid, TileBuckets
 
 FEATURES = FeatureSettings()

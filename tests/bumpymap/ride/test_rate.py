@@ -10,11 +10,11 @@ from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
 from bumpymap.config import FeatureSettings
 from bumpymap.errors import UsageError
-from bumpymap.features import join_stacks, measure
+from bumpymap.features import measure
 from bumpymap.ride import RideModel
 from bumpymap.terrains import ScanEffects, make_terrain
 from bumpymap.types import NO_CLASS, Georeference
-from bumpymap.vehicle.ride_fit import survey_patches
+from bumpymap.vehicle.ride_fit import surveyed
 from bumpytiles import Grid, TileBuckets
 
 CALIBRATION = Calibration.shipped("warthog")
@@ -24,7 +24,8 @@ PLACE = Georeference(None, 1.0, 1.0)
 
 def patches_of(*kinds, slope=5.0, density=200.0, index=3):
     terrains = [make_terrain(kind, 9, index, slope_limit_deg=slope) for kind in kinds]
-    return join_stacks(survey_patches(terrains, ScanEffects(density, 0.005), np.random.default_rng(1)))
+    (block,) = surveyed(terrains, ScanEffects(density, 0.005), 1).blocks()
+    return measure(block, FeatureSettings(), ground_only=False)
 
 
 def rated(patches, model=MODEL):
@@ -59,8 +60,8 @@ def test_a_tile_steeper_than_the_vehicle_can_climb_is_class_3():
 
 def test_a_tile_that_cannot_be_judged_has_no_class():
     few = ScanEffects(1.0, 0.0)
-    (patches,) = survey_patches([make_terrain("flat", 1, 1)], few, np.random.default_rng(1))
-    cost = rated(patches)
+    (block,) = surveyed([make_terrain("flat", 1, 1)], few, 1).blocks()
+    cost = rated(measure(block, FeatureSettings(), ground_only=False))
     assert cost.klass.tolist() == [NO_CLASS]
     assert np.isnan([cost.c_r[0], cost.c_r_low[0], cost.p_fail[0], cost.confidence[0]]).all()
 
