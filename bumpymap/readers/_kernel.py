@@ -14,9 +14,9 @@ from bumpytiles.native import entry, inner
 
 __all__ = ["KEPT", "STRIP", "convert_records", "sift_points"]
 
-_FIRST = 6
+_FIRST = 5
 """Place in ``counts`` of the number of the first point that is not finite; -1 where there is none."""
-KEPT = 7
+KEPT = 6
 """Place in ``counts`` of the points that count, so far."""
 STRIP = 1024
 """Points that are decoded at once."""
@@ -34,15 +34,15 @@ Counts = NDArray[np.int64]
 @inner
 def _sift(
     x: Any, y: Any, z: Any, klass: Any, withheld: Any, total: int,
-    box: Any, cube: Any, nan_is_no_return: bool, start: int,
+    box: Any, nan_is_no_return: bool, start: int,
     to_x: Any, to_y: Any, to_z: Any, to_ground: Any,
     extremes: Any, counts: Any,
 ) -> None:  # fmt: skip
     """Watch ``total`` points and append those that count; see ``sift_points``."""
     west, south, east, north, highest = extremes[0], extremes[1], extremes[2], extremes[3], extremes[4]
     # Nothing is wrong with a point in here; the others are looked at closely.
-    inner_west, inner_south = max(box[0], cube[0], -_FINITE), max(box[1], cube[1], -_FINITE)
-    inner_east, inner_north = min(box[2], cube[2], _FINITE), min(box[3], cube[3], _FINITE)
+    inner_west, inner_south = max(box[0], -_FINITE), max(box[1], -_FINITE)
+    inner_east, inner_north = min(box[2], _FINITE), min(box[3], _FINITE)
     to = counts[KEPT]
     for i in range(total):
         e, n, u = x[i], y[i], z[i]
@@ -53,13 +53,11 @@ def _sift(
         if not (inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE):
             if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
                 counts[3] += 1
-            elif e < cube[0] or n < cube[1] or e > cube[2] or n > cube[3]:
-                counts[4] += 1
             if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
                 if nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
                     counts[2] += 1
                     continue
-                counts[5] += 1
+                counts[4] += 1
                 if counts[_FIRST] < 0:
                     counts[_FIRST] = start + i
         if withheld[i]:
@@ -75,10 +73,10 @@ def _sift(
     extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
 
 
-@entry("f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 ? i8 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
+@entry("f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 ? i8 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
 def sift_points(
     x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
-    box: Floats, cube: Floats, nan_is_no_return: bool, start: int,
+    box: Floats, nan_is_no_return: bool, start: int,
     to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
     extremes: Floats, counts: Counts,
 ) -> None:  # fmt: skip
@@ -91,8 +89,8 @@ def sift_points(
     klass : uint8 (n,)
         LAS classes; 7 and 18 are noise, 2 is ground.
     withheld : bool (n,)
-    box, cube : float64 (4,)
-        West, south, east, north that every point, and every point of this piece, must lie in; m.
+    box : float64 (4,)
+        West, south, east, north that every point must lie in, m.
     nan_is_no_return : bool
         A row with NaN does not count; otherwise it is bad, as infinite ones are.
     start : int
@@ -102,11 +100,11 @@ def sift_points(
     extremes : float64 (5,)
         Lowest easting and northing, highest easting and northing, largest distance of a height from zero, m; brought
         up to date, as are the counts.
-    counts : int64 (8,)
-        Withheld, noise, not a number, outside, astray, not finite, first not finite: as in ``Tally``; last, those kept.
+    counts : int64 (7,)
+        Withheld, noise, not a number, outside, not finite, first not finite: as in ``Tally``; last, those kept.
     """
     _sift(
-        x, y, z, klass, withheld, len(x), box, cube, nan_is_no_return, start,
+        x, y, z, klass, withheld, len(x), box, nan_is_no_return, start,
         to_x, to_y, to_z, to_ground, extremes, counts,
     )  # fmt: skip
 
@@ -133,9 +131,9 @@ def _axis(
             out[i] *= unit
 
 
-@entry("u1:2 f8:1 i8:1 f8:1 f8:1 i8 f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
+@entry("u1:2 f8:1 i8:1 f8:1 i8 f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
 def convert_records(
-    records: Bytes, place: Floats, layout: Counts, box: Floats, cube: Floats, start: int,
+    records: Bytes, place: Floats, layout: Counts, box: Floats, start: int,
     x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
     to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
     extremes: Floats, counts: Counts,
@@ -162,6 +160,6 @@ def convert_records(
             klass[i] = records[first + i, layout[0]] & layout[1]
             withheld[i] = (records[first + i, layout[2]] & layout[3]) != 0
         _sift(
-            x, y, z, klass, withheld, count, box, cube, False, start + first,
+            x, y, z, klass, withheld, count, box, False, start + first,
             to_x, to_y, to_z, to_ground, extremes, counts,
         )  # fmt: skip

@@ -71,7 +71,7 @@ def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Ge
     size = len(records)
     out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
     extremes, counts = _start()
-    convert_records(records, numbers, places, box, _ANYWHERE, watch.first, *scratch, *out, extremes, counts)
+    convert_records(records, numbers, places, box, watch.first, *scratch, *out, extremes, counts)
     return _batch(out, size, extremes, counts)
 
 
@@ -83,7 +83,7 @@ def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
     box = _sides(watch.file_bounds)
     extremes, counts = _start()
     no_return = watch.nan_is_no_return
-    sift_points(*axes, _codes(raw), withheld, box, _ANYWHERE, no_return, watch.first, *axes, ground, extremes, counts)
+    sift_points(*axes, _codes(raw), withheld, box, no_return, watch.first, *axes, ground, extremes, counts)
     return _batch((*axes, ground), size, extremes, counts)
 
 
@@ -93,7 +93,7 @@ _Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDAr
 def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     empty = Tally()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
-    return extremes, np.array([0, 0, 0, 0, 0, 0, empty.first_not_finite, 0])
+    return extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0])
 
 
 def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
@@ -111,7 +111,9 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
 
 
 def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> Batch:
-    tally = Tally(seen, *counts[:KEPT].tolist(), *extremes.tolist())
+    withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
+    # What is astray in an octree is found elsewhere, see `count_astray`.
+    tally = Tally(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
     kept = 0 if tally.bad else int(counts[KEPT])
     cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
     if kept < seen // 2:
