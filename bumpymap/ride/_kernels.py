@@ -25,8 +25,8 @@ _SIGNIFICANT = 9.0
 """A coefficient whose square is that many times its noise is ground, whatever its neighbours say (p = 0.003)."""
 _ROUNDS = 12
 _MOST_NOISE = 0.01
-"""Variance, m^2. Points that scatter by more than 0.1 m inside a pixel are leaves over ground, or blocks: no scanner, no
-photogrammetry is that bad. What is beyond stays in the ground."""
+"""Variance, m^2. Points that scatter by more than 0.1 m inside a pixel are leaves over ground, or blocks: a scanner is
+better than that. What is beyond stays in the ground."""
 _FILLED = 0.4
 """Noise variance of a pixel that was filled, over that of one that was seen: a mean of some neighbours."""
 _TINY = 1e-12
