@@ -189,6 +189,21 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, grou
         assert records[0][key] == records[1][key], key
 
 
+def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(surveys, tmp_path, here):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.las").write_bytes((surveys / "c.las").read_bytes())
+        with (tmp_path / f"{name}.las").open("r+b") as file:
+            file.seek(179)
+            file.write(np.float64(500_020).tobytes())  # max x: points lie outside
+    said = []
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
+        assert result.exit_code == 3
+        said.append(result.output.splitlines()[-1])
+    assert said[0] == said[1]
+    assert "every input was skipped" in said[0]
+
+
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
     file = write_las(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
