@@ -17,6 +17,7 @@ import numpy as np
 
 from bumpymap.engine.budget import Budget
 from bumpymap.engine.harvest import Adoption, Harvest
+from bumpymap.engine.intake import refuse_nothing
 from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
 from bumpymap.engine.parts import Rivals, cut_parts, part_points
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, busy, count_marks, finish_group, look, read_part
@@ -145,9 +146,8 @@ class ClusterRun:
     ) -> dict[str, Any]:
         with clock.stage("read"):
             harvest = self._read(order, readers, refuse, may_skip=may_skip)
+        refuse_nothing(readers, harvest.tallies)
         keys = [*harvest.catalogue.keys().tolist(), *(key for pack in harvest.early for key in pack.keys)]
-        if not keys:
-            raise BadInputError("no point is left to map: every point is withheld, noise or without return")
         rows, cols = np.array(keys).T * BLOCK_TILES
         window = TileWindow.around(cols, rows)
         check_window(TileWindow(window.col, window.row, window.cols + BLOCK_TILES - 1, window.rows + BLOCK_TILES - 1))

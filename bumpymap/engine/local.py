@@ -100,8 +100,6 @@ class LocalRun:
             self._told.start("reading points", sum(reader.info.point_count for reader in readers))
             self._told.advance(sum(tally.points for tally in intake.tallies))
             intake.read(buckets, start, self._budget.threads, self._told)
-        if not (buckets.done or len(buckets)):
-            raise BadInputError("no point is left to map: every point is withheld, noise or without return")
         check_window(buckets.window())
         with clock.stage("measure"):
             ground_only = self._decide(buckets, flagged=intake.flagged)

@@ -26,7 +26,7 @@ from bumpymap.engine.job import Job, failures
 from bumpymap.engine.parts import Part
 from bumpymap.engine.sink import TileSink
 from bumpymap.errors import BadInputError, OutputError, UsageError
-from bumpymap.readers import Location, ReadOptions, SurveyReader, Tally, identity, reopen_survey
+from bumpymap.readers import Location, ReadOptions, SurveyReader, Tally, identity, reopen_survey, rest_decoder
 from bumpytiles import BlockKey, Bounds, Pack, Room, TileBuckets
 
 __all__ = ["Order", "PartRead", "PartTask", "busy", "count_marks", "finish_group", "look", "read_part"]
@@ -131,6 +131,8 @@ def read_part(order: Order, task: PartTask) -> PartRead:
             for folder in (points, tiles):
                 rmtree(folder, ignore_errors=True)
             return PartRead(Tally(), error=error)
+        finally:
+            rest_decoder()  # opening a file starts it, even where nothing is read then
 
 
 def count_marks(order: Order, group: Group) -> tuple[int, int]:

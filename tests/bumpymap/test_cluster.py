@@ -5,7 +5,7 @@ import os
 import random
 import shutil
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -25,7 +25,8 @@ from bumpymap.engine.parts import Part, Rivals, cut_parts
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, _alone, _opened, count_marks, finish_group, look, read_part
 from bumpymap.errors import OutputError, UsageError
 from bumpymap.products import PRODUCT_NAMES
-from bumpymap.readers import ReadOptions, identity, open_survey
+from bumpymap.readers import ReadOptions, decoder, identity, open_survey
+from bumpymap.readers.decoder_process import ChildDecoder
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 DEADLY = '''
@@ -189,6 +190,21 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, grou
         assert records[0][key] == records[1][key], key
 
 
+def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(surveys, tmp_path, here):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.las").write_bytes((surveys / "c.las").read_bytes())
+        with (tmp_path / f"{name}.las").open("r+b") as file:
+            file.seek(179)
+            file.write(np.float64(500_020).tobytes())  # max x: points lie outside
+    said = []
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
+        assert result.exit_code == 3
+        said.append(result.output.splitlines()[-1])
+    assert said[0] == said[1]
+    assert "every input was skipped" in said[0]
+
+
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
     file = write_las(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
@@ -276,6 +292,25 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     task = PartTask(file, ReadOptions(), (known["size"], known["digest"]), 1000, Part(0, 0, 1, 1000, None), None)
     with pytest.raises(OutputError, match="folders that every worker sees"):
         read_part(order, task)
+
+
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
+def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
+    """It has read, or opened a file that is another than the client's."""
+    held, started = ChildDecoder(), []
+    start = held._start
+    monkeypatch.setattr(held, "_start", lambda: started.append(start()) or started[-1])
+    monkeypatch.setattr(decoder, "_current", held)
+    order, file = order_in(tmp_path), surveys / "a.laz"
+    known = identity(file)
+    digest = known["digest"] if same else "0"
+    task = PartTask(file, ReadOptions(), (known["size"], digest), 1000, Part(0, 0, 1, 1000, None), None)
+    with nullcontext() if same else pytest.raises(UsageError, match="another file"):
+        assert read_part(order, task).tally.points >= 1000
+    assert started
+    assert all(child.poll() is not None for child in started)
+    assert held._memory.size == 0
 
 
 def test_parts_hold_each_piece_once(surveys):
