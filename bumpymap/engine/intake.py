@@ -143,7 +143,7 @@ class Intake:
         Raises
         ------
         BadInputError
-            A file is bad and may not be skipped, or no point is left.
+            A file is bad and may not be skipped. That no point is left is no matter of some lots: `refuse_nothing`.
         """
         buckets.settled = self._first[self._lots[start].file] if self._may_skip and start < len(self._lots) else None
         np.empty(_LARGEST_KEPT, np.uint8)
@@ -165,7 +165,6 @@ class Intake:
                 del fetched, coming
                 self._drain(pending, threads, buckets, told)
             self._drain(pending, 0, buckets, told)
-            refuse_nothing(self._readers, self.tallies)
         finally:
             fetcher.shutdown(cancel_futures=True)
             pool.shutdown(cancel_futures=True)

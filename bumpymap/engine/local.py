@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.engine.budget import Budget
-from bumpymap.engine.intake import Intake, cut
+from bumpymap.engine.intake import Intake, cut, refuse_nothing
 from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
 from bumpymap.engine.sink import TileSink
 from bumpymap.engine.workspace import Workspace
@@ -100,6 +100,7 @@ class LocalRun:
             self._told.start("reading points", sum(reader.info.point_count for reader in readers))
             self._told.advance(sum(tally.points for tally in intake.tallies))
             intake.read(buckets, start, self._budget.threads, self._told)
+        refuse_nothing(readers, intake.tallies)
         check_window(buckets.window())
         with clock.stage("measure"):
             ground_only = self._decide(buckets, flagged=intake.flagged)

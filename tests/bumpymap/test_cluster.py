@@ -190,6 +190,23 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, grou
         assert records[0][key] == records[1][key], key
 
 
+def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
+    """As long as others of the survey count; where none does, all are named, with the sum of their points."""
+    side = np.linspace(0.5, 59.5, 250)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
+    noise = [write_las(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
+        assert result.exit_code == 0, result.output
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+    refused = [run("map", *noise, "--out", tmp_path / "none", "--skip-bad", *extra) for extra in ((), ("--workers", 3))]
+    assert [result.exit_code for result in refused] == [3, 3]
+    said = [result.output.splitlines()[-1] for result in refused]
+    assert said[0] == said[1]
+    assert "of the 125,000 points" in said[0]
+
+
 def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(surveys, tmp_path, here):
     for name in ("a", "b"):
         (tmp_path / f"{name}.las").write_bytes((surveys / "c.las").read_bytes())
