@@ -126,6 +126,11 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         csf = config.csf if config.ground == "csf" else None
         if csf is not None:
             require_filter(csf, grid)
+            _log.warning(
+                "--ground csf takes away whatever stands more than %g m above the ground, boulders and posts as well "
+                "as trees. The layers say how rough the ground is, not whether the way is free",
+                csf.class_threshold,
+            )
         check_folder(config.out, overwrite=may_replace, resume=config.resume)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()

@@ -179,6 +179,22 @@ def test_a_filter_that_died_is_told_and_replaced(wood):
 
 
 @needs_filter
+def test_a_boulder_goes_as_a_tree_does_and_the_user_is_told(tmp_path):
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0.01, 47.99, (2, 150_000))
+    far = np.hypot(x - 22.5, y - 22.5) / 0.5
+    points = np.column_stack([x, y, 2.0 * np.sqrt(np.maximum(0, 1 - far**2)) + 0.004 * rng.normal(size=len(x))])
+    survey = write(tmp_path / "boulder.las", np.round(points * 1024) / 1024)
+    klass = {}
+    for ground in ("all", "csf"):
+        result = run("map", survey, "--ground", ground, "--out", tmp_path / ground)
+        assert result.exit_code == 0
+        assert ("boulders and posts as well as trees" in result.output) == (ground == "csf")
+        klass[ground] = ratings(tmp_path / ground)[0][8, 7]
+    assert klass == {"all": 3, "csf": 1}
+
+
+@needs_filter
 def test_a_block_that_would_be_shared_out_is_refused(mapped, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "block_points", 50_000)
     result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf")
