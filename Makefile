@@ -18,7 +18,7 @@ $(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[sim,learn,o3d,dask,remote]' --group dev
+	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[sim,learn,o3d,dask,remote,csf]' --group dev
 	@touch $@
 
 demo: $(VENV)/.installed

@@ -9,9 +9,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from bumpymap.errors import UsageError
 
-__all__ = ["Compat", "FeatureSettings", "Ground", "MapConfig", "Rating", "ZUnit", "read_settings"]
+__all__ = ["Compat", "CsfSettings", "FeatureSettings", "Ground", "MapConfig", "Rating", "ZUnit", "read_settings"]
 
-Ground = Literal["auto", "all", "class"]
+Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
@@ -47,6 +47,25 @@ class FeatureSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class CsfSettings:
+    """How ground is found by the cloth simulation filter (``ground = "csf"``)."""
+
+    cloth_resolution: float = 0.5
+    """Side of a mesh of the cloth, m."""
+    class_threshold: float = 0.5
+    """Points within this of the cloth are ground, m."""
+    rigidness: int = 3
+    """How stiff the cloth is: 1 follows steep slopes, 3 bridges wide objects."""
+    slope_smooth: bool = True
+    """Lower what the cloth leaves hanging at the foot of slopes."""
+
+    def __post_init__(self) -> None:
+        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0)
+        _within("class_threshold", self.class_threshold, 0.01, 10.0)
+        _within("rigidness", self.rigidness, 1, 3)
+
+
+@dataclass(frozen=True, slots=True)
 class MapConfig:
     """Everything that a ``map`` run depends on."""
 
@@ -59,7 +78,7 @@ class MapConfig:
     pixels: int = 15
     """Pixels along a side of a tile."""
     ground: Ground = "auto"
-    """Which points count: all, class 2 alone, or class 2 where most tiles have such points."""
+    """Which points count: all, class 2 alone, class 2 where most tiles have such points, or what a cloth finds."""
     rating: Rating = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
     compat: Compat = "none"
@@ -95,6 +114,7 @@ class MapConfig:
     scheduler: str | None = None
     """Address of a dask.distributed scheduler, whose workers are used."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
+    csf: CsfSettings = field(default_factory=CsfSettings)
 
     def __post_init__(self) -> None:
         _within("tile_size", self.tile_size, 0.05, 1000.0)

@@ -2,7 +2,7 @@
 
 import logging
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
-from bumpymap.config import Compat, FeatureSettings, MapConfig
+from bumpymap.config import Compat, CsfSettings, FeatureSettings, Ground, MapConfig
 from bumpymap.cost import rate, rate_as_paper
 from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, broken_off, hired, memory_bytes
 from bumpymap.errors import BadInputError, OutputError
 from bumpymap.features import measure
+from bumpymap.ground import filter_version, mark_ground, require_filter, rest_filter
 from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import (
@@ -51,7 +52,7 @@ class MapResult:
     points: int
     """Points that count: read, and neither withheld nor noise; duplicates are still among them."""
     ground_only: bool
-    """Only points of class 2 were measured."""
+    """Only ground was measured: points of class 2, or those that the cloth found (``ground = "csf"``)."""
     skipped: dict[str, str]
     """Inputs that could not be read, with the message (``skip_bad``)."""
     seconds: dict[str, float]
@@ -72,6 +73,8 @@ class _Rating:
     """What turns the points of tiles into rated tiles; travels to other threads and machines."""
 
     features: FeatureSettings
+    csf: CsfSettings | None
+    """None: ground is what the survey says."""
     compat: Compat
     model: TextureModel
     calibration: Calibration
@@ -80,7 +83,9 @@ class _Rating:
     georeference: Georeference
 
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
-        """Measure, classify, rate; columns of `tile_columns`."""
+        """Find the ground, measure, classify, rate; columns of `tile_columns`."""
+        if self.csf is not None:
+            points = replace(points, flag=mark_ground(points, self.csf))
         patches = measure(points, self.features, ground_only=ground_only)
         textures = classify(patches, self.model)
         if self.ride is not None:
@@ -105,6 +110,8 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
             with suppress(OSError):  # goes away where nothing was written to it
                 config.out.rmdir()
         raise
+    finally:
+        rest_filter()
 
 
 def _map(config: MapConfig, told: Progress) -> MapResult:
@@ -116,6 +123,14 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
         # between moving them to their places and clearing up.
         may_replace = config.overwrite or (config.resume and broken_off(config.out))
+        csf = config.csf if config.ground == "csf" else None
+        if csf is not None:
+            require_filter(csf, grid)
+            _log.warning(
+                "--ground csf takes away whatever stands more than %g m above the ground, boulders and posts as well "
+                "as trees. The layers say how rough the ground is, not whether the way is free",
+                csf.class_threshold,
+            )
         check_folder(config.out, overwrite=may_replace, resume=config.resume)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
@@ -123,7 +138,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
         calibration.require_grid(config.tile_size, config.pixels)
         ride = RideModel(calibration) if config.rating == "ride" and config.compat == "none" else None
         inputs = _open(config)
-    rating = _Rating(config.features, config.compat, model, calibration, ride, inputs.georeference)
+    rating = _Rating(config.features, csf, config.compat, model, calibration, ride, inputs.georeference)
     job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
     asked = _asked(config, inputs, budget, model, calibration)
     # Workers first: a failure to get them must not cost what an earlier run has finished.
@@ -152,7 +167,7 @@ def _engine(
 ) -> LocalRun | ClusterRun:
     if crew is None:
         return LocalRun(job, space, budget, told)
-    return ClusterRun(job, space, budget, told, crew, _read_options(config), software_versions)
+    return ClusterRun(job, space, budget, told, crew, _read_options(config), partial(_versions, config.ground))
 
 
 def _read_options(config: MapConfig) -> ReadOptions:
@@ -176,7 +191,7 @@ def _asked(
     return {
         "inputs": {str(path): None if str(path) in inputs.skipped else identity(path) for path in paths},
         "settings": {name: str(value) for name, value in settings.items()},
-        "made with": software_versions() | {"model": model.id, "calibration": calibration.id},
+        "made with": _versions(config.ground) | {"model": model.id, "calibration": calibration.id},
         "cut": {"piece_points": budget.piece_points},
     }
 
@@ -194,6 +209,7 @@ def _manifest(
         "inputs": [_input_record(reader, dropped) for reader, dropped in read if dropped is not None],
         "skipped": inputs.skipped,
         "settings": config,
+        "versions": _versions(config.ground),
         "ground_only": done.ground_only,
         "points": done.points,
         "model": model.id,
@@ -204,6 +220,11 @@ def _manifest(
         },
         "seconds": clock.seconds,
     }
+
+
+def _versions(ground: Ground) -> dict[str, str]:
+    """Versions of everything that has a say in the numbers of a run."""
+    return software_versions() | (filter_version() if ground == "csf" else {})
 
 
 def _calibration(config: MapConfig) -> Calibration:

@@ -14,6 +14,7 @@ from bumpymap.engine.sink import TileSink
 from bumpymap.engine.workspace import Workspace
 from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpytiles import (
+    BLOCK_TILES,
     BlockKey,
     Column,
     Grid,
@@ -48,7 +49,7 @@ class Job:
     @property
     def kinds(self) -> tuple[str, ...]:
         """What may have to be measured while it is not known yet which points count: ``all``, ``ground``, or both."""
-        return {"auto": ("all", "ground"), "all": ("all",), "class": ("ground",)}[self.ground]
+        return {"auto": ("all", "ground"), "all": ("all",)}.get(self.ground, ("ground",))
 
     def finish(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
@@ -56,11 +57,23 @@ class Job:
         """Finish blocks, in order."""
 
         def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
-            shares = [self.work(points, ground_only) for points in buckets.block(key)]
+            shares = [self.work(points, ground_only) for points in self._points(buckets, key)]
             joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
             return key, joined
 
         return run_blocks(finish, keys, threads)
+
+    def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
+        """Hand out a block: as a whole where a cloth falls on it, since a part would be given other ground."""
+        most = buckets.room.block_points if buckets.room else None
+        if self.ground == "csf" and most is not None and (points := buckets.points(key)) > most:
+            side = BLOCK_TILES * self.grid.tile_size
+            raise UsageError(
+                f"--ground csf takes squares of {side:g} m as a whole: the one at ({key[1] * side:.0f}, "
+                f"{key[0] * side:.0f}) holds {points:,} points, and there is room for {most:,}. Raise --memory, lower "
+                "--threads, or thin the survey"
+            )
+        return buckets.block(key)
 
     def finish_early(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
@@ -93,12 +106,12 @@ def gathered(job: Job, space: Workspace, record: Mapping[str, Any]) -> Done:
 
 
 def decide_ground(ground: Ground, tiles: int, flagged: int) -> bool:
-    """Decide from a survey's tiles, and those with points of class 2, whether only such points count (DESIGN 3)."""
+    """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
     if ground == "all":
         return False
     if ground == "class" and not flagged:
         raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
-    return ground == "class" or flagged > _CLASSIFIED_SHARE * tiles
+    return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
 
 
 @contextmanager

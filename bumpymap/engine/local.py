@@ -127,7 +127,7 @@ class LocalRun:
 
     def _decide(self, buckets: TileBuckets, *, flagged: bool) -> bool:
         marks = self._marks.copy()
-        keys = buckets.keys() if flagged and self._job.ground != "all" else []
+        keys = buckets.keys() if flagged and self._job.ground in {"auto", "class"} else []
         for counts in run_blocks(buckets.marks, keys, self._budget.threads):
             marks += counts
         return decide_ground(self._job.ground, int(marks[0]), int(marks[1]))

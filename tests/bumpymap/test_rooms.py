@@ -24,6 +24,7 @@ ROOMS = {
         {"bumpytiles", "fsspec", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"},
     ),
     "kernels": (set(), {"bumpytiles", "numpy"}),
+    "ground": (set(), {"CSF", "bumpytiles", "numpy"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
     "classify": ({"textures"}, {"numpy", "onnxruntime"}),
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
@@ -33,7 +34,7 @@ ROOMS = {
     ),
     "engine": ({"readers"}, {"bumpytiles", "numpy"}),
     "pipeline": (
-        {"calibration", "classify", "cost", "engine", "features", "products", "readers", "ride"},
+        {"calibration", "classify", "cost", "engine", "features", "ground", "products", "readers", "ride"},
         {"bumpytiles", "numpy"},
     ),
     "terrains": ({"textures"}, {"numpy", "scipy"}),
@@ -50,6 +51,7 @@ ROOMS = {
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {
+    "CSF",
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
     "numpy", "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
     "scipy", "shapely", "skimage", "sklearn", "torch",
