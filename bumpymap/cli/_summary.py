@@ -15,6 +15,8 @@ __all__ = ["show"]
 
 _MOST = 0.5
 """With a larger share of unknown tiles the summary says what to do."""
+_SAID = ("class 2", "found by the cloth")
+"""Where ground comes from: the survey, or the filter."""
 
 
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
@@ -24,7 +26,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         return
     console = Console(soft_wrap=True, highlight=False)
     summary = result.summary
-    which = "ground points (class 2)" if result.ground_only else "points"
+    which = f"ground points ({_SAID[config.ground == 'csf']})" if result.ground_only else "points"
     console.print(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
         f"{sum(result.seconds.values()):.1f} s"
@@ -68,7 +70,7 @@ def _advice(result: MapResult, config: MapConfig) -> str:
     needed = f"at least {config.features.min_points}, spread over the tile, are needed"
     if result.ground_only:
         return (
-            f"{head} They hold {points} ground points (class 2) in the median; {needed}. "
+            f"{head} They hold {points} ground points ({_SAID[config.ground == 'csf']}) in the median; {needed}. "
             "--ground all measures every point, vegetation too."
         )
     return (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.config import FeatureSettings, Ground
-from bumpymap.errors import BadInputError, OutputError
+from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.features import join_stacks, measure
 from bumpymap.progress import Progress
 from bumpymap.readers import (
@@ -169,6 +169,8 @@ def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, told: Progress) 
 
 
 def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
+    if ground == "csf":
+        raise UsageError("--ground csf is for map alone. Use --ground all or class here")
     if ground == "all":
         return False
     share = buckets.flagged_share()
