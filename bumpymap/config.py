@@ -7,14 +7,27 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
-from bumpymap.errors import UsageError
+from bumpymap.errors import BadInputError, UsageError
 
-__all__ = ["Compat", "CsfSettings", "FeatureSettings", "Ground", "MapConfig", "Rating", "ZUnit", "read_settings"]
+__all__ = [
+    "Compat",
+    "CsfSettings",
+    "FeatureSettings",
+    "Ground",
+    "MapConfig",
+    "Rating",
+    "ZUnit",
+    "decide_ground",
+    "read_settings",
+]
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
+
+_CLASSIFIED_SHARE = 0.5
+"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +145,15 @@ class MapConfig:
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
                 "on this machine, a scheduler has its own"
             )
+
+
+def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
+    """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
+    if ground == "all":
+        return False
+    if ground == "class" and not flagged:
+        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+    return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
 
 
 def read_settings(path: Path) -> dict[str, Any]:

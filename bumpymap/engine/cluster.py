@@ -15,10 +15,11 @@ from uuid import uuid4
 
 import numpy as np
 
+from bumpymap.config import decide_ground
 from bumpymap.engine.budget import Budget
 from bumpymap.engine.harvest import Adoption, Harvest
 from bumpymap.engine.intake import refuse_nothing
-from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
+from bumpymap.engine.job import Done, Job, failures, gathered, reading_record
 from bumpymap.engine.parts import Rivals, cut_parts, part_points
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, busy, count_marks, finish_group, look, read_part
 from bumpymap.engine.workspace import Workspace
@@ -154,9 +155,7 @@ class ClusterRun:
         with clock.stage("measure"):
             ground_only = self._decide(order, harvest)
             self._finish(order, harvest, ground_only=ground_only)
-        counted = [tally.points - sum(tally.dropped.values()) for tally in harvest.tallies]
-        dropped = [None if n in harvest.skipped else tally.dropped for n, tally in enumerate(harvest.tallies)]
-        return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
+        return reading_record(harvest.tallies, harvest.skipped, ground_only=ground_only)
 
     def _read(
         self,

@@ -1,6 +1,6 @@
 """What both engines share: the work done with each block, what comes of a run, and what to say where it fails."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,8 @@ from bumpymap.config import Ground
 from bumpymap.engine.budget import Budget
 from bumpymap.engine.sink import TileSink
 from bumpymap.engine.workspace import Workspace
-from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.errors import OutputError, UsageError
+from bumpymap.readers import Tally
 from bumpytiles import (
     BLOCK_TILES,
     BlockKey,
@@ -27,10 +28,7 @@ from bumpytiles import (
     run_blocks,
 )
 
-__all__ = ["Done", "Job", "TileColumns", "decide_ground", "failures", "gathered"]
-
-_CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+__all__ = ["Done", "Job", "TileColumns", "failures", "gathered", "reading_record"]
 
 TileColumns = dict[str, NDArray[Any]]
 
@@ -105,13 +103,20 @@ def gathered(job: Job, space: Workspace, record: Mapping[str, Any]) -> Done:
     return Done(Mosaic(job.grid, packs), record["ground_only"], record["dropped"], record["points"])
 
 
-def decide_ground(ground: Ground, tiles: int, flagged: int) -> bool:
-    """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
-    if ground == "all":
-        return False
-    if ground == "class" and not flagged:
-        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
-    return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
+def reading_record(tallies: Sequence[Tally], skipped: Collection[int], *, ground_only: bool) -> dict[str, Any]:
+    """Return what a workspace remembers of the reading: which points were measured, how many counted, what was dropped.
+
+    Parameters
+    ----------
+    tallies : sequence of Tally
+        Of each input.
+    skipped : collection of int
+        Inputs that were refused.
+    ground_only : bool
+    """
+    counted = [tally.points - sum(tally.dropped.values()) for tally in tallies]
+    dropped = [None if n in skipped else tally.dropped for n, tally in enumerate(tallies)]
+    return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
 
 
 @contextmanager

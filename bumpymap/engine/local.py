@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.config import decide_ground
 from bumpymap.engine.budget import Budget
 from bumpymap.engine.intake import Intake, cut, refuse_nothing
-from bumpymap.engine.job import Done, Job, decide_ground, failures, gathered
+from bumpymap.engine.job import Done, Job, failures, gathered, reading_record
 from bumpymap.engine.sink import TileSink
 from bumpymap.engine.workspace import Workspace
 from bumpymap.errors import BadInputError
@@ -105,9 +106,7 @@ class LocalRun:
         with clock.stage("measure"):
             ground_only = self._decide(buckets, flagged=intake.flagged)
             self._finish_rest(buckets, ground_only=ground_only)
-        counted = [tally.points - sum(tally.dropped.values()) for tally in intake.tallies]
-        dropped = [None if n in intake.skipped else tally.dropped for n, tally in enumerate(intake.tallies)]
-        return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
+        return reading_record(intake.tallies, intake.skipped, ground_only=ground_only)
 
     def _finish_early(self, buckets: TileBuckets, keys: list[BlockKey]) -> None:
         """Finish complete blocks while others are still read: both ways, where it is not known yet what counts."""

@@ -25,7 +25,7 @@ def require_matplotlib() -> None:
         import matplotlib  # noqa: F401, ICN001 (only asked whether it is there)
     except ImportError as error:
         raise UsageError(
-            "evaluate draws its pictures with matplotlib, which is not installed; pip install matplotlib"
+            "evaluate draws its pictures with matplotlib, which is not installed; pip install 'bumpymap[sim]'"
         ) from error
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.config import FeatureSettings, Ground
+from bumpymap.config import FeatureSettings, Ground, decide_ground
 from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.features import join_stacks, measure
 from bumpymap.progress import Progress
@@ -30,8 +30,6 @@ __all__ = ["Survey", "gather", "open_readers", "take"]
 _MOST_POINTS = 10_000_000
 """Points that wait in memory (26 bytes each); the others wait on disk."""
 _BLOCK_POINTS = 10_000_000
-_CLASSIFIED_SHARE = 0.5
-"""``auto`` measures class 2 alone where more than this share of the tiles has such points, as ``map`` does."""
 
 Ints = NDArray[np.int64]
 
@@ -171,9 +169,5 @@ def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, told: Progress) 
 def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
     if ground == "csf":
         raise UsageError("--ground csf is for map alone. Use --ground all or class here")
-    if ground == "all":
-        return False
-    share = buckets.flagged_share()
-    if ground == "class" and share == 0:
-        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
-    return ground == "class" or share > _CLASSIFIED_SHARE
+    # Of one tile, a share is what a count is of many.
+    return decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())

@@ -1,13 +1,14 @@
 """The ride model: geometry rolls the vehicle over a patch, a calibration corrects what geometry leaves out."""
 
 from bumpymap.ride.correction import Correction, Prediction
-from bumpymap.ride.fitting import DrivenPatches, NoisyPatches, fit_correction
+from bumpymap.ride.fitting import MOST_FAILED, DrivenPatches, NoisyPatches, fit_correction
 from bumpymap.ride.geometry import Rides, roll_over
 from bumpymap.ride.noise import CleanPatches, take_noise_off
 from bumpymap.ride.operator import RideOperator
 from bumpymap.ride.rate import RideModel
 
 __all__ = [
+    "MOST_FAILED",
     "CleanPatches",
     "Correction",
     "DrivenPatches",

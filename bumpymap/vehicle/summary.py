@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration, DrivenTerrain
 from bumpymap.errors import BumpymapError
+from bumpymap.ride import MOST_FAILED
 from bumpymap.types import CLASS_NAMES, TEXTURES
 from bumpymap.vehicle.journal import Key
 from bumpymap.vehicle.library import FitRide, driven_library, library_ground, library_record
@@ -24,7 +25,6 @@ from bumpymap.vehicle.plan import CalibrationSettings
 
 __all__ = ["class_limits", "natural_breaks", "summarise"]
 
-_MOST_FAILED = 0.25
 _RULE = (
     "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
     "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
@@ -91,7 +91,7 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     BumpymapError
         The vehicle can cross too few of them, or hardly pitches on any.
     """
-    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= _MOST_FAILED]
+    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MOST_FAILED]
     if len(set(crossable)) < len(CLASS_NAMES):
         raise BumpymapError(
             f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
