@@ -48,6 +48,8 @@ ROOMS = {
         {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
         {"bumpytiles", "matplotlib", "numpy", "scipy"},
     ),
+    "scan": (set(), {"bumpytiles", "numpy", "onnxruntime", "skimage", "sklearn"}),
+    "frames": ({"readers", "scan"}, {"numpy", "plyfile", "pypcd4"}),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
 HEAVY = {

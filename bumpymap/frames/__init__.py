@@ -1,0 +1,1 @@
+"""Readers of scans: frames of a moving robot's LiDAR and its poses."""

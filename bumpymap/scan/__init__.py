@@ -1,0 +1,1 @@
+"""Dynamic scenes: one scan of a moving robot in, classed sectors out."""
