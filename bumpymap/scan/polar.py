@@ -1,0 +1,139 @@
+"""From a scan to measured sectors of the concentric-zone polar grid.
+
+Sectors are fixed shares of a turn, so a scan that turns by part of a sector would be cut anew, and ground near a
+border would be judged in other company. The grid is therefore anchored to the scan: sector 0 starts in the mean
+direction of its points, and turns with them. A robot that turns on the spot keeps the sectors of the ground around it.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.errors import BadInputError
+from bumpymap.scan._kernels import SAMPLE, count_labels, measure_sectors, place_points, point_directions, sort_points
+from bumpymap.scan.types import PolarSettings, Scan, SectorStack
+
+__all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
+
+RANSAC_THRESHOLD_M = 0.1
+"""Points nearer to a plane than this are its inliers; as for the patches of a survey."""
+_LABELS = 32_768
+_BLOCK = 512
+"""Points whose distance and direction are found at once: they stay in the nearest cache."""
+
+
+def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorStack:
+    """Cut a scan into sectors and measure those that hold enough points.
+
+    Parameters
+    ----------
+    scan : Scan
+    settings : PolarSettings, optional
+        The paper's grid, where none is given.
+
+    Returns
+    -------
+    SectorStack
+        Sorted by zone, ring, sector; without rows where no sector holds enough points.
+
+    Raises
+    ------
+    BadInputError
+        A label is 32,768 or more.
+    """
+    settings = settings or PolarSettings()
+    points = np.ascontiguousarray(scan.points, np.float32)
+    start = anchor_of(points, settings) if settings.anchored else 0.0
+    sectors, rings = np.array(settings.sectors, np.int64), np.array(settings.rings, np.int64)
+    cell, pixel = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
+    polar = np.empty((2, _BLOCK))
+    edges = np.array([*settings.zone_starts_m, settings.end_m])
+    place_points(points, edges, sectors, rings, start / (2.0 * math.pi), settings.pixels, polar, cell, pixel)
+    starts, order = np.zeros(int(sectors @ rings) + 2, np.int64), np.empty(len(points), np.int32)
+    sort_points(cell, starts, order)
+    counts = np.diff(starts[:-1])
+    cells = np.flatnonzero(counts > settings.least_points)
+    scalars, normal, heights = _measure(points, pixel, order, starts, cells, settings.pixels)
+    zone, ring, sector = _places(cells, sectors, rings)
+    rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
+    rows[cells] = np.arange(len(cells), dtype=np.int32)
+    return SectorStack(
+        settings,
+        start,
+        zone,
+        ring,
+        sector,
+        counts[cells].astype(np.int32),
+        normal,
+        np.abs(normal[:, 2]) >= settings.least_normal_z,
+        heights,
+        scalars[:, 2].astype(np.float32),
+        scalars[:, 0].astype(np.float32),
+        scalars[:, 1].astype(np.float32),
+        _labels(scan, order, starts, cells),
+        rows[cell],
+    )
+
+
+def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:
+    """Mean direction of the points inside the grid, radians from 0 to 2 pi; 0 where they have none."""
+    total = np.zeros(2)
+    point_directions(points, np.array([settings.zone_starts_m[0], settings.end_m]), total)
+    return math.atan2(total[1], total[0]) % (2.0 * math.pi)
+
+
+def _measure(
+    points: NDArray[np.float32],
+    pixel: NDArray[np.int32],
+    order: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    pixels: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+    """Variance, residual and coverage; normals; heightmaps."""
+    scalars, normal = np.empty((len(cells), 3)), np.empty((len(cells), 3), np.float32)
+    heights = np.empty((len(cells), pixels, pixels), np.float32)
+    most = int(np.diff(starts)[cells].max(initial=0))
+    measure_sectors(
+        points,
+        pixel,
+        order,
+        starts,
+        cells,
+        RANSAC_THRESHOLD_M,
+        scalars,
+        normal,
+        heights,
+        np.empty((3, most)),
+        np.empty((3, SAMPLE), np.float32),
+        np.empty((2, pixels * pixels)),
+        np.empty(pixels * pixels, np.int32),
+        np.empty(pixels * pixels, np.float32),
+    )
+    return scalars, normal, heights
+
+
+def _places(
+    cells: NDArray[np.int64], sectors: NDArray[np.int64], rings: NDArray[np.int64]
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
+    """Zone, ring and sector of cells."""
+    ends = np.cumsum(sectors * rings)
+    zone = np.searchsorted(ends, cells, side="right")
+    ring, sector = np.divmod(cells - (ends - sectors * rings)[zone], sectors[zone])
+    return zone.astype(np.int16), ring.astype(np.int16), sector.astype(np.int16)
+
+
+def _labels(
+    scan: Scan, order: NDArray[np.int32], starts: NDArray[np.int64], cells: NDArray[np.int64]
+) -> NDArray[np.int16]:
+    most = np.full(len(cells), -1, np.int16)
+    if scan.label is not None and len(cells):
+        if int(scan.label.max()) >= _LABELS:
+            raise BadInputError(
+                f"the scan {scan.name} has the label {int(scan.label.max())}; semantic ids are below {_LABELS:,}. Does "
+                "its label file belong to it?"
+            )
+        label = np.ascontiguousarray(scan.label, np.uint16)
+        count_labels(label, order, starts, cells, np.zeros(_LABELS, np.int32), most)
+    return most
