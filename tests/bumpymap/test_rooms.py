@@ -49,6 +49,7 @@ ROOMS = {
         {"bumpytiles", "matplotlib", "numpy", "scipy"},
     ),
     "scan": (set(), {"bumpytiles", "numpy", "onnxruntime", "skimage", "sklearn"}),
+    "scan_world": (set(), {"numpy", "open3d"}),
     "frames": ({"readers", "scan"}, {"numpy", "plyfile", "pypcd4"}),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }
