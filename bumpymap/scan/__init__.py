@@ -1,1 +1,34 @@
 """Dynamic scenes: one scan of a moving robot in, classed sectors out."""
+
+from bumpymap.scan.points import point_classes
+from bumpymap.scan.polar import polar_sectors
+from bumpymap.scan.stripes import StripeFilter, StripeModel, classify_filter, fit_stripes, load_stripes, save_stripes
+from bumpymap.scan.types import (
+    CLASSES,
+    NOT_TRAVERSABLE,
+    ClassedSectors,
+    Dropped,
+    PolarSettings,
+    Scan,
+    ScanMethod,
+    SectorStack,
+)
+
+__all__ = [
+    "CLASSES",
+    "NOT_TRAVERSABLE",
+    "ClassedSectors",
+    "Dropped",
+    "PolarSettings",
+    "Scan",
+    "ScanMethod",
+    "SectorStack",
+    "StripeFilter",
+    "StripeModel",
+    "classify_filter",
+    "fit_stripes",
+    "load_stripes",
+    "point_classes",
+    "polar_sectors",
+    "save_stripes",
+]

@@ -357,8 +357,9 @@ def measure_sectors(
         Cells to measure; their numbers seed RANSAC.
     threshold : float
         RANSAC inlier distance, m.
-    scalars : (sectors, 3) float64
-        Filled: variance of z [m^2], residual [m] (NaN where the points span no plane), coverage.
+    scalars : (sectors, 4) float64
+        Filled: variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
+        origin below the principal plane [m].
     normal : (sectors, 3) float32
         Filled: principal normal; zeros where the points lie on a line.
     heights : (sectors, pixels, pixels) float32
@@ -394,6 +395,7 @@ def measure_sectors(
         scalars[s, 0] = square / n
         a, b, c, d = _principal_plane(x, y, z, (0.0, 0.0, 0.0, 0.0), np.inf)
         normal[s, 0], normal[s, 1], normal[s, 2] = a, b, c
+        scalars[s, 3] = a * mx + b * my + c * mz
         a, b, c, d = ransac_plane(x, y, z, threshold, np.uint64(cells[s]), sample)
         east, north, level = (-a / c, -b / c, -d / c) if c > _STEEPEST else (0.0, 0.0, 0.0)
         for k in range(size * size):

@@ -66,7 +66,7 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
         sector,
         counts[cells].astype(np.int32),
         normal,
-        np.abs(normal[:, 2]) >= settings.least_normal_z,
+        (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m),
         heights,
         scalars[:, 2].astype(np.float32),
         scalars[:, 0].astype(np.float32),
@@ -91,8 +91,8 @@ def _measure(
     cells: NDArray[np.int64],
     pixels: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-    """Variance, residual and coverage; normals; heightmaps."""
-    scalars, normal = np.empty((len(cells), 3)), np.empty((len(cells), 3), np.float32)
+    """Scalars, normals and heightmaps, as ``measure_sectors`` fills them."""
+    scalars, normal = np.empty((len(cells), 4)), np.empty((len(cells), 3), np.float32)
     heights = np.empty((len(cells), pixels, pixels), np.float32)
     most = int(np.diff(starts)[cells].max(initial=0))
     measure_sectors(

@@ -87,6 +87,9 @@ class PolarSettings:
     least_normal_z: float = math.cos(math.radians(45.0))
     """A sector is traversable where abs(n_z) of its principal normal is at least this: 45 degrees, the limit at which
     published ground segmentation on the same grid takes a sector for a wall."""
+    overhead_m: float = 2.0
+    """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, no ground.
+    The margin allows for frames whose origin lies at the robot's foot."""
     anchored: bool = True
     """Sector 0 starts where the scan's points say, so that the grid turns with the ground; False: at the x axis."""
 
@@ -103,10 +106,15 @@ class PolarSettings:
             raise UsageError(
                 f"a zone has 3 sectors or more and 1 ring or more; {self.sectors} and {self.rings} were given"
             )
-        if self.least_points < 3 or not 3 <= self.pixels <= 64 or not 0.0 <= self.least_normal_z <= 1.0:
+        if (
+            self.least_points < 3
+            or not 3 <= self.pixels <= 64
+            or not 0.0 <= self.least_normal_z <= 1.0
+            or math.isnan(self.overhead_m)
+        ):
             raise UsageError(
                 f"least_points is {self.least_points} (3 or more), pixels {self.pixels} (3 to 64), least_normal_z "
-                f"{self.least_normal_z} (0 to 1)"
+                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number)"
             )
 
 
@@ -128,7 +136,7 @@ class SectorStack:
     normal: NDArray[np.float32]
     """(n, 3) axis of the least spread of the points, sensor frame, n_z >= 0."""
     traversable: NDArray[np.bool_]
-    """(n,) True where the normal is close enough to vertical."""
+    """(n,) True where the normal is close enough to vertical, and the surface is not seen from below."""
     heights: NDArray[np.float32]
     """(n, pixels, pixels) mean z above the sector's plane, m. Rows go outwards with the distance, columns
     counter-clockwise with the azimuth, both in equal steps of the sector; empty pixels are filled."""

@@ -1,0 +1,230 @@
+"""The learning method: a small network looks at the heightmap of each sector and says how rough it is.
+
+The answer for a sector must not depend on which others are in the scan. Sectors therefore go through the network in
+batches of one fixed size, the last one padded, on one thread, through a graph that treats each sector by itself.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.errors import BadInputError, UsageError
+from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack
+
+__all__ = [
+    "CHANNELS",
+    "CLASS_OF_LABEL",
+    "MEASURES",
+    "SECTOR_VERSION",
+    "ScanModel",
+    "classes_of_labels",
+    "classify_learned",
+    "grid_record",
+    "network_input",
+    "probabilities",
+]
+
+SECTOR_VERSION = 1
+"""Version of what the network sees: ``network_input``. A change asks for training."""
+CHANNELS = 2
+"""Pictures of a sector: relief scaled to [0, 1], and relief by its size."""
+MEASURES = ("count", "coverage", "z_deviation", "residual", "upright", "distance")
+"""Numbers beside the pictures: what filled pixels and scaling hide."""
+CLASS_OF_LABEL = {
+    **dict.fromkeys((3, 10, 1, 23), 0),
+    **dict.fromkeys((6, 31, 33, 19, 34), 1),
+    **dict.fromkeys((4, 17, 8, 18, 27), 2),
+}
+"""RELLIS-3D id -> class. 0: grass, asphalt, dirt, concrete; 1: water, puddle, mud, bush, rubble; 2: tree, person,
+vehicle, fence, barrier."""
+
+_BATCH = 32
+_FORMAT = "bumpymap-scan"
+_REMEDY = "Train one with: bumpymap train --scans simulated --out MODEL.onnx"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanModel:
+    """A network for the sectors of a scan, as plain data that travels between processes."""
+
+    content: bytes
+    """The ONNX file."""
+    metadata: dict[str, str]
+    """Its ``metadata_props``: seed, command, accuracies."""
+    grid: str
+    """``grid_record`` of the polar grid that it was trained for."""
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits that change with any byte of the file."""
+        return hashlib.sha256(self.content).hexdigest()[:12]
+
+    def require_grid(self, settings: PolarSettings) -> None:
+        """Raise UsageError where sectors of another grid are to be classed."""
+        if grid_record(settings) != self.grid:
+            raise UsageError(
+                f"the polar grid is {grid_record(settings)}; the scan network {self.id} was trained for {self.grid}. "
+                "Use that grid, or the filter method"
+            )
+
+    @classmethod
+    def shipped(cls) -> "ScanModel":
+        """Read the network that ships with bumpymap."""
+        return cls.from_bytes(_shipped_bytes(), "the scan network in the package")
+
+    @classmethod
+    def load(cls, path: Path) -> "ScanModel":
+        """Read a network that training wrote. Raises BadInputError where it is none."""
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise BadInputError(f"cannot read the scan network {path}: {error}. {_REMEDY}") from error
+        return cls.from_bytes(content, str(path))
+
+    @classmethod
+    def from_bytes(cls, content: bytes, origin: str) -> "ScanModel":
+        """Check an ONNX file from ``origin``. Raises BadInputError where it is no scan network."""
+        try:
+            metadata = dict(_session(content).get_modelmeta().custom_metadata_map)
+        except Exception as error:  # ONNX Runtime has its own family of exceptions, without a public base
+            raise BadInputError(f"{origin} is not an ONNX model: {error}. {_REMEDY}") from error
+        if metadata.get("format") != _FORMAT:
+            raise BadInputError(f"{origin} is an ONNX model, but not a scan network of bumpymap. {_REMEDY}")
+        if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
+            raise BadInputError(
+                f"{origin} looks at sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
+                f"those of version {SECTOR_VERSION}. {_REMEDY}"
+            )
+        return cls(content, metadata, metadata["grid"])
+
+
+def grid_record(settings: PolarSettings) -> str:
+    """Write down what a network has to know of a grid: zones, sectors, rings, pixels."""
+    return json.dumps(
+        {
+            "zones_m": [*settings.zone_starts_m, settings.end_m],
+            "sectors": list(settings.sectors),
+            "rings": list(settings.rings),
+            "pixels": settings.pixels,
+        }
+    )
+
+
+def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
+    """Return the class of each label; -1 where it has none (void, sky, no labels at all)."""
+    table = np.full(max(CLASS_OF_LABEL) + 2, -1, np.int16)
+    table[list(CLASS_OF_LABEL)] = list(CLASS_OF_LABEL.values())
+    known = (labels >= 0) & (labels < len(table))
+    return table[np.where(known, labels, len(table) - 1)]
+
+
+def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return what the network sees of sectors; training and inference both use this function.
+
+    Returns
+    -------
+    patches : array (n, CHANNELS, pixels, pixels) float32
+        Heights over the sector's plane: scaled to [0, 1] by their own range (0.5 where they have none), and as
+        asinh(h / 5 cm) / 3, which keeps a centimetre and a metre apart.
+    measures : array (n, len(MEASURES)) float32
+        Each of them about -1 to 1.
+    """
+    heights = stack.heights
+    low = heights.min(axis=(1, 2), keepdims=True)
+    span = heights.max(axis=(1, 2), keepdims=True) - low
+    scaled = np.divide(heights - low, span, out=np.full_like(heights, 0.5), where=span > 0)
+    patches = np.stack([scaled, np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)], axis=1)
+    measures = np.column_stack(
+        [
+            np.log10(stack.count / 200.0),
+            2.0 * stack.coverage - 1.0,
+            0.5 * np.log10(stack.variance + 1e-6) + 1.0,
+            np.log10(stack.residual + 1e-3) + 1.5,
+            2.0 * np.abs(stack.normal[:, 2]) - 1.0,
+            np.log10(_distance(stack) / 20.0),
+        ]
+    )
+    return np.ascontiguousarray(patches, np.float32), measures.astype(np.float32)
+
+
+def _distance(stack: SectorStack) -> NDArray[np.float64]:
+    """Distance of the middle of each sector, m."""
+    settings = stack.settings
+    edges = np.array([*settings.zone_starts_m, settings.end_m])
+    width = np.diff(edges) / np.array(settings.rings)
+    middle: NDArray[np.float64] = edges[stack.zone] + (stack.ring + 0.5) * width[stack.zone]
+    return middle
+
+
+def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:
+    """Class the sectors of a scan by the network.
+
+    Parameters
+    ----------
+    stack : SectorStack
+        Of any scan, labelled or not.
+    model : ScanModel, optional
+        The one that ships with bumpymap, where none is given.
+
+    Returns
+    -------
+    ClassedSectors
+        The likeliest class; ``NOT_TRAVERSABLE`` where the gate refuses the sector.
+
+    Raises
+    ------
+    UsageError
+        The network was trained for another grid.
+    """
+    probability = probabilities(stack, model or ScanModel.shipped(), stack.traversable)
+    klass = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
+    klass[stack.traversable] = probability[stack.traversable].argmax(axis=1)
+    return ClassedSectors(stack, klass, None, "learned")
+
+
+def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the probability of each class (n, CLASSES); NaN where ``which`` (n,) is False."""
+    model.require_grid(stack.settings)
+    found = np.full((len(stack.zone), CLASSES), np.nan, np.float32)
+    if which.any():
+        patches, measures = network_input(stack)
+        found[which] = _infer(model.content, {"patches": patches[which], "measures": measures[which]})
+    return found
+
+
+def _infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Run a network on sectors; returns (n, CLASSES)."""
+    session = _session(content)
+    count = len(inputs["measures"])
+    rows = -(-count // _BATCH) * _BATCH
+    padded = {name: np.concatenate([v, np.zeros((rows - count, *v.shape[1:]), v.dtype)]) for name, v in inputs.items()}
+    parts = [
+        session.run(None, {name: values[start : start + _BATCH] for name, values in padded.items()})[0]
+        for start in range(0, rows, _BATCH)
+    ]
+    probability: NDArray[np.float32] = np.concatenate(parts)[:count]
+    return probability
+
+
+@lru_cache(maxsize=1)
+def _shipped_bytes() -> bytes:
+    return (files("bumpymap") / "data" / "models" / "scan.onnx").read_bytes()
+
+
+@lru_cache(maxsize=4)
+def _session(content: bytes) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

@@ -1,0 +1,245 @@
+"""The filter method: Gabor filters look for stripes on the ground, k-means++ on their count makes the classes.
+
+Scan lines draw stripes on the ground. Where it is smooth they are straight; relief bends and breaks them, because a
+point that lies higher is met nearer to the sensor. But how many there are depends on the sensor, on its height and on
+the distance, and so would the class. Therefore the lines are drawn anew, in the same way for every sensor: over the
+sector's heightmap, one stripe every ``wavelength_px`` rows, displaced outwards or inwards by one stripe for every
+``metres_per_stripe`` of height. Smooth ground shows ``pixels / wavelength_px`` of them, whatever it was measured with.
+
+The filters tell where stripes are left. Each of the 8 orientations answers 1 where stripes run straight in its own
+direction and 0 where there is no pattern; the greatest counts, so that a long swell, which turns the stripes, leaves
+them, and short bumps break them. What is counted is, up each column, the runs of pixels with an answer of ``threshold``
+or more.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.errors import BadInputError, UsageError
+from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
+from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, SectorStack
+
+__all__ = [
+    "StripeFilter",
+    "StripeModel",
+    "classify_filter",
+    "count_stripes",
+    "fit_stripes",
+    "gabor_bank",
+    "load_stripes",
+    "save_stripes",
+]
+
+_FORMAT = "bumpymap stripes 1"
+_OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
+"""Standard deviation of a Gabor filter of one octave, in wavelengths."""
+
+
+@dataclass(frozen=True, slots=True)
+class StripeFilter:
+    """How stripes are drawn and counted."""
+
+    wavelength_px: float = 3.0
+    """From one stripe to the next, and of the filters: the paper's."""
+    gamma: float = 0.5
+    """Width of a filter across the stripes over that along them: the paper's."""
+    orientations: int = 8
+    """Filters, in equal steps of half a turn: the paper's."""
+    metres_per_stripe: float = 0.25
+    """Height that displaces the stripes by one. A relief of white noise breaks half of them at 0.21 times this, m."""
+    threshold: float = 0.5
+    """A filter's answer from here on is a stripe; 1 is an unbroken one."""
+
+    def __post_init__(self) -> None:
+        sizes = (self.wavelength_px, self.gamma, self.metres_per_stripe, self.threshold)
+        if not all(math.isfinite(size) and size > 0.0 for size in sizes) or self.orientations < 1:
+            raise UsageError(f"the settings of a stripe filter are positive numbers; {self} was given")
+
+
+@dataclass(frozen=True, slots=True)
+class StripeModel:
+    """What ``fit_stripes`` found: the same classes for every scan."""
+
+    filter: StripeFilter
+    pixels: int
+    """Rows and columns of the heightmaps."""
+    centres: tuple[float, float, float]
+    """Stripes at the middle of class 0, 1 and 2; falling."""
+    scans: int
+    """It was fitted on so many."""
+    sectors: int
+    """Traversable sectors in them."""
+    seed: int
+    """Of k-means++."""
+
+
+def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = None) -> NDArray[np.float32]:
+    """Count the stripes of heightmaps.
+
+    Parameters
+    ----------
+    heights : (n, pixels, pixels) float32
+        Above the plane of the sector, rows outwards, without holes, m.
+    settings : StripeFilter, optional
+
+    Returns
+    -------
+    (n,) float32
+        Mean number of stripes up a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
+    """
+    settings = settings or StripeFilter()
+    count, pixels = heights.shape[:2]
+    rows = np.arange(pixels, dtype=np.float32)[:, None] - pixels // 2
+    turns = rows / np.float32(settings.wavelength_px) + heights / np.float32(settings.metres_per_stripe)
+    bank = gabor_bank(pixels, settings)
+    maps = np.zeros((-(-count // LANES) * LANES, bank.shape[2]), np.float32)
+    maps[:count, : pixels * pixels] = np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))).reshape(count, -1)
+    side_by_side = maps.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
+    stripes = np.zeros((len(side_by_side), LANES), np.float32)
+    scratch = np.empty(LANES, np.float32), np.empty((pixels * pixels, LANES), np.float32)
+    filter_maps(side_by_side, bank, settings.threshold, *scratch, stripes)
+    mean: NDArray[np.float32] = stripes.reshape(-1)[:count] / np.float32(pixels)
+    return mean
+
+
+@cache
+def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
+    """Give the weights of a map's pixels in the filters' answers.
+
+    Returns
+    -------
+    (pixels^2, orientations, padded) float32
+        Real parts: for the answer at each pixel, the weight of each, padded with zeros to a multiple of ``STEP``. A
+        filter that reaches beyond the map is weighted so that unbroken stripes still give 1.
+    """
+    row, column = (axis.ravel() for axis in np.indices((pixels, pixels), dtype=np.float64))
+    down, right = row - row[:, None], column - column[:, None]
+    across = _OCTAVE * settings.wavelength_px
+    along = across / settings.gamma
+    bank = np.zeros((pixels * pixels, settings.orientations, -(-pixels * pixels // STEP) * STEP), np.float32)
+    for number in range(settings.orientations):
+        theta = math.pi * number / settings.orientations
+        u = right * math.cos(theta) + down * math.sin(theta)
+        v = down * math.cos(theta) - right * math.sin(theta)
+        envelope = np.exp(-0.5 * ((u / across) ** 2 + (v / along) ** 2))
+        wave = np.cos(2.0 * math.pi * u / settings.wavelength_px)
+        bank[:, number, : pixels * pixels] = envelope * wave / (envelope * wave**2).sum(axis=1, keepdims=True)
+    return bank
+
+
+def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFilter | None = None) -> StripeModel:
+    """Find the classes of stripe counts over many scans, by k-means++.
+
+    Parameters
+    ----------
+    stacks : sequence of SectorStack
+        Their traversable sectors count.
+    seed : int
+    settings : StripeFilter, optional
+
+    Raises
+    ------
+    BadInputError
+        The scans hold fewer than three different stripe counts.
+    UsageError
+        scikit-learn is not installed.
+    """
+    try:
+        from sklearn.cluster import KMeans
+    except ImportError as error:
+        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'") from error
+    settings = settings or StripeFilter()
+    sizes = {stack.settings.pixels for stack in stacks}
+    if len(sizes) > 1:
+        raise UsageError(f"the scans were cut into heightmaps of {sorted(sizes)} pixels; one size can be fitted")
+    counts = [count_stripes(stack.heights[stack.traversable], settings) for stack in stacks]
+    stripes = np.concatenate([*counts, np.empty(0, np.float32)]).astype(np.float64)
+    if len(np.unique(stripes)) < CLASSES:
+        raise BadInputError(
+            f"{len(stacks)} scans with {len(stripes)} traversable sectors hold fewer than {CLASSES} different stripe "
+            "counts: no classes can be told apart. Name more scans, of smooth and of rough ground"
+        )
+    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=seed).fit(stripes[:, None])
+    smooth, middle, rough = sorted(found.cluster_centers_.ravel().tolist(), reverse=True)
+    return StripeModel(settings, sizes.pop(), (smooth, middle, rough), len(stacks), len(stripes), seed)
+
+
+def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
+    """Give every traversable sector the class whose centre is nearest to its stripe count.
+
+    Parameters
+    ----------
+    stack : SectorStack
+    model : StripeModel, optional
+        The one that ships, where none is given.
+
+    Raises
+    ------
+    UsageError
+        The model was fitted on heightmaps of another size.
+    """
+    model = model or load_stripes()
+    if model.pixels != stack.settings.pixels:
+        raise UsageError(
+            f"the stripe classes were fitted on heightmaps of {model.pixels} pixels; this scan was cut into "
+            f"{stack.settings.pixels}. Fit them anew with: bumpymap scan --fit"
+        )
+    stripes = count_stripes(stack.heights, model.filter)
+    klass = np.abs(stripes[:, None] - np.array(model.centres, np.float32)).argmin(axis=1).astype(np.uint8)
+    klass[~stack.traversable] = NOT_TRAVERSABLE
+    return ClassedSectors(stack, klass, stripes, "filter")
+
+
+def save_stripes(model: StripeModel, path: Path) -> None:
+    """Write a model as JSON."""
+    path.write_text(json.dumps({"format": _FORMAT, **asdict(model)}, indent=2) + "\n", encoding="utf-8")
+
+
+def load_stripes(path: Path | None = None) -> StripeModel:
+    """Read a model; the one that ships, fitted on simulated scans of 64 and 128 lines, where no path is given.
+
+    Raises
+    ------
+    BadInputError
+        No such file, or no file of ``save_stripes``.
+    """
+    return _shipped() if path is None else _parse(_text(path), str(path))
+
+
+@cache
+def _shipped() -> StripeModel:
+    source = files("bumpymap") / "data" / "models" / "stripes.json"
+    return _parse(source.read_text(encoding="utf-8"), "stripes.json")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"cannot read the stripe classes {path}: {error}") from error
+
+
+def _parse(text: str, name: str) -> StripeModel:
+    try:
+        record: dict[str, Any] = json.loads(text)
+        if record.pop("format") != _FORMAT:
+            record = {}  # of another format: its fields will be missed
+        settings = StripeFilter(**record.pop("filter"))
+        smooth, middle, rough = (float(centre) for centre in record.pop("centres"))
+        model = StripeModel(settings, centres=(smooth, middle, rough), **record)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(
+            f"{name} holds no stripe classes ({error}); make such a file with: bumpymap scan --fit"
+        ) from error
+    if not smooth > middle > rough:
+        raise BadInputError(f"{name} gives class centres of {smooth}, {middle} and {rough} stripes; they must fall")
+    return model
