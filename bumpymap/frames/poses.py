@@ -42,9 +42,8 @@ def read_poses(path: Path, count: int) -> NDArray[np.float64]:
     if not lines:
         raise BadInputError(f"{path} is empty; a line for each frame is wanted")
     has_header = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in lines[0])
-    poses = (
-        _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, [line.split() for line in lines], 12))
-    )
+    words = [line.split() for line in lines]
+    poses = _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, words, 12))
     if len(poses) != count:
         raise BadInputError(
             f"{path} holds {len(poses):,} poses for {count:,} frames; one for each is wanted, in the order of time. Is "
@@ -67,7 +66,7 @@ def _from_csv(path: Path, lines: list[str]) -> NDArray[np.float64]:
 
 
 def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:
-    """Turn text into a table; a word that is no number (a time, a name) becomes NaN, and is refused where it is used."""
+    """Turn text into a table; a word that is no number (a time, a name) becomes NaN, which no pose may hold."""
     table = np.empty((len(rows), width))
     for number, row in enumerate(rows):
         if len(row) != width:
@@ -101,7 +100,7 @@ def _from_quaternions(path: Path, table: NDArray[np.float64]) -> NDArray[np.floa
 
 def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
     """Refuse what is no pose; take the rounding of the file's digits out of the rotations."""
-    _refuse_first(path, ~np.isfinite(poses).all(axis=(1, 2)), "something that is not a finite number")
+    _refuse_first(path, ~np.isfinite(np.abs(poses).max(axis=(1, 2))), "something that is not a finite number")
     turn = poses[:, :3, :3]
     error = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     _refuse_first(path, (error > _ROUNDING) | (np.linalg.det(turn) < 0.0), "a matrix that is no rotation")
