@@ -1,7 +1,7 @@
 """The model card: what a texture network is for, how it was made and how good it is, in Markdown."""
 
-from bumpymap.learn.alter import ALL, LEARNING
-from bumpymap.learn.data import SHORT_WAVES
+from bumpymap.learn.alter import ALL, LIGHT
+from bumpymap.learn.data import LIGHT_EVERY, SHORT_WAVES
 from bumpymap.learn.evaluate import Evaluation, Score
 from bumpymap.learn.train import TrainSettings
 from bumpymap.textures import FEATURE_VERSION
@@ -45,17 +45,17 @@ Tells the four terrain forms of the BumpyPatch paper apart in the heightmap of o
   {settings.tile_size:g} m, its least-squares plane taken off, holes filled from their neighbours, min-max scaled to
   [0, 1] (feature version {FEATURE_VERSION}).
 - **Output**: `probability` (batch, {len(network.classes)}) float32, in the order above.
-- **Network**: three 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels;
+- **Network**: four 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels;
   {parameters:,} trained numbers; {size:,} bytes of ONNX, opset 17.
 
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} a texture, made from Perlin noise, sine
 waves and Gaussian blur by `bumpymap.textures`. No survey was used. Every epoch alters the patches anew: brightness,
-rotation, blur, noise and holes, each with probability {LEARNING.chance:g}. Unseen patches come from other seeds:
-none of them, altered or not, was learned from. In every epoch {SHORT_WAVES:.0%} of the `high_noise` patches give way to
-short regular waves (0.4 to 0.75 m on a tile of 3 m, one way or crossing): no form holds them, and a network that never
-met them takes the shortest for `flat`.
+rotation, blur, noise and holes, all of them, but on one patch in {LIGHT_EVERY} each only with probability
+{LIGHT.chance:g}. Unseen patches come from other seeds: none of them, altered or not, was learned from. Every epoch adds
+to the `high_noise` patches {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of 3 m, one way or
+crossing): no form holds them, and a network that never met them takes the shortest for `flat`.
 
 ## Accuracy
 

@@ -1,15 +1,17 @@
 """Patches to learn from and patches to be judged by. Everything follows from one seed."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.learn.alter import ALL, LEARNING, NONE, Alterations, alter
+from bumpymap.learn.alter import ALL, LIGHT, NONE, Alterations, alter
 from bumpymap.textures import make_short_waves, make_textures
 from bumpymap.types import TEXTURES
 
 __all__ = [
+    "LIGHT_EVERY",
     "SHORT_WAVES",
     "Samples",
     "altered_copies",
@@ -23,7 +25,12 @@ __all__ = [
 _TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
 
 SHORT_WAVES = 0.2
-"""Share of the ``high_noise`` patches that each epoch replaces by short regular waves."""
+"""Short regular waves that each epoch adds to the ``high_noise`` patches, as a share of these. In their place, they
+would make rubble rarer than the forms it is mistaken for."""
+LIGHT_EVERY = 7
+"""One in so many patches of an epoch is altered lightly: a network that only ever saw fully altered patches takes the
+grain of an untouched one for rubble. The others are altered as those are that networks are judged by: were strong blur
+rarer while learning, the network would too seldom see smooth rubble as rubble."""
 _HIGH_NOISE = TEXTURES.index("high_noise")
 
 
@@ -45,15 +52,19 @@ def training_patches(seed: int, patches_per_texture: int, pixels: int) -> Sample
 def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
     """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones.
 
-    Some of the ``high_noise`` patches give way to short regular waves, which no texture holds.
+    Short regular waves, which no texture holds, come on top as ``high_noise``.
     """
-    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(training.labels))
-    patches, labels = training.patches[order], training.labels[order]
-    waves = np.random.default_rng([seed, _WAVES, epoch])
-    replaced = np.flatnonzero((labels == _HIGH_NOISE) & (waves.uniform(size=len(labels)) < SHORT_WAVES))
-    patches[replaced] = make_short_waves(len(replaced), waves, patches.shape[-1])
-    altered = alter(patches, LEARNING, np.random.default_rng([seed, _EPOCH, epoch]))
-    return Samples(altered, labels)
+    added = math.ceil(SHORT_WAVES * np.count_nonzero(training.labels == _HIGH_NOISE))
+    waves = make_short_waves(added, np.random.default_rng([seed, _WAVES, epoch]), training.patches.shape[-1])
+    patches = np.concatenate((training.patches, waves))
+    labels = np.concatenate((training.labels, np.full(added, _HIGH_NOISE)))
+    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(labels))
+    patches, labels = patches[order], labels[order]
+    lightly = np.arange(len(labels)) % LIGHT_EVERY == 0  # evenly spread, so that every batch holds some
+    rng = np.random.default_rng([seed, _EPOCH, epoch])
+    patches[lightly] = alter(patches[lightly], LIGHT, rng)
+    patches[~lightly] = alter(patches[~lightly], ALL, rng)
+    return Samples(patches, labels)
 
 
 def unseen_short_waves(seed: int, count: int, pixels: int) -> Samples:

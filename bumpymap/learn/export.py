@@ -44,11 +44,12 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
         "conv1": _fold(net.conv1, net.norm1),
         "conv2": _fold(net.conv2, net.norm2),
         "conv3": _fold(net.conv3, net.norm3),
+        "conv4": _fold(net.conv4, net.norm4),
         "head": (_numpy(net.head.weight), _numpy(net.head.bias)),
     }
     pixels, classes = net.settings.pixels, len(net.settings.classes)
     graph = helper.make_graph(
-        _nodes(),
+        _nodes(int(net.conv4.padding[0])),
         "texture",
         [helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["batch", 1, pixels, pixels])],
         [helper.make_tensor_value_info(OUTPUT_NAME, TensorProto.FLOAT, ["batch", classes])],
@@ -68,7 +69,9 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
     return content
 
 
-def _nodes() -> list[onnx.NodeProto]:
+def _nodes(border: int) -> list[onnx.NodeProto]:
+    """Layers in order; ``border`` is the padding [px] of the last convolution."""
+
     def conv(layer: str, source: str, target: str, pad: int = 0) -> onnx.NodeProto:
         return helper.make_node("Conv", [source, f"{layer}.weight", f"{layer}.bias"], [target], pads=[pad] * 4)
 
@@ -80,10 +83,12 @@ def _nodes() -> list[onnx.NodeProto]:
         helper.make_node("MaxPool", ["d"], ["e"], kernel_shape=[3, 3], strides=[2, 2]),
         conv("conv3", "e", "f", pad=1),
         helper.make_node("Relu", ["f"], ["g"]),
-        helper.make_node("GlobalAveragePool", ["g"], ["h"]),
-        conv("head", "h", "i"),
-        helper.make_node("Flatten", ["i"], ["j"], axis=1),
-        helper.make_node("Softmax", ["j"], [OUTPUT_NAME], axis=1),
+        conv("conv4", "g", "h", pad=border),
+        helper.make_node("Relu", ["h"], ["i"]),
+        helper.make_node("GlobalAveragePool", ["i"], ["j"]),
+        conv("head", "j", "k"),
+        helper.make_node("Flatten", ["k"], ["l"], axis=1),
+        helper.make_node("Softmax", ["l"], [OUTPUT_NAME], axis=1),
     ]
 
 

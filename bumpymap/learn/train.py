@@ -29,8 +29,8 @@ class TrainSettings:
     epochs: int = 30
     patches_per_texture: int = 6534
     """As in the paper: 26,136 patches in all."""
-    batch: int = 128
-    learning_rate: float = 4e-3
+    batch: int = 256
+    learning_rate: float = 5e-3
     """Peak, after the warm-up."""
     weight_decay: float = 1e-2
     tile_size: float = 3.0
@@ -109,6 +109,7 @@ def train(
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             net = TextureNet(settings.network)
+        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
         optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=settings.weight_decay)
         done = _restore(checkpoint, settings, net, optimizer) if checkpoint and checkpoint.exists() else 0
         training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
@@ -129,7 +130,8 @@ def _run_epoch(
 ) -> EpochReport:
     start = time.perf_counter()
     net.train()
-    patches, labels = torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.labels)
+    patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
+    labels = torch.from_numpy(samples.labels)
     batches = math.ceil(len(labels) / settings.batch)
     loss_sum, hits = 0.0, 0
     for number in range(batches):

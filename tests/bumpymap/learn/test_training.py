@@ -81,7 +81,7 @@ def test_a_checkpoint_says_what_it_holds(tmp_path):
     train(SMALL, tmp_path / "c")
     state = torch.load(tmp_path / "c", weights_only=True)
     assert state["classes"] == list(TEXTURES)
-    assert state["settings"]["network"]["channels"] == [16, 32, 64]
+    assert state["settings"]["network"]["channels"] == [16, 32, 64, 96]
     assert state["feature_version"] == 1
     with pytest.raises(UsageError, match="seed 1 \\(now 5\\)"):
         train(replace(SMALL, seed=5), tmp_path / "c")
@@ -102,13 +102,13 @@ def test_training_leaves_global_state_alone():
     assert torch.get_num_threads() == threads
 
 
-@pytest.mark.parametrize("pixels", [9, 15, 30])
+@pytest.mark.parametrize("pixels", [9, 11, 15, 30])
 def test_onnx_says_what_torch_says(pixels):
     settings = NetworkSettings(pixels=pixels)
     net = train(replace(SMALL, epochs=1, network=settings))
     with torch.no_grad():
         net.norm2.running_mean.uniform_(-0.1, 0.1)
-        net.norm3.weight.uniform_(0.5, 2.0)
+        net.norm4.weight.uniform_(0.5, 2.0)
         net.head.bias.uniform_(-1.0, 1.0)
     patches = unseen_patches(3, 100, pixels).patches
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
