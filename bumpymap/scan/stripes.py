@@ -102,7 +102,9 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
     turns = rows / np.float32(settings.wavelength_px) + heights / np.float32(settings.metres_per_stripe)
     bank = gabor_bank(pixels, settings)
     maps = np.zeros((-(-count // LANES) * LANES, bank.shape[2]), np.float32)
-    maps[:count, : pixels * pixels] = np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))).reshape(count, -1)
+    maps[:count, : pixels * pixels] = np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))).reshape(
+        count, pixels * pixels
+    )
     side_by_side = maps.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
     stripes = np.zeros((len(side_by_side), LANES), np.float32)
     scratch = np.empty(LANES, np.float32), np.empty((pixels * pixels, LANES), np.float32)
@@ -229,17 +231,17 @@ def _text(path: Path) -> str:
 
 
 def _parse(text: str, name: str) -> StripeModel:
+    advice = "make such a file with: bumpymap scan --fit"
     try:
         record: dict[str, Any] = json.loads(text)
-        if record.pop("format") != _FORMAT:
-            record = {}  # of another format: its fields will be missed
+        kind = record.pop("format")
         settings = StripeFilter(**record.pop("filter"))
         smooth, middle, rough = (float(centre) for centre in record.pop("centres"))
         model = StripeModel(settings, centres=(smooth, middle, rough), **record)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInputError(
-            f"{name} holds no stripe classes ({error}); make such a file with: bumpymap scan --fit"
-        ) from error
+        raise BadInputError(f"{name} holds no stripe classes ({error}); {advice}") from error
+    if kind != _FORMAT:
+        raise BadInputError(f"{name} has the format '{kind}'; '{_FORMAT}' is read. Else {advice}")
     if not smooth > middle > rough:
         raise BadInputError(f"{name} gives class centres of {smooth}, {middle} and {rough} stripes; they must fall")
     return model
