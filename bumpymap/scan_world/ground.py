@@ -13,7 +13,7 @@ __all__ = ["Ground", "GroundSample", "ground_mesh"]
 
 _START_M = 0.4
 """Where the mesh begins."""
-_STEP = 0.0075
+_STEP = 0.01
 """Between corners of the mesh, share of their distance."""
 
 
@@ -55,27 +55,31 @@ class Ground:
         z = self.hills_m * self.hills.at(x, y) + bumps
         label = np.full(x.shape, self.cover, np.uint8)
         rough = np.full(x.shape, self.cover_rough_m)
+        relief, floor = np.zeros_like(x), np.full(x.shape, -np.inf)
         for region in self.regions:
             reach = region.reach(x, y)
             inside = reach < 1.0
             if isinstance(region, Way):
-                z = z - bumps * smoothstep(2.0 - reach)
-                z = z + region.relief(x, y)
+                z -= bumps * smoothstep(2.0 - reach)
+                relief[inside], floor[inside] = 0.0, -np.inf
+                relief += region.relief(x, y)
             elif region.level_m is None:
-                z = z + region.relief(x, y)
+                relief += region.relief(x, y)
+                floor[inside] = -region.pool_m
             else:
                 share = smoothstep((1.35 - reach) / 0.35)
-                z = z * (1 - share) + region.level_m * share
+                z += share * (region.level_m - z)
+                relief *= 1 - share
             label[inside] = region.label
             rough[inside] = region.rough_m
             if isinstance(region, Way) and region.kerb_m > 0:
                 kerb = region.on_kerb(region.across(x, y)) > 0
                 label[kerb], rough[kerb] = Label.CONCRETE, 0.002
-        return GroundSample(z + rough * self.fine.at(x, y), label)
+        return GroundSample(z + np.maximum(relief + rough * self.fine.at(x, y), floor), label)
 
     def grass_height(self, x: Floats, y: Floats) -> Floats:
         """How tall grass would stand there, m."""
-        tall: Floats = self.grass_m * np.clip(1.0 + 0.5 * self.grass_tufts.at(x, y), 0.15, 2.5)
+        tall: Floats = self.grass_m * np.clip(1.0 + 0.4 * self.grass_tufts.at(x, y), 0.15, 1.8)
         return tall
 
 
@@ -84,7 +88,7 @@ def ground_mesh(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Mesh the ground around the origin: (n, 3) corners and (m, 3) triangles.
 
-    Rings widen with the distance, as beams do: 4 cm near 5 m, 40 cm near 50 m. Corners are shaken within their cells,
+    Rings widen with the distance, as beams do: 5 cm near 5 m, 50 cm near 50 m. Corners are shaken within their cells,
     so that no line of the mesh agrees with a line of the scan.
     """
     around = round(2 * np.pi / _STEP)

@@ -49,7 +49,7 @@ ANSWERS = {
     Label.CONCRETE: Answer((0.25, 0.5)),
     Label.BARRIER: Answer((0.25, 0.5)),
     Label.PUDDLE: Answer((0.05, 0.25), (0.4, 0.9)),
-    Label.MUD: Answer((0.1, 0.25), (0.05, 0.4)),
+    Label.MUD: Answer((0.1, 0.25), (0.1, 0.5)),
     Label.RUBBLE: Answer((0.2, 0.45)),
 }
 """Open water sends little back at the low angles of a ground robot, wet mud less than dry dirt."""

@@ -3,6 +3,7 @@
 Each region knows its ``reach`` at a place: below 1 inside, 1 on its margin, growing outwards.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ class Blob:
     """Standard deviation of waves shorter than 2 m."""
     level_m: float | None = None
     """Height of what is as level as water; None for ground."""
+    pool_m: float = math.inf
+    """Water stands in what is deeper than this below the ground around."""
     tracks: tuple[tuple[float, float, float, float], ...] = ()
     """Wheel tracks through it: bearing, distance from the centre [m], depth [m], width of a rut [m]."""
 
@@ -44,14 +47,19 @@ class Blob:
 
     def relief(self, x: Floats, y: Floats) -> Floats:
         """Heights of the wheel tracks, m; they fade out at the margin."""
-        surface = np.zeros_like(x)
+        whole = np.zeros_like(x)
         if not self.tracks:
-            return surface
+            return whole
+        reach = self.reach(x, y)
+        near = reach < 1.15
+        x, y = x[near], y[near]
+        surface = np.zeros_like(x)
         for bearing, offset, depth, width in self.tracks:
             across = (x - self.centre[0]) * np.cos(bearing) + (y - self.centre[1]) * np.sin(bearing) - offset
             along = (y - self.centre[1]) * np.cos(bearing) - (x - self.centre[0]) * np.sin(bearing)
             surface += ruts(across + 0.8 * np.sin(along / 6.0 + offset), depth, width)
-        return surface * np.clip((1.15 - self.reach(x, y)) / 0.25, 0.0, 1.0)
+        whole[near] = surface * np.clip((1.15 - reach[near]) / 0.25, 0.0, 1.0)
+        return whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,23 +134,24 @@ def make_blob(
     rough_m: float,
     level_m: float | None = None,
 ) -> Blob:
-    """Draw the margin of a blob; mud gets wheel tracks."""
+    """Draw the margin of a blob; mud gets wheel tracks all over, with water in the deepest."""
     waves = tuple((float(rng.uniform(0, 0.3 / n)), float(rng.uniform(0, 2 * np.pi))) for n in (2, 3, 4, 5))
+    pool = math.inf
     tracks: tuple[tuple[float, float, float, float], ...] = ()
     if label == Label.MUD:
-        deepest = log_uniform(rng, 0.06, 0.3)
-        count = int(np.clip(radius_m / 2.0 * rng.uniform(0.5, 1.5), 1, 9))
+        deepest, pool = log_uniform(rng, 0.1, 0.35), float(rng.uniform(0.05, 0.25))
+        count = int(np.clip(radius_m * rng.uniform(0.6, 1.2), 2, 16))
         main = rng.uniform(0, np.pi)
         tracks = tuple(
             (
-                main + float(rng.normal(0, 0.25)),
+                main + float(rng.normal(0, 0.3)),
                 float(rng.uniform(-0.9, 0.9)) * radius_m,
-                deepest * float(rng.uniform(0.3, 1.0)),
+                deepest * float(rng.uniform(0.4, 1.0)),
                 float(rng.uniform(0.15, 0.3)),
             )
             for _ in range(count)
         )
-    return Blob(label, centre, radius_m, waves, rough_m, level_m, tracks)
+    return Blob(label, centre, radius_m, waves, rough_m, level_m, pool, tracks)
 
 
 def make_way(rng: np.random.Generator, label: Label, offset_m: float) -> Way:

@@ -37,13 +37,13 @@ class Theme:
 
 
 THEMES = {
-    "meadow": Theme(ways=2, bushes=60, trees=20, fences=2, grassy=1.0),
-    "forest": Theme(bushes=60, trees=100, persons=2, vehicles=1, grassy=0.6),
-    "bushland": Theme(bushes=300, trees=15),
-    "mire": Theme(mud=9, puddles=10, bushes=40, bare=2),
-    "quarry": Theme(rubble=7, bare=2, puddles=4, bushes=12, trees=5, vehicles=8, barriers=5, persons=8, grassy=0.15),
-    "shore": Theme(water=6, mud=3, puddles=5, bushes=60),
-    "yard": Theme(ways=3, bushes=10, trees=15, persons=14, vehicles=16, fences=6, barriers=6, rubble=1, grassy=0.5),
+    "meadow": Theme(ways=2, mud=0, bushes=30, trees=20, fences=2, grassy=1.0),
+    "forest": Theme(mud=0, bushes=60, trees=120, persons=1, vehicles=1, grassy=0.6),
+    "bushland": Theme(mud=0, puddles=0, bushes=400, trees=10),
+    "mire": Theme(mud=5, puddles=8, bushes=10, trees=5),
+    "quarry": Theme(mud=0, rubble=5, puddles=3, bushes=5, trees=5, vehicles=6, barriers=4, persons=4, grassy=0.15),
+    "shore": Theme(water=4, mud=1, puddles=4, bushes=40),
+    "yard": Theme(mud=0, ways=3, bushes=5, trees=10, persons=14, vehicles=16, fences=6, barriers=6, grassy=0.5),
 }
 
 
@@ -101,21 +101,21 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
         bumps_m=log_uniform(rng, 0.02, 0.15),
         fine=make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
         cover=cover,
-        cover_rough_m=log_uniform(rng, 0.004, 0.02),
+        cover_rough_m=log_uniform(rng, 0.003, 0.015),
         regions=(),
-        grass_m=log_uniform(rng, 0.03, 0.4),
+        grass_m=log_uniform(rng, 0.03, 0.3),
         grass_tufts=make_field(rng, 512, 0.1, 0.4, (0.3, 8.0)),
         grass_path_m=log_uniform(rng, 0.08, 0.4),
     )
     regions: list[Region] = []
     other = Label.DIRT if cover == Label.GRASS else Label.GRASS
-    for label, most, farthest, widest, rough in (
-        (other, theme.bare, 40, 20, (0.004, 0.02)),
-        (Label.MUD, theme.mud, 30, 14, (0.02, 0.07)),
-        (Label.RUBBLE, theme.rubble, 30, 14, (0.02, 0.08)),
+    for label, most, farthest, sizes, rough in (
+        (other, theme.bare, 40, (6, 25), (0.003, 0.015)),
+        (Label.MUD, theme.mud, 30, (5, 22), (0.03, 0.09)),
+        (Label.RUBBLE, theme.rubble, 30, (5, 20), (0.02, 0.08)),
     ):
         regions += [
-            make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(3, widest), log_uniform(rng, *rough))
+            make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
             for _ in range(_up_to(rng, most))
         ]
     for number in range(_up_to(rng, theme.ways)):
@@ -129,7 +129,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: Ground) -> list[Re
     """Ponds and puddles, each as level as its lowest bank; the robot stands in none."""
     drawn: list[Region] = []
     origin = np.zeros(1)
-    kinds = [(Label.WATER, (4.0, 22.0), (5, 35))] * _up_to(rng, theme.water)
+    kinds = [(Label.WATER, (6.0, 28.0), (8, 40))] * _up_to(rng, theme.water)
     kinds += [(Label.PUDDLE, (0.8, 3.5), (4, 20))] * _up_to(rng, theme.puddles)
     for label, sizes, places in kinds:
         radius = rng.uniform(*sizes)
@@ -161,7 +161,7 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: Ground) -> list
         things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
     for region in ground.regions:
         if region.label == Label.RUBBLE and isinstance(region, Blob):
-            things.append((Label.RUBBLE, stone_field(rng, _inside(rng, region), height)))
+            things.append((Label.RUBBLE, stone_field(rng, _inside(rng, region, ground), height)))
     return [(label, soup) for label, soup in things if len(soup)]
 
 
@@ -177,21 +177,22 @@ def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Soup:
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:
-    """Places (count, 2), half of them in clumps: plants grow and people stand together."""
+    """Places (count, 2), many of them in clumps: plants grow and people stand together."""
     spots: list[tuple[float, float]] = []
     while len(spots) < count:
         x, y = _place(rng, nearest, farthest)
-        clump = int(rng.integers(1, 8)) if rng.uniform() < 0.3 else 1
+        clump = int(rng.integers(3, 30)) if rng.uniform() < 0.4 else 1
+        wide = 0.7 * np.sqrt(clump) * rng.uniform(0.6, 1.5)
         for _ in range(clump):
-            east, north = x + rng.normal(0, 1.5 * (clump > 1)), y + rng.normal(0, 1.5 * (clump > 1))
+            east, north = x + rng.normal(0, wide), y + rng.normal(0, wide)
             if np.hypot(east, north) > nearest:
                 spots.append((float(east), float(north)))
     return np.array(spots[:count]).reshape(-1, 2)
 
 
-def _inside(rng: np.random.Generator, blob: Blob) -> Floats:
-    """Places in a blob for its stones, not under the robot."""
+def _inside(rng: np.random.Generator, blob: Blob, ground: Ground) -> Floats:
+    """Places in a blob for its stones, not under the robot and not where a way or a puddle lies over it."""
     count = int(4 * blob.radius_m**2 * rng.uniform(0.8, 2.0))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
     x, y = places[:, 0], places[:, 1]
-    return places[(blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0)]
+    return places[(blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)]

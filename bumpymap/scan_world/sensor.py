@@ -63,6 +63,7 @@ class Sensor:
 
 SENSORS = {
     "64_narrow": Sensor(),
+    "64_dense": Sensor(lowest_deg=-16.6, highest_deg=16.6, height_m=1.5),
     "64_down": Sensor(lowest_deg=-24.8, highest_deg=2.0, height_m=1.75, reach_m=70.0),
     "64_wide": Sensor(lowest_deg=-45.0, highest_deg=45.0, height_m=0.9, reach_m=30.0, noise_m=0.02),
     "64_coarse": Sensor(columns=1024, height_m=1.1),
@@ -74,10 +75,10 @@ SENSORS = {
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
-    """Draw one of ``SENSORS``, mounted and built a little differently; two in five are the plain 64 lines."""
+    """Draw one of ``SENSORS``, mounted and built a little differently; half have plain 64 lines."""
     names = list(SENSORS)
-    chance = np.array([0.4 if name == "64_narrow" else 0.6 / (len(names) - 1) for name in names])
-    sensor = SENSORS[names[rng.choice(len(names), p=chance / chance.sum())]]
+    weight = np.array([{"64_narrow": 4.0, "64_dense": 4.0, "32_sparse": 0.5}.get(name, 1.5) for name in names])
+    sensor = SENSORS[names[rng.choice(len(names), p=weight / weight.sum())]]
     return replace(
         sensor,
         height_m=float(np.clip(sensor.height_m * rng.uniform(0.7, 1.35), 0.6, 2.1)),
