@@ -215,3 +215,19 @@ def test_records_with_columns_of_different_length_are_refused():
     stack = polar_sectors(scan)
     with pytest.raises(ValueError, match="variance"):
         replace(stack, variance=stack.variance[1:])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_residual_is_the_distance_to_the_plane_under_clutter(seed):
+    """Oracle: the principal plane, by numpy, of the points near the plane that they were made from."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(10, 13, 300), rng.uniform(0.2, 2.5, 300)
+    slope = rng.uniform(-0.3, 0.3, 2)
+    z = slope[0] * x + slope[1] * y - 1.4 + 0.01 * rng.standard_normal(300)
+    z[:90] += rng.uniform(0.5, 3.0, 90)
+    points = np.column_stack([x, y, z]).astype(np.float32)
+    stack = polar_sectors(Scan(points), replace(FIXED, zone_starts_m=(5.0,), end_m=40.0, sectors=(4,), rings=(1,)))
+    ground = points[90:].astype(float)
+    axis = np.linalg.eigh(np.cov(ground.T))[1][:, 0]
+    distance = np.abs((points - ground.mean(axis=0)) @ axis)
+    assert stack.residual[0] == pytest.approx(distance.mean(), rel=0.01)
