@@ -30,6 +30,8 @@ _MIN_LENGTH = 2e-3
 """Twice the least area that a candidate's three points must span, m^2."""
 _STEEPEST = 0.2
 """A plane whose upward normal is less than this (steeper than 78 degrees) is a wall: only the mean height comes off."""
+_LINE = 2e-3
+"""Product of the two horizontal spreads over the square of their sum: less is one scan line, bent as the sector is."""
 _EIGHTH = math.sqrt(2.0) - 1.0
 """Tangent of an eighth of a half turn."""
 
@@ -359,7 +361,7 @@ def measure_sectors(
         RANSAC inlier distance, m.
     scalars : (sectors, 4) float64
         Filled: variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
-        origin below the principal plane [m].
+        origin below the principal plane [m]; below the points' mean, where they lie on one line: they tell no tilt.
     normal : (sectors, 3) float32
         Filled: principal normal; zeros where the points lie on a line.
     heights : (sectors, pixels, pixels) float32
@@ -386,16 +388,20 @@ def measure_sectors(
             my += y[i]
             mz += z[i]
         mx, my, mz = mx / n, my / n, mz / n
-        square = 0.0
+        square = xx = xy = yy = 0.0
         for i in range(n):
             x[i] -= mx
             y[i] -= my
             z[i] -= mz
             square += z[i] * z[i]
+            xx += x[i] * x[i]
+            xy += x[i] * y[i]
+            yy += y[i] * y[i]
         scalars[s, 0] = square / n
         a, b, c, d = _principal_plane(x, y, z, (0.0, 0.0, 0.0, 0.0), np.inf)
         normal[s, 0], normal[s, 1], normal[s, 2] = a, b, c
-        scalars[s, 3] = a * mx + b * my + c * mz
+        on_a_line = xx * yy - xy * xy < _LINE * (xx + yy) * (xx + yy)
+        scalars[s, 3] = mz if on_a_line else a * mx + b * my + c * mz
         a, b, c, d = ransac_plane(x, y, z, threshold, np.uint64(cells[s]), sample)
         east, north, level = (-a / c, -b / c, -d / c) if c > _STEEPEST else (0.0, 0.0, 0.0)
         for k in range(size * size):

@@ -127,6 +127,16 @@ def test_a_ceiling_is_no_ground():
     assert polar_sectors(Scan(above), PolarSettings(overhead_m=math.inf)).traversable.all()
 
 
+@pytest.mark.parametrize("tilt", [-0.5, 0.0, 0.5])
+def test_one_scan_line_under_a_ceiling_is_no_ground_whatever_tilt_its_bend_gives(tilt):
+    turn = np.linspace(0.01, 0.12, 80)
+    r = 30.0 + 0.5 * turn
+    for height, ground in ((9.0, False), (-1.5, True)):
+        z = height + tilt * (r * np.cos(turn) - 29.9)
+        stack = polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)), FIXED)
+        assert stack.traversable.tolist() == [ground]
+
+
 def test_the_anchor_turns_with_the_scan_and_sectors_keep_their_points():
     scan = made_scan(5)
     stack = polar_sectors(scan)
