@@ -33,10 +33,13 @@ __all__ = [
     "StripeModel",
     "classify_filter",
     "count_stripes",
+    "fit_centres",
     "fit_stripes",
     "gabor_bank",
     "load_stripes",
+    "nearest_class",
     "save_stripes",
+    "stripes_in",
 ]
 
 _FORMAT = "bumpymap stripes 1"
@@ -83,7 +86,7 @@ class StripeModel:
 
 
 def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = None) -> NDArray[np.float32]:
-    """Count the stripes of heightmaps.
+    """Draw stripes over heightmaps and count those that the relief leaves.
 
     Parameters
     ----------
@@ -97,15 +100,31 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
         Mean number of stripes up a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
     """
     settings = settings or StripeFilter()
-    count, pixels = heights.shape[:2]
+    pixels = heights.shape[1]
     rows = np.arange(pixels, dtype=np.float32)[:, None] - pixels // 2
     turns = rows / np.float32(settings.wavelength_px) + heights / np.float32(settings.metres_per_stripe)
+    return stripes_in(np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))), settings)
+
+
+def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.float32]:
+    """Count the stripes that pictures show.
+
+    Parameters
+    ----------
+    maps : (n, pixels, pixels) float32
+        Stripes are waves of amplitude 1 about 0.
+    settings : StripeFilter
+
+    Returns
+    -------
+    (n,) float32
+        Mean number of stripes up a column.
+    """
+    count, pixels = maps.shape[:2]
     bank = gabor_bank(pixels, settings)
-    maps = np.zeros((-(-count // LANES) * LANES, bank.shape[2]), np.float32)
-    maps[:count, : pixels * pixels] = np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))).reshape(
-        count, pixels * pixels
-    )
-    side_by_side = maps.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
+    padded = np.zeros((-(-count // LANES) * LANES, bank.shape[2]), np.float32)
+    padded[:count, : pixels * pixels] = maps.reshape(count, pixels * pixels)
+    side_by_side = padded.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
     stripes = np.zeros((len(side_by_side), LANES), np.float32)
     scratch = np.empty(LANES, np.float32), np.empty((pixels * pixels, LANES), np.float32)
     filter_maps(side_by_side, bank, settings.threshold, *scratch, stripes)
@@ -155,24 +174,32 @@ def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFi
     UsageError
         scikit-learn is not installed.
     """
-    try:
-        from sklearn.cluster import KMeans
-    except ImportError as error:
-        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'") from error
     settings = settings or StripeFilter()
     sizes = {stack.settings.pixels for stack in stacks}
     if len(sizes) > 1:
         raise UsageError(f"the scans were cut into heightmaps of {sorted(sizes)} pixels; one size can be fitted")
     counts = [count_stripes(stack.heights[stack.traversable], settings) for stack in stacks]
-    stripes = np.concatenate([*counts, np.empty(0, np.float32)]).astype(np.float64)
+    stripes = np.concatenate([*counts, np.empty(0, np.float32)])
+    return StripeModel(
+        settings, max(sizes, default=0), fit_centres(stripes, seed, len(stacks)), len(stacks), len(stripes), seed
+    )
+
+
+def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[float, float, float]:
+    """Find the middle of class 0, 1 and 2 among the stripe counts of some scans' traversable sectors."""
+    try:
+        from sklearn.cluster import KMeans
+    except ImportError as error:
+        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'") from error
     if len(np.unique(stripes)) < CLASSES:
         raise BadInputError(
-            f"{len(stacks)} scans with {len(stripes)} traversable sectors hold fewer than {CLASSES} different stripe "
-            "counts: no classes can be told apart. Name more scans, of smooth and of rough ground"
+            f"{scans} scans with {len(stripes)} traversable sectors hold fewer than {CLASSES} different stripe counts: "
+            "no classes can be told apart. Name more scans, of smooth and of rough ground"
         )
-    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=seed).fit(stripes[:, None])
+    column = stripes.astype(np.float64)[:, None]
+    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=seed).fit(column)
     smooth, middle, rough = sorted(found.cluster_centers_.ravel().tolist(), reverse=True)
-    return StripeModel(settings, sizes.pop(), (smooth, middle, rough), len(stacks), len(stripes), seed)
+    return smooth, middle, rough
 
 
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
@@ -196,7 +223,14 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
             f"{stack.settings.pixels}. Fit them anew with: bumpymap scan --fit"
         )
     stripes = count_stripes(stack.heights, model.filter)
-    klass = np.abs(stripes[:, None] - np.array(model.centres, np.float32)).argmin(axis=1).astype(np.uint8)
+    return nearest_class(stack, stripes, model.centres)
+
+
+def nearest_class(
+    stack: SectorStack, stripes: NDArray[np.float32], centres: tuple[float, float, float]
+) -> ClassedSectors:
+    """Class sectors by their stripe counts."""
+    klass = np.abs(stripes[:, None] - np.array(centres, np.float32)).argmin(axis=1).astype(np.uint8)
     klass[~stack.traversable] = NOT_TRAVERSABLE
     return ClassedSectors(stack, klass, stripes, "filter")
 
