@@ -50,6 +50,13 @@ ROOMS = {
     ),
     "scan": (set(), {"bumpytiles", "numpy", "onnxruntime", "skimage", "sklearn"}),
     "scan_world": (set(), {"numpy", "open3d"}),
+    "scan_config": ({"frames", "scan"}, set()),
+    "scan_methods": ({"scan", "scan_config"}, set()),
+    "scan_products": ({"products", "scan"}, {"laspy", "numpy", "plyfile", "pyarrow", "pyproj", "rasterio"}),
+    "scan_pipeline": (
+        {"calibration", "crs", "frames", "pipeline", "scan", "scan_config", "scan_methods", "scan_products"},
+        {"numpy", "pyproj"},
+    ),
     "frames": ({"readers", "scan"}, {"numpy", "plyfile", "pypcd4"}),
     "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
 }

@@ -1,0 +1,125 @@
+"""``bumpymap scan``: class the ground in single scans of a moving robot; with poses, map its drive."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import click
+
+from bumpymap.cli._terminal import PATH, BarProgress, set_up_logging
+from bumpymap.config import Compat
+from bumpymap.errors import UsageError
+
+if TYPE_CHECKING:
+    from bumpymap.scan import PolarSettings
+    from bumpymap.scan_config import ScanConfig
+
+__all__ = ["METHODS", "PRODUCTS", "command"]
+
+_PARTLY_DONE = 4
+# The libraries behind these would take --help half a second; a test holds the names to theirs.
+METHODS = ("filter", "learned")
+PRODUCTS = ("polygons", "table", "cloud", "picture")
+_NOT_OF_A_FIT = ("out", "poses", "crs", "method", "model", "stripes", "compat", "products", "vehicle", "calibration")
+
+
+@click.command("scan")
+@click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the products.")
+@click.option(
+    "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes on the frames; write them alone."
+)
+@click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames: gather and map them like a survey.")
+@click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
+@click.option("--method", type=click.Choice(METHODS), help="How sectors are classed [default: learned, if it ships].")
+@click.option("--model", type=PATH, metavar="FILE", help="Scan network of your own (learned).")
+@click.option("--stripes", type=PATH, metavar="FILE", help="Stripe classes of your own, from --fit (filter).")
+@click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
+@click.option("--products", metavar="LIST", help=f"What to write of the frames [default: {','.join(PRODUCTS)}].")
+@click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
+@click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
+@click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")
+@click.option(
+    "--robot-radius", type=float, metavar="M", help="Returns nearer than this are on the robot [default: 0.5]."
+)
+@click.option("--vehicle", metavar="NAME", help="Vehicle of the map, whose calibration ships [default: warthog].")
+@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle, for the map.")
+@click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
+@click.option("--skip-bad", is_flag=True, help="Go on without frames that cannot be read (exit code 4).")
+@click.option("--overwrite", is_flag=True, help="Replace the products of an earlier run.")
+@click.option("--quiet", is_flag=True, help="No progress, no summary.")
+@click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")
+@click.pass_context
+def command(
+    ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
+) -> None:
+    """Class the ground around a robot in its LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
+
+    \b
+    bumpymap scan frame.pcd --out out
+    bumpymap scan drive --poses poses.txt --out out
+    bumpymap scan drive --fit stripes.json
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    from bumpymap.cli import _scan_summary
+    from bumpymap.scan_pipeline import fit_frames, scan_frames
+
+    set_up_logging(as_json=log_json)
+    config = _config(config_file, fit, given)
+    with BarProgress(quiet=quiet or log_json) as progress:
+        if fit is None:
+            result = scan_frames(config, progress)
+            skipped = result.skipped
+        else:
+            model, skipped = fit_frames(config, progress)
+    if not quiet and fit is None:
+        _scan_summary.show(result, config, as_json=log_json)
+    elif not quiet:
+        _scan_summary.show_fit(model, config, skipped, as_json=log_json)
+    if skipped:
+        ctx.exit(_PARTLY_DONE)
+
+
+def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> "ScanConfig":
+    """Join the settings of the file and of the command line, which wins."""
+    from dataclasses import replace
+
+    from bumpymap.scan_config import ScanConfig, read_scan_settings
+
+    options = {name: value for name, value in given.items() if value not in (None, False, ())}
+    if fit is not None:
+        wrong = [name for name in _NOT_OF_A_FIT if name in options]
+        if wrong:
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave --{wrong[0].replace('_', '-')} out")
+    settings = read_scan_settings(config_file) if config_file else {}
+    polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
+    radius = options.pop("robot_radius", None)
+    if "products" in options:
+        options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
+    settings |= options
+    if fit is not None:
+        settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
+    for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):
+        if not settings.get(name):
+            raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
+    config = ScanConfig(**settings)
+    if radius is not None:
+        config = replace(config, robot=replace(config.robot, radius_m=radius))
+    return replace(config, polar=_polar(config.polar, polar)) if polar else config
+
+
+def _polar(settings: "PolarSettings", given: dict[str, str]) -> "PolarSettings":
+    from dataclasses import replace
+
+    changed: dict[str, Any] = {
+        name: _numbers(name, given[name], int, "24,32,48,32") for name in ("sectors", "rings") if name in given
+    }
+    if "zones" in given:
+        *starts, end = _numbers("zones", given["zones"], float, "4,12,28,60,100")
+        changed |= {"zone_starts_m": tuple(starts), "end_m": end}
+    return replace(settings, **changed)
+
+
+def _numbers(name: str, text: str, kind: type, example: str) -> tuple[Any, ...]:
+    try:
+        return tuple(kind(word) for word in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"--{name} is '{text}'; it must be numbers with commas between them: {example}") from error

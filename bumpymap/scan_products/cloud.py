@@ -1,0 +1,35 @@
+"""frames/NAME.ply: the points of a scan with their classes."""
+
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from bumpymap.scan import ClassedSectors, Scan, point_classes
+from bumpymap.scan_products.looks import COLOURS, looks_of
+
+__all__ = ["write_cloud"]
+
+_ABOUT = (
+    "bumpymap scan: sensor frame, x forward, y left, z up, metres",
+    "class 0 smooth, 1 fair, 2 rough, 255 not traversable or in no sector",
+)
+
+
+def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
+    """Write binary little-endian PLY: x, y, z, red, green, blue, class; intensity and label where the scan has them."""
+    kinds = [(axis, "<f4") for axis in "xyz"] + [(colour, "u1") for colour in ("red", "green", "blue", "class")]
+    beside = {
+        name: values for name, values in (("intensity", scan.intensity), ("label", scan.label)) if values is not None
+    }
+    kinds += [(name, values.dtype.newbyteorder("<").str) for name, values in beside.items()]
+    vertex = np.empty(len(scan.points), kinds)
+    colours = COLOURS[looks_of(classed.klass, classed.sectors.point_sector)]
+    for number, (axis, colour) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+        vertex[axis], vertex[colour] = scan.points[:, number], colours[:, number]
+    vertex["class"] = point_classes(scan, classed)
+    for name, values in beside.items():
+        vertex[name] = values
+    element = PlyElement.describe(vertex, "vertex")
+    with path.open("wb") as stream:
+        PlyData([element], text=False, byte_order="<", comments=_ABOUT).write(stream)

@@ -1,0 +1,84 @@
+"""The folder of a scan run: checked before the long work; what an earlier run left and this one does not write goes."""
+
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pyarrow as pa
+from rasterio.errors import RasterioError
+
+from bumpymap.errors import OutputError
+from bumpymap.products import PRODUCT_NAMES, check_folder
+from bumpymap.scan_products.names import FRAME_FILES, FRAME_FOLDER
+
+__all__ = ["GATHERED", "MANIFEST", "MAP_FOLDER", "TABLE", "check_scan_folder", "drop_older", "sync", "writing"]
+
+MANIFEST, TABLE, GATHERED, MAP_FOLDER = "scan.json", "sectors.parquet", "gathered.laz", "map"
+_NAMES = (FRAME_FOLDER, TABLE, GATHERED, MAP_FOLDER, MANIFEST)
+_SIDE = ("class.tif.aux.xml",)
+
+
+def check_scan_folder(folder: Path, *, overwrite: bool) -> None:
+    """Make sure that the products of a scan run can be written to a folder; create it where it is missing.
+
+    Raises
+    ------
+    OutputError
+        It cannot be created or written, or it holds products that may not be replaced, or files of somebody else
+        where products would go.
+    """
+    check_folder(folder, overwrite=True)
+    present = [name for name in _NAMES if (folder / name).exists()]
+    if present and not overwrite:
+        raise OutputError(
+            f"{folder} already holds {', '.join(present)}. Choose another --out, or pass --overwrite to replace them"
+        )
+    for name in present:
+        if (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
+            raise OutputError(f"{folder / name} is not what a scan run writes. Choose another --out")
+    strange = _strange(folder / FRAME_FOLDER)
+    if strange:
+        raise OutputError(f"{strange} was not written by a scan run, and would go with --overwrite. Move it, first")
+
+
+def drop_older(folder: Path, kept: Sequence[str]) -> None:
+    """Take away the products of an earlier run that this one, which wrote ``kept``, did not replace."""
+    for name in _NAMES:
+        if name in kept or not (folder / name).exists():
+            continue
+        if name == FRAME_FOLDER:
+            shutil.rmtree(folder / name)
+        elif name == MAP_FOLDER:
+            for layer in (*PRODUCT_NAMES, *_SIDE):
+                (folder / name / layer).unlink(missing_ok=True)
+            with suppress(OSError):  # it stays where it holds anything else
+                (folder / name).rmdir()
+        else:
+            (folder / name).unlink()
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Turn what goes wrong while products are written into an OutputError."""
+    try:
+        yield
+    except (OSError, pa.ArrowException, RasterioError) as error:
+        raise OutputError(
+            f"cannot write to {folder}: {error}. Free some space, or choose another --out; nothing half-written was "
+            "left there"
+        ) from error
+
+
+def sync(path: Path) -> None:
+    """Make sure that a file is on the disk."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _strange(folder: Path) -> Path | None:
+    """Return a file of the folder of frames that no run wrote."""
+    if not folder.is_dir():
+        return None
+    return next((path for path in sorted(folder.iterdir()) if path.suffix not in FRAME_FILES.values()), None)

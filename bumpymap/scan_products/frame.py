@@ -1,0 +1,28 @@
+"""What is written of one frame."""
+
+from collections.abc import Collection
+from pathlib import Path
+
+from bumpymap.scan import ClassedSectors, Scan
+from bumpymap.scan_products.cloud import write_cloud
+from bumpymap.scan_products.folder import sync
+from bumpymap.scan_products.names import FRAME_FILES, FRAME_FOLDER
+from bumpymap.scan_products.picture import write_picture
+from bumpymap.scan_products.polygons import write_polygons
+
+__all__ = ["write_frame"]
+
+
+def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
+    """Write those of the products that are files of a frame to ``folder / "frames"``."""
+    wanted = {product: ending for product, ending in FRAME_FILES.items() if product in products}
+    for product, ending in wanted.items():
+        path = folder / FRAME_FOLDER / f"{name}{ending}"
+        path.parent.mkdir(exist_ok=True)
+        if product == "polygons":
+            write_polygons(name, classed, path)
+        elif product == "cloud":
+            write_cloud(scan, classed, path)
+        else:
+            write_picture(scan, classed, path)
+        sync(path)

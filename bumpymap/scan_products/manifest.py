@@ -1,0 +1,36 @@
+"""scan.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bumpymap.products import describe_file, software_versions, write_manifest
+from bumpymap.scan_products.folder import GATHERED, MANIFEST, TABLE
+from bumpymap.scan_products.report import FrameReport
+
+__all__ = ["write_scan_manifest"]
+
+_FORMAT = "bumpymap-scan-run"
+_VERSION = 1
+
+
+def write_scan_manifest(folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport]) -> None:
+    """Write scan.json beside the products in ``folder``.
+
+    Parameters
+    ----------
+    folder : Path
+    known : mapping
+        What the run knows: settings, method, skipped frames, seconds. Its entries are kept.
+    frames : iterable of FrameReport
+    """
+    files = [describe_file(folder / name) | {"path": name} for name in (TABLE, GATHERED) if (folder / name).exists()]
+    record = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        **known,
+        "versions": software_versions(),
+        "files": files,
+        "frames": [frame.record() for frame in frames],
+    }
+    write_manifest(record, folder / MANIFEST)
