@@ -35,8 +35,8 @@ __all__ = [
 SECTOR_VERSION = 1
 """Version of what the network sees: ``network_input``. A change asks for training."""
 CHANNELS = 2
-"""Pictures of a sector: relief scaled to [0, 1], and relief by its size."""
-MEASURES = ("count", "coverage", "z_deviation", "residual", "upright", "distance")
+"""Pictures of a sector: relief scaled by its own range, and relief by its size."""
+MEASURES = ("count", "beside", "coverage", "z_deviation", "residual", "upright", "distance")
 """Numbers beside the pictures: what filled pixels and scaling hide."""
 CLASS_OF_LABEL = {
     **dict.fromkeys((3, 10, 1, 23), 0),
@@ -132,7 +132,7 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     Returns
     -------
     patches : array (n, CHANNELS, pixels, pixels) float32
-        Heights over the sector's plane: scaled to [0, 1] by their own range (0.5 where they have none), and as
+        Heights over the sector's plane: scaled to [-1, 1] by their own range (0 where they have none), and as
         asinh(h / 5 cm) / 3, which keeps a centimetre and a metre apart.
     measures : array (n, len(MEASURES)) float32
         Each of them about -1 to 1.
@@ -141,10 +141,11 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     low = heights.min(axis=(1, 2), keepdims=True)
     span = heights.max(axis=(1, 2), keepdims=True) - low
     scaled = np.divide(heights - low, span, out=np.full_like(heights, 0.5), where=span > 0)
-    patches = np.stack([scaled, np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)], axis=1)
+    patches = np.stack([2.0 * scaled - 1.0, np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)], axis=1)
     measures = np.column_stack(
         [
             np.log10(stack.count / 200.0),
+            np.log10(stack.count / _usual_count(stack)),
             2.0 * stack.coverage - 1.0,
             0.5 * np.log10(stack.variance + 1e-6) + 1.0,
             np.log10(stack.residual + 1e-3) + 1.5,
@@ -153,6 +154,18 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
         ]
     )
     return np.ascontiguousarray(patches, np.float32), measures.astype(np.float32)
+
+
+def _usual_count(stack: SectorStack) -> NDArray[np.float64]:
+    """Points that most sectors of the same ring stay under (their upper quartile): what a sensor sees of dry ground.
+
+    Against it, water and wet mud show by the returns that they throw away, whatever the sensor.
+    """
+    ring = stack.zone.astype(np.int64) * (max(stack.settings.rings)) + stack.ring
+    usual = np.empty(len(ring))
+    for number in np.unique(ring):
+        usual[ring == number] = np.percentile(stack.count[ring == number], 75)
+    return usual
 
 
 def _distance(stack: SectorStack) -> NDArray[np.float64]:

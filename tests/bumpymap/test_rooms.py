@@ -44,6 +44,7 @@ ROOMS = {
         {"bumpytiles", "dartpy", "numpy"},
     ),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "learn_scan": ({"frames", "learn", "scan", "scan_world"}, {"numpy", "onnx", "torch"}),
     "evaluate": (
         {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
         {"bumpytiles", "matplotlib", "numpy", "scipy"},

@@ -1,0 +1,157 @@
+"""Sectors to learn from: from folders as data sets lay them out, and from scenes."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("open3d", reason="open3d comes with the extra 'o3d'")
+
+from bumpymap.errors import BadInputError
+from bumpymap.learn_scan import data
+from bumpymap.learn_scan.data import (
+    Sectors,
+    draw_epoch,
+    folder_frames,
+    folder_sectors,
+    join,
+    labelled_sectors,
+    simulated_sectors,
+)
+from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
+from bumpymap.scan.types import Scan
+from bumpymap.scan_world import Sensor, write_folder
+
+
+@pytest.fixture(autouse=True)
+def _coarse_mesh(monkeypatch):
+    monkeypatch.setattr("bumpymap.scan_world.ground._STEP", 0.04)
+
+
+SMALL = Sensor(lines=32, columns=512, end_m=40.0)
+
+
+def _same(one, two):
+    for field in fields(Sectors):
+        assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    root = tmp_path_factory.mktemp("rellis")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.scan_world.ground._STEP", 0.04)
+        write_folder(root, 3, range(6), "00000", SMALL)
+        return write_folder(root, 3, range(6, 8), "00003", SMALL)
+
+
+def _ring(label, z):
+    """Ground between 5 and 11 m, of one label."""
+    rng = np.random.default_rng(1)
+    away, turn = rng.uniform(5, 11, 8000), rng.uniform(0, 2 * np.pi, 8000)
+    points = np.column_stack([away * np.cos(turn), away * np.sin(turn), z(rng, 8000)]).astype(np.float32)
+    return Scan(points, None, np.full(8000, label, np.uint16))
+
+
+@pytest.mark.parametrize("label", CLASS_OF_LABEL)
+def test_the_most_frequent_label_decides_the_class(label):
+    sectors = labelled_sectors(_ring(label, lambda rng, n: rng.normal(0, 0.01, n)))
+    assert len(sectors.klass) == 96
+    assert (sectors.klass == CLASS_OF_LABEL[label]).all()
+    assert (sectors.label == label).all()
+    assert sectors.patches.shape == (96, 2, 15, 15)
+    assert sectors.measures.shape == (96, len(MEASURES))
+
+
+def test_labels_without_a_class_are_left_out():
+    for label in (0, 7, 12, 500):
+        assert len(labelled_sectors(_ring(label, lambda rng, n: rng.normal(0, 0.01, n))).klass) == 0
+
+
+def test_turned_cuts_see_the_same_ground_in_other_sectors():
+    scan = _ring(3, lambda rng, n: rng.normal(0, 0.05, n))
+    once, thrice = labelled_sectors(scan), labelled_sectors(scan, [0.1, 1.0])
+    assert len(thrice.klass) == 3 * len(once.klass)
+    assert_array_equal(thrice.patches[: len(once.klass)], once.patches)
+    others = thrice.patches[len(once.klass) :]
+    assert not any((patch == others[0]).all() for patch in once.patches)
+    assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
+
+
+def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
+    learn, unseen = folder_frames(folder)
+    assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
+    assert [path.stem for path in unseen] == ["000005", "000001"]
+    assert folder_frames(folder.parent) == (learn, unseen)
+    assert len(folder_frames(folder / "00000")[0]) == 5
+    assert not set(learn) & set(unseen)
+
+
+def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
+    monkeypatch.setattr("bumpymap.scan_world.draw_sensor", lambda _rng: SMALL)
+    frames = [folder / "00000" / "os1_cloud_node_kitti_bin" / f"00000{k}.bin" for k in range(2)]
+    told = []
+    read = folder_sectors(frames, told=lambda *numbers: told.append(numbers))
+    assert told == [(1, 2), (2, 2)]
+    _same(read, simulated_sectors(3, range(2)))
+    assert set(read.klass) <= {0, 1, 2}
+
+
+def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
+    with pytest.raises(BadInputError, match="does not exist"):
+        folder_frames(tmp_path / "nowhere")
+    source = folder / "00000" / "os1_cloud_node_kitti_bin" / "000000.bin"
+    lonely = tmp_path / "000000.bin"
+    lonely.write_bytes(source.read_bytes())
+    with pytest.raises(BadInputError, match="training needs 2 or more"):
+        folder_frames(tmp_path)
+    with pytest.raises(BadInputError, match="has no label file"):
+        folder_sectors([lonely])
+    np.full(len(np.fromfile(source, "<f4")) // 4, 7, "<u4").tofile(tmp_path / "000000.label")
+    with pytest.raises(BadInputError, match="ids of RELLIS-3D"):
+        folder_sectors([lonely])
+
+
+def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.scan_world.draw_sensor", lambda _rng: SMALL)
+    first = simulated_sectors(1, [2, 3], 1, tmp_path / "keep")
+    assert len(list((tmp_path / "keep").iterdir())) == 2
+    monkeypatch.setattr(data, "scene_scan", None)
+    _same(simulated_sectors(1, [2, 3], 1, tmp_path / "keep"), first)
+
+
+def _made(counts):
+    klass = np.repeat(np.arange(3), counts)
+    number = np.arange(len(klass))
+    patches = np.zeros((len(klass), 2, 15, 15), np.float32)
+    patches[:, 0, 0, 0] = number
+    return Sectors(
+        patches, number[:, None].astype("f4"), klass, klass.astype("i2"), klass.astype("i2"), np.ones_like(klass) > 0
+    )
+
+
+def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
+    sectors = _made([50, 7, 20])
+    before = sectors.patches.copy()
+    patches, measures, klass = draw_epoch(sectors, 20, np.random.default_rng(1))
+    assert np.bincount(klass).tolist() == [20, 20, 20]
+    often = np.bincount(measures[:, 0].astype(int), minlength=77)
+    assert often[:50].max() == 1  # enough of them: none twice
+    assert set(often[50:57]) == {2, 3}
+    assert (often[57:] == 1).all()
+    plain, mirrored = patches[:, 0, 0, 0] == measures[:, 0], patches[:, 0, 0, -1] == measures[:, 0]
+    assert (plain | mirrored).all()
+    assert 10 < mirrored.sum() < 50
+    for one, two in zip(draw_epoch(sectors, 20, np.random.default_rng(1)), (patches, measures, klass), strict=True):
+        assert_array_equal(one, two)
+    assert_array_equal(sectors.patches, before)
+
+
+def test_an_epoch_does_without_a_class_that_is_not_there():
+    assert np.bincount(draw_epoch(_made([5, 0, 5]), 4, np.random.default_rng(1))[2]).tolist() == [4, 0, 4]
+
+
+def test_join_keeps_the_order():
+    one, two = _made([2, 1, 0]), _made([0, 0, 3])
+    assert_array_equal(join([one, two]).klass, [0, 0, 1, 2, 2, 2])
