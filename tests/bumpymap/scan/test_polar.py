@@ -9,7 +9,7 @@ import pytest
 
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.scan import NOT_TRAVERSABLE, PolarSettings, Scan, classify_filter, point_classes, polar_sectors
-from bumpymap.scan._kernels import turn_of
+from bumpymap.scan._place_kernels import turn_of
 from bumpymap.scan.polar import anchor_of
 
 FIXED = PolarSettings(anchored=False)
