@@ -123,7 +123,8 @@ class PatchStack:
     spread_count: NDArray[np.int32]
     """(n, pixels, pixels) points behind each height."""
     spread_variance: NDArray[np.float32]
-    """(n, pixels, pixels) population variance of z inside the pixel, m^2; NaN where no point fell."""
+    """(n, pixels, pixels) population variance inside the pixel of the height above the tile's plane, m^2: of
+    z where RANSAC found none; NaN where no point fell."""
     relief_map: NDArray[np.float32]
     """(n, pixels, pixels) heights with their least-squares plane taken off and holes filled from their neighbours, m;
     NaN where the tile cannot be judged."""

@@ -483,16 +483,17 @@ def _pixel_index(
 
 @inner
 def _pixel_sums(pixel: Integers, x: Floats, y: Floats, z: Floats, plane: Plane, sums: Floats) -> None:
-    """Count, sum and sum of squares of z, sum of the plane's height, by pixel, into the four rows of ``sums``."""
+    """Count, sum of z, of squared heights above the plane, of the plane's height, by pixel: the rows of ``sums``."""
     _set_map(sums, 0.0)
     a, b, c, _ = plane
     east, north = (-a / c, -b / c) if c > _STEEPEST else (0.0, 0.0)
     for i in range(len(pixel)):
         k = pixel[i]
+        slope = east * x[i] + north * y[i]
         sums[0, k] += 1.0
         sums[1, k] += z[i]
-        sums[2, k] += z[i] * z[i]
-        sums[3, k] += east * x[i] + north * y[i]
+        sums[2, k] += (z[i] - slope) * (z[i] - slope)
+        sums[3, k] += slope
 
 
 @inner
@@ -512,7 +513,7 @@ def _take_plane_off(sums: Floats, level: Floats) -> None:
 def _heightmap(
     sums: Floats, mean: float, level: Floats, heights: Singles, variance: Singles, count: Integers
 ) -> tuple[int, float]:
-    """Mean, population variance and number of the points in each pixel; NaN where none fell.
+    """Mean, population variance about the plane and number of the points in each pixel; NaN where none fell.
 
     ``level`` takes the heights above ``mean`` in double precision. Returns the known pixels and their range, m.
     """
@@ -523,7 +524,8 @@ def _heightmap(
             k = r * size + c
             n = sums[0, k]
             m = sums[1, k] / n  # 0 / 0: NaN, and so are those that follow from it
-            v = sums[2, k] / n - m * m
+            above = m - sums[3, k] / n
+            v = sums[2, k] / n - above * above
             level[r, c] = m
             count[r, c] = np.int32(n)
             heights[r, c] = np.float32(mean + m)
@@ -603,7 +605,7 @@ def measure_tiles(
         Filled: z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays. NaN where a tile has no
         points or no plane.
     heights, variance, relief : (tiles, pixels, pixels) float32
-        Filled: mean height, variance inside the pixel, relief map.
+        Filled: mean height, variance inside the pixel about the tile's plane, relief map.
     count : (tiles, pixels, pixels) int32
         Filled: points in each pixel.
     points : (4, most points of a tile) float64

@@ -33,40 +33,6 @@ _TINY = 1e-12
 
 
 @inner
-def _plane(heights: Singles, relief: Singles) -> tuple[float, float]:
-    """Slope of the plane that was taken off, to the south and to the east, m per pixel."""
-    size = heights.shape[0]
-    n = sx = sy = xx = xy = yy = sz = xz = yz = 0.0
-    for r in range(size):
-        for c in range(size):
-            z = np.float64(heights[r, c]) - relief[r, c]
-            if z == z:  # noqa: PLR0124 - false for NaN
-                x, y = np.float64(c), np.float64(r)
-                n += 1.0
-                sx += x
-                sy += y
-                xx += x * x
-                xy += x * y
-                yy += y * y
-                sz += z
-                xz += x * z
-                yz += y * z
-    xx, xy, yy = xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n
-    xz, yz = xz - sx * sz / n, yz - sy * sz / n
-    area = xx * yy - xy * xy
-    if area <= 0.0:
-        return 0.0, 0.0
-    return (yz * xx - xz * xy) / area, (xz * yy - yz * xy) / area
-
-
-@inner
-def _spread_at(plane: tuple[float, float], count: Integers, variance: Singles, r: int, c: int) -> float:
-    """Variance of the points of a pixel about the plane of the patch, m^2."""
-    n = np.float64(count[r, c])
-    return variance[r, c] * n / (n - 1.0) - (plane[0] * plane[0] + plane[1] * plane[1]) / 12.0
-
-
-@inner
 def _sift(values: Floats, weights: Floats, start: int, end: int) -> None:
     root = start
     while 2 * root + 1 <= end:
@@ -92,9 +58,7 @@ def _sort_together(values: Floats, weights: Floats, n: int) -> None:
 
 
 @inner
-def _point_noise(
-    plane: tuple[float, float], count: Integers, variance: Singles, values: Floats, weights: Floats
-) -> float:  # fmt: skip
+def _point_noise(count: Integers, variance: Singles, values: Floats, weights: Floats) -> float:
     """Noise variance of a single point, m^2; NaN where too few pixels hold two points.
 
     The median of the pixels' own variances, each as often as it has degrees of freedom: an edge inside some pixels
@@ -107,7 +71,7 @@ def _point_noise(
         for c in range(size):
             if count[r, c] > 1:
                 weight = np.float64(count[r, c] - 1)
-                values[n] = _spread_at(plane, count, variance, r, c)
+                values[n] = variance[r, c] * (weight + 1.0) / weight
                 weights[n] = weight
                 total += weight
                 squares += weight * weight
@@ -122,7 +86,7 @@ def _point_noise(
         if below >= 0.5 * total:
             median = values[i]
             break
-    return min(max(median, 0.0) / (1.0 - 2.0 * total / (9.0 * squares)) ** 3, _MOST_NOISE)
+    return min(median / (1.0 - 2.0 * total / (9.0 * squares)) ** 3, _MOST_NOISE)
 
 
 @inner
@@ -211,12 +175,9 @@ def _band_powers(waves: Floats, band: Integers, bands: Floats) -> None:
 
 
 @inner
-def _take_noise_off(
-    waves: Floats, band: Integers, ground: Floats, noise: float, transfer: Singles
-) -> tuple[float, float]:
-    """Shrink each coefficient to the power that is ground's; returns what wheels feel of it before and after."""
+def _take_noise_off(waves: Floats, band: Integers, ground: Floats, noise: float) -> None:
+    """Shrink each coefficient to the power that is ground's."""
     size = waves.shape[0]
-    before = after = 0.0
     for i in range(size):
         for j in range(size):
             b = band[i, j]
@@ -226,23 +187,18 @@ def _take_noise_off(
             power = waves[i, j] * waves[i, j]
             stands_out = power > _SIGNIFICANT * noise
             kept = (power - noise) / power if stands_out else ground[b] / (ground[b] + noise)
-            before += transfer[i, j] * power
-            after += transfer[i, j] * kept * power
             waves[i, j] *= math.sqrt(kept)
-    return before, after
 
 
-@entry("?:1 f4:3 f4:3 i4:3 f4:3 f8:2 i4:2 f8:2 f4:2 f8:2 f8:1 f8:2 f8:3 f4:3 f8:2")
+@entry("?:1 f4:3 i4:3 f4:3 f8:2 i4:2 f8:2 f8:2 f8:1 f8:2 f8:3 f4:3 f8:2")
 def denoise_patches(
     known: NDArray[np.bool_],
     relief: Singles,
-    heights: Singles,
     count: Integers,
     variance: Singles,
     basis: Floats,
     band: Integers,
     shapes: Floats,
-    transfer: Singles,
     bands: Floats,
     ground: Floats,
     sorted_spreads: Floats,
@@ -256,25 +212,22 @@ def denoise_patches(
     ----------
     known : (tiles,) bool
         Others keep what the results hold.
-    relief, heights : (tiles, pixels, pixels) float32
-        Relief maps (plane-removed, holes filled) and heightmaps, m.
+    relief : (tiles, pixels, pixels) float32
+        Relief maps: plane-removed, holes filled, m.
     count, variance : (tiles, pixels, pixels) int32, float32
-        Points of each pixel, and the variance of their heights, m^2.
+        Points of each pixel, and the variance of their heights above the tile's plane, m^2.
     basis : (pixels, pixels) float64
         Orthonormal cosines.
     band : (pixels, pixels) int32
         Band of each coefficient; -1 for the mean.
     shapes : (spectra, bands) float64
         Power of each band for unit strength.
-    transfer : (pixels, pixels) float32
-        What a coefficient's square is worth to the ride.
     bands, ground, sorted_spreads, work
         Scratch: (2, bands), (bands,), (2, pixels^2), (3, pixels, pixels).
     clean : (tiles, pixels, pixels) float32
         Filled: relief without noise, m.
-    noise : (3, tiles) float64
-        Filled: standard deviation of a point [m] and of a pixel's height [m]; half the ln of what wheels feel (as
-        power) with the noise over without it.
+    noise : (2, tiles) float64
+        Filled: standard deviation of a point [m] and of a pixel's height [m].
     """
     size = basis.shape[0]
     patch, middle, waves = work[0], work[1], work[2]
@@ -285,17 +238,15 @@ def denoise_patches(
             for j in range(size):
                 clean[t, i, j] = relief[t, i, j]
                 patch[i, j] = relief[t, i, j]
-        plane = _plane(heights[t], relief[t])
-        point = _point_noise(plane, count[t], variance[t], sorted_spreads[0], sorted_spreads[1])
+        point = _point_noise(count[t], variance[t], sorted_spreads[0], sorted_spreads[1])
         pixel = _pixel_noise(count[t], point)
-        noise[0, t], noise[1, t], noise[2, t] = math.sqrt(point), math.sqrt(pixel), 0.0
+        noise[0, t], noise[1, t] = math.sqrt(point), math.sqrt(pixel)
         if not pixel > _TINY:
             continue
         _turn(basis, patch, middle, waves, True)
         _band_powers(waves, band, bands)
         _fit_spectrum(bands, pixel, shapes, ground)
-        before, after = _take_noise_off(waves, band, ground, pixel, transfer)
-        noise[2, t] = 0.5 * math.log((before + _TINY) / (after + _TINY))
+        _take_noise_off(waves, band, ground, pixel)
         _turn(basis, waves, middle, patch, False)
         for i in range(size):
             for j in range(size):

@@ -1,10 +1,12 @@
 """From geometry to what the simulation measures: a correction of few numbers, its spread, and the chance to fail.
 
-- ln C_r = quadratic in ln g + slope and unevenness terms, g the geometric C_r. Below the calibrated range C_r is
+- ln C_r = quadratic in ln g + terms of slope, unevenness and the way between bumps (pitch over its change per metre: a
+  suspension hides short bumps), g the geometric C_r. Below the calibrated range C_r is
   proportional to g: a small motion is linear in the ground.
 - Its spread is log-normal, with a standard deviation that changes with g: what geometry leaves out.
 - Noise adds to it: by how much the ground under a noisy heightmap was rougher or smoother than the cleaned one, as
   quantiles over the *excess* (ln of what wheels would have felt with the noise over without it) and the points a pixel.
+  Ground that seems smoother than a tenth of its noise counts as a tenth of it: nobody can tell.
 - p_fail is logistic in the ln of g, of pitch, twist and unevenness, the belly's reach, and the slope.
 """
 
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.errors import BadInputError
 from bumpymap.ride.geometry import Rides
 
-__all__ = ["NORMAL_TAIL", "TAIL", "Correction", "Prediction", "fail_features", "ride_features"]
+__all__ = ["NORMAL_TAIL", "TAIL", "Correction", "Prediction", "fail_features", "ride_features", "told_from_noise"]
 
 Floats = NDArray[np.float64]
 TAIL = 0.1
@@ -27,6 +29,11 @@ NORMAL_TAIL = 1.2815515655446004
 """That quantile of the standard normal, without its sign."""
 _LEAST = 1e-5
 """Geometric C_r below this is rounding, rad/m."""
+_LEAST_OF_NOISE = 0.1
+"""Geometric C_r below this share of what the noise would make cannot be told from it."""
+
+
+_C_R_TERMS, _FAIL_TERMS = 6, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +97,14 @@ class Correction:
         shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
         if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
             raise ValueError("tables of different sizes")
+        if (len(self.c_r), len(self.fail)) != (_C_R_TERMS, _FAIL_TERMS):
+            raise ValueError(f"{len(self.c_r)} and {len(self.fail)} coefficients, not {_C_R_TERMS} and {_FAIL_TERMS}")
 
     def to_record(self) -> dict[str, Any]:
         """Return plain numbers for JSON."""
         return {key: _lists(value) for key, value in asdict(self).items()}
 
-    def predict(self, rides: Rides, slope_deg: Floats, excess: Floats, pixel_points: Floats) -> Prediction:
+    def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
         """Predict C_r and p_fail.
 
         Parameters
@@ -104,12 +113,13 @@ class Correction:
             Of n patches without noise.
         slope_deg : array (n,)
             Slope of the patch's plane, degrees.
-        excess : array (n,)
-            Of `CleanPatches`; NaN, noise unknown, counts as the largest that was seen.
+        noise_felt : array (n,)
+            Of `CleanPatches`, rad/m; NaN, noise unknown, counts as the largest excess that was seen.
         pixel_points : array (n,)
             Mean points a pixel.
         """
-        log_g = np.log(np.maximum(rides.pitch_change, _LEAST))
+        g, excess = told_from_noise(rides.pitch_change, noise_felt)
+        log_g = np.log(g)
         low, high = self.log_range
         inside = np.clip(log_g, low, high)
         features = ride_features(inside, rides, slope_deg)
@@ -138,6 +148,15 @@ class Correction:
         return value
 
 
+def told_from_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
+    """Return what can be told of the geometric C_r [rad/m], and the excess: ln of that with the noise over without it.
+
+    Both (n,); where the noise is unknown (NaN), the excess is too.
+    """
+    g = np.maximum(pitch_change, np.maximum(_LEAST_OF_NOISE * np.nan_to_num(noise_felt), _LEAST))
+    return g, 0.5 * np.log1p((noise_felt / g) ** 2)
+
+
 def _numbers(value: Any) -> Any:
     return tuple(_numbers(item) for item in value) if isinstance(value, list | tuple) else float(value)
 
@@ -147,14 +166,22 @@ def _lists(value: Any) -> Any:
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
-    """Terms of ln C_r, (n, 5): 1, ln g, its square, tangent of the slope, unevenness (ln of rms over mean)."""
+    """Terms of ln C_r, (n, 6): 1, ln g, its square, tangent of the slope, unevenness, ln of the way between bumps."""
     return np.stack(
-        [np.ones(len(log_g)), log_g, log_g**2, np.tan(np.radians(slope_deg)), _unevenness(rides)], axis=1
-    )  # fmt: skip
+        [
+            np.ones(len(log_g)),
+            log_g,
+            log_g**2,
+            np.tan(np.radians(slope_deg)),
+            _unevenness(rides),
+            np.log(np.maximum(rides.pitch, _LEAST) / np.maximum(rides.pitch_change, _LEAST)),
+        ],
+        axis=1,
+    )
 
 
 def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
-    """Terms of the logit of p_fail, (n, 7)."""
+    """Terms of the logit of p_fail, (n, 8)."""
     tangent = np.tan(np.radians(np.minimum(slope_deg, 80.0)))
     return np.stack(
         [
@@ -164,6 +191,7 @@ def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
             np.log(np.maximum(rides.twist, _LEAST)),
             _unevenness(rides),
             np.minimum(rides.belly_reach, 3.0),
+            tangent,
             tangent**2,
         ],
         axis=1,

@@ -55,11 +55,11 @@ class NoisyPatches:
     """Patches that were surveyed with noise."""
 
     excess: Floats
-    """(n,) of `CleanPatches`."""
+    """(n,) of `told_from_noise`."""
     pixel_points: Floats
     """(n,) mean points a pixel."""
     error: Floats
-    """(n,) ln (C_r of the ground itself / C_r of the cleaned patch), both by the ride model."""
+    """(n,) ln (geometric C_r of the ground itself / that which could be told of the cleaned patch)."""
 
 
 def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:

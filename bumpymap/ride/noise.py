@@ -37,8 +37,8 @@ class CleanPatches:
     """(n,) standard deviation of the height of a point, m; NaN where pixels hold too few points to tell."""
     pixel_noise: NDArray[np.float64]
     """(n,) the same of the height of a pixel."""
-    excess: NDArray[np.float64]
-    """(n,) ln of what wheels would feel with the noise over what they feel without it; 0 without noise."""
+    noise_felt: NDArray[np.float64]
+    """(n,) root mean square of the pitch change that such noise makes on level ground, rad/m."""
 
 
 def take_noise_off(patches: PatchStack, operator: RideOperator) -> CleanPatches:
@@ -46,18 +46,16 @@ def take_noise_off(patches: PatchStack, operator: RideOperator) -> CleanPatches:
     tiles, pixels = len(patches.reason), patches.grid.pixels
     basis, band, shapes = _spectrum(pixels)
     clean = patches.relief_map.copy()
-    noise = np.full((3, tiles), np.nan)
+    noise = np.full((2, tiles), np.nan)
     bands = shapes.shape[1]
     denoise_patches(
         patches.reason == Reason.OK,
         patches.relief_map,
-        patches.heights,
         patches.spread_count,
         patches.spread_variance,
         basis,
         band,
         shapes,
-        operator.transfer,
         np.empty((2, bands)),
         np.empty(bands),
         np.empty((2, pixels * pixels)),
@@ -65,7 +63,8 @@ def take_noise_off(patches: PatchStack, operator: RideOperator) -> CleanPatches:
         clean,
         noise,
     )
-    return CleanPatches(clean, *noise)
+    point, pixel = noise
+    return CleanPatches(clean, point, pixel, pixel * operator.noise_gain)
 
 
 @cache

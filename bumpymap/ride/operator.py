@@ -82,9 +82,9 @@ class RideOperator:
     belly_half: float
     """Half of the belly's length, m."""
     clearance: float
-    transfer: NDArray[np.float32]
-    """(pixels, pixels) mean square of the pitch change that one cosine of the patch with unit coefficient makes where
-    wheels are points: what a change of that part of the ground is worth."""
+    noise_gain: float
+    """Root mean square of the pitch change over the standard deviation of heights that know nothing of each other,
+    where wheels are points, rad/m per m."""
 
     @classmethod
     def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int) -> "RideOperator":
@@ -108,7 +108,7 @@ class RideOperator:
             track=track,
             belly_half=float(belly["length_m"]) / 2,
             clearance=float(belly["clearance_m"]),
-            transfer=_transfer(samples, pixels, fine),
+            noise_gain=_noise_gain(samples, pixels, fine),
         )
 
 
@@ -260,21 +260,19 @@ def _poses(
     )  # fmt: skip
 
 
-def _transfer(samples: Samples, pixels: int, fine: int) -> NDArray[np.float32]:
-    """Mean square answer of the samples to each cosine of the patch.
+def _noise_gain(samples: Samples, pixels: int, fine: int) -> float:
+    """Take the root of the mean sum of squares of what the pixels' heights are worth to each sample.
 
-    A mirrored cosine is the same but for its sign, and a turned one swaps its two orders: the samples before the
-    symmetries are enough.
+    Turns and mirror images only swap the pixels: the samples before the symmetries are enough.
     """
-    basis = interpolation(pixels, fine) @ cosines(pixels).T
-    starts = samples.starts[: _RIDE_SAMPLES + 1]
-    node, weight = samples.node[: starts[-1]], samples.weight[: starts[-1], None]
-    row, col = np.divmod(node, len(basis))
-    answer = np.empty((pixels, pixels))
-    for order in range(pixels):
-        total = np.add.reduceat(basis[row, order, None] * basis[col] * weight, starts[:-1], axis=0)
-        answer[order] = (total**2).mean(axis=0)
-    return ((answer + answer.T) / 2).astype(np.float32)
+    spread = interpolation(pixels, fine)
+    nodes = len(spread)
+    rows = np.zeros((_RIDE_SAMPLES, nodes * nodes))
+    entries = samples.starts[: _RIDE_SAMPLES + 1]
+    row = np.repeat(np.arange(_RIDE_SAMPLES), np.diff(entries))
+    rows[row, samples.node[: entries[-1]]] = samples.weight[: entries[-1]]
+    worth = spread.T @ rows.reshape(-1, nodes, nodes) @ spread
+    return float(np.sqrt((worth**2).sum() / _RIDE_SAMPLES))
 
 
 def cosines(pixels: int) -> Floats:

@@ -50,7 +50,7 @@ class RideModel:
         clean = take_noise_off(patches, self.operator)
         rides = roll_over(clean.relief_map, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
-        return self.correction.predict(rides, patches.slope.astype(np.float64), clean.excess, pixel_points)
+        return self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
         """Rate tiles.

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from bumpymap.calibration import DrivenTerrain
 from bumpymap.config import FeatureSettings
 from bumpymap.features import measure
-from bumpymap.ride import DrivenPatches, NoisyPatches, RideOperator, fit_correction, roll_over, take_noise_off
+from bumpymap.ride import (
+    DrivenPatches,
+    NoisyPatches,
+    RideOperator,
+    fit_correction,
+    roll_over,
+    take_noise_off,
+    told_from_noise,
+)
 from bumpymap.terrains import ScanEffects, Terrain, survey_terrain
 from bumpymap.types import Reason
 from bumpymap.vehicle.profile import VehicleProfile
@@ -78,11 +86,11 @@ def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: Ri
         for block in surveyed(terrains, effects, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             clean = take_noise_off(patches, operator)
-            found = roll_over(clean.relief_map, operator).pitch_change
+            found, excess = told_from_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
             wanted = truth[patches.col]
-            known = (patches.reason == Reason.OK) & np.isfinite(clean.excess) & (wanted > _LEAST_C_R)
-            error = np.log(wanted[known] / np.maximum(found[known], _LEAST_C_R / 10))
-            values = (clean.excess[known], patches.count[known] / patches.grid.pixels**2, error)
+            known = (patches.reason == Reason.OK) & np.isfinite(excess) & (wanted > _LEAST_C_R)
+            error = np.log(wanted[known] / found[known])
+            values = (excess[known], patches.count[known] / patches.grid.pixels**2, error)
             for column, value in zip(columns, values, strict=True):
                 column.append(value)
     return NoisyPatches(*(np.concatenate(column) for column in columns))

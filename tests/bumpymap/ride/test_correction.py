@@ -8,7 +8,7 @@ import pytest
 
 from bumpymap.errors import BadInputError, BumpymapError
 from bumpymap.ride import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
-from bumpymap.ride.correction import NORMAL_TAIL
+from bumpymap.ride.correction import NORMAL_TAIL, told_from_noise
 
 COUNT = 400
 
@@ -36,8 +36,8 @@ def no_noise(count=500):
 
 
 def predicted(correction, driven, excess=0.0):
-    n = len(driven.c_r)
-    return correction.predict(driven.rides, driven.slope_deg, np.full(n, excess), np.full(n, 4.0))
+    felt = driven.rides.pitch_change * np.sqrt(np.expm1(2 * excess))
+    return correction.predict(driven.rides, driven.slope_deg, felt, np.full(len(felt), 4.0))
 
 
 def test_a_fit_finds_what_the_drives_follow():
@@ -77,6 +77,16 @@ def test_below_what_was_driven_c_r_is_proportional():
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
 
 
+def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
+    correction = fit_correction(made_up(), no_noise())
+    rides = Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(6)))
+    found = correction.predict(rides, np.zeros(3), np.full(3, 0.1), np.full(3, 4.0))
+    assert found.log_c_r[0] == found.log_c_r[1] < found.log_c_r[2]
+    g, excess = told_from_noise(rides.pitch_change, np.full(3, 0.1))
+    assert g == pytest.approx([0.01, 0.01, 0.2])
+    assert np.exp(2 * excess) == pytest.approx([101, 101, 1.25])
+
+
 def test_noise_widens_the_interval():
     correction, driven = fit_correction(made_up(), no_noise()), made_up(2)
     quiet, loud, unknown = (predicted(correction, driven, excess) for excess in (0.0, 1.5, np.nan))
@@ -100,6 +110,12 @@ def test_a_damaged_record_is_refused(name):
     record[name] = [[1.0]] if name != "c_r" else "text"
     with pytest.raises(BadInputError, match="damaged"):
         Correction.from_record(record)
+
+
+def test_a_record_of_other_terms_is_refused():
+    record = fit_correction(made_up(), no_noise()).to_record()
+    with pytest.raises(BadInputError, match="6 and 7 coefficients, not 6 and 8"):
+        Correction.from_record(record | {"fail": record["fail"][:-1]})
 
 
 def test_a_vehicle_that_completes_nothing_is_refused():

@@ -35,6 +35,20 @@ def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
     assert np.median(left) < 0.4 * np.median(raw)
 
 
+def test_what_wheels_feel_of_noise_is_in_step_with_its_size():
+    patches = surveyed([PLANE] * 16, ScanEffects(1000, 0.01))
+    raw = roll_over(patches.relief_map, OPERATOR).pitch_change_rms
+    assert np.median(take_noise_off(patches, OPERATOR).noise_felt) == pytest.approx(np.median(raw), rel=0.1)
+
+
+@pytest.mark.parametrize("density", [25, 100])
+def test_the_noise_of_a_slope_is_that_of_level_ground(density):
+    slope = Terrain("slope", 0.6 * np.linspace(0, 3, 60)[None, :].repeat(60, axis=0), 3.0)
+    clean = take_noise_off(surveyed([slope] * 16, ScanEffects(density, 0.01)), OPERATOR)
+    assert np.median(clean.point_noise) == pytest.approx(0.01, rel=0.15)
+    assert clean.point_noise.min() > 0.004
+
+
 def test_three_centimetres_of_noise_do_not_make_smooth_ground_rough():
     patches = surveyed([PLANE] * 16, ScanEffects(100, 0.03))
     ride = roll_over(take_noise_off(patches, OPERATOR).relief_map, OPERATOR)
@@ -62,5 +76,7 @@ def test_a_kerb_survives_noise():
 def test_noise_that_cannot_be_told_is_not_invented():
     patches = surveyed([PLANE] * 4, ScanEffects(5, 0.03))
     clean = take_noise_off(patches, OPERATOR)
-    assert np.isnan(clean.point_noise[np.isnan(clean.excess)]).all()
-    assert np.array_equal(clean.relief_map[np.isnan(clean.excess)], patches.relief_map[np.isnan(clean.excess)], True)
+    assert np.isnan(clean.point_noise[np.isnan(clean.noise_felt)]).all()
+    assert np.array_equal(
+        clean.relief_map[np.isnan(clean.noise_felt)], patches.relief_map[np.isnan(clean.noise_felt)], True
+    )
