@@ -88,6 +88,10 @@ class Comparison:
     """Median standard error of the driven mean C_r, share of it."""
     label_error_over: int
     """Compared patches whose standard error stayed above 5 %."""
+    auc_most: float
+    """AUC of the driven shares themselves: no p_fail of a patch can reach more, as drives over one patch differ."""
+    auc_most_below_limit: float
+    """The same within the vehicle's slope limit."""
     agreement: dict[str, Agreement]
     """Name of the predictor -> how it agrees."""
 
@@ -137,6 +141,7 @@ def compare(
         table = confusion(klass, np.searchsorted(np.array(limits), fitted, side="right"), CLASSES)
         found[name] = replace(_agreement(predictor, fitted, driven, table, None, None), fitted_error=best)
     relative = driven.error[good] / driven.c_r[good]
+    most = _fail_agreement(driven.failed_share, driven, too_steep)
     return Comparison(
         patches=len(good),
         drives=int((driven.completed + driven.failed).sum()),
@@ -145,6 +150,8 @@ def compare(
         beyond_limit=int(too_steep.sum()),
         label_error=float(np.nanmedian(relative)) if np.isfinite(relative).any() else float("nan"),
         label_error_over=int((relative > 0.05).sum()),
+        auc_most=most.auc,
+        auc_most_below_limit=most.auc_below_limit,
         agreement=found,
     )
 

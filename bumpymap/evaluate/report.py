@@ -165,7 +165,10 @@ def _method(found: Comparison) -> str:
         f"{found.patches} patches, {found.drives} drives, {found.failed} of them failed. On {found.left_out} patches "
         "more than a quarter of the drives failed; their C_r, that of the survivors, is not compared. The drives' own "
         f"standard error is {percent(found.label_error)} in the median, above 5 % on {found.label_error_over} of them. "
-        f"Classes and failures count on all patches; {found.beyond_limit} are beyond the vehicle's slope limit. Plain "
+        f"Classes and failures count on all patches; {found.beyond_limit} are beyond the vehicle's slope limit. "
+        "Some drives over a patch fail and others do not: no p_fail can reach an AUC above "
+        f"{found.auc_most:.3f} here, nor "
+        f"above {found.auc_most_below_limit:.3f} within the slope limit. Plain "
         "predictors get C_r by their best monotone fit to the drives over the other patches, which no map has; *fitted "
         "to these* is the error where the fit has seen the patch itself."
         + (noise if "ride_raw" in found.agreement else "")

@@ -56,6 +56,8 @@ def test_survivors_are_not_compared_but_their_failures_count(verdict_of):
     # Every patch counts alike: shares 9/16 of failures against 2 of safe ground and 23/16 of the same ground.
     assert own.fail.auc == pytest.approx((2 + 23 / 16 / 2) / (2 + 23 / 16))
     assert own.fail.auc_below_limit == pytest.approx((2 + 11 / 16 / 2) / (2 + 11 / 16))
+    # Shares of 0, 0, 4/16 and 5/16: of 9/16 * 55/16 pairs, 2 * 9/16 are safe, the others of four and five compare.
+    assert found.auc_most == pytest.approx((2 * 9 + 5 * 12 / 16 + (4 * 12 + 5 * 11) / 32) / (9 * 55 / 16))
 
 
 def test_ground_that_nothing_crosses_leaves_only_failures_to_compare(verdict_of):
