@@ -52,10 +52,24 @@ def test_heightmap_equals_brute_force_binning(measure_points):
                 assert np.isnan(stack.spread_variance[0, r, c])
             else:
                 assert stack.heights[0, r, c] == pytest.approx(mine.mean(), rel=1e-6, abs=1e-6)
-                assert stack.spread_variance[0, r, c] == pytest.approx(mine.var(), rel=1e-5, abs=1e-9)
     assert stack.coverage[0] == np.count_nonzero(stack.spread_count[0]) / 225
     assert stack.density[0] == 400 / 9
     assert stack.z_range[0] == pytest.approx(np.nanmax(stack.heights[0]) - np.nanmin(stack.heights[0]), rel=1e-6)
+
+
+def test_spread_inside_a_pixel_is_about_the_plane_of_the_tile(measure_points):
+    x, y, rng = tile_points(2, n=900)
+    z = 0.4 * x - 0.3 * y + rng.uniform(-0.02, 0.02, 900)
+    stack = measure_points(x, y, z)
+    terms = np.stack([np.ones(900), x - EAST, y - NORTH], axis=1)
+    away = z - terms @ np.linalg.lstsq(terms, z, rcond=None)[0]
+    px = np.floor(15 * (x - EAST) / 3).astype(int)
+    py = np.floor(15 * (y - NORTH) / 3).astype(int)
+    for r in range(15):
+        for c in range(15):
+            mine = away[(px == c) & (py == 14 - r)]
+            wanted = mine.var() if len(mine) else np.nan
+            assert stack.spread_variance[0, r, c] == pytest.approx(wanted, rel=1e-3, abs=1e-9, nan_ok=True)
 
 
 def test_all_fifteen_rows_and_columns_are_used_and_north_is_up(measure_points):
