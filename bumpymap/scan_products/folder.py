@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import lazrs
 import pyarrow as pa
 from rasterio.errors import RasterioError
 
@@ -64,7 +65,7 @@ def writing(folder: Path) -> Iterator[None]:
     """Turn what goes wrong while products are written into an OutputError."""
     try:
         yield
-    except (OSError, pa.ArrowException, RasterioError) as error:
+    except (OSError, lazrs.LazrsError, pa.ArrowException, RasterioError) as error:
         raise OutputError(
             f"cannot write to {folder}: {error}. Free some space, or choose another --out; nothing half-written was "
             "left there"

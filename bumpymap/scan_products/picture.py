@@ -28,6 +28,8 @@ _PANEL = 300
 _PAPER, _INK, _RING = (16, 18, 22), (235, 235, 235), (120, 124, 132)
 _FILL = 0.42
 """How much of its class colour the area of a sector takes; its points take all of it."""
+_BORDER = 0.7
+"""How bright it is between two sectors."""
 _STEPS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 _FEWEST_RINGS = 3
 _ARROW_PX = 16
@@ -83,20 +85,18 @@ def _polar_pixels(reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 
 def _paint_sectors(scene: Picture, classed: ClassedSectors, reach: float) -> None:
-    """Fill sectors with a shade of their colour; where two meet, the shade is weaker."""
-    stack = classed.sectors
-    if not len(stack.zone):
-        return
+    """Fill sectors with a shade of their colour, darker where two cells of the grid meet."""
+    stack, first = classed.sectors, _first_cells(classed.sectors.settings)
+    own = first[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone] + stack.sector
+    shades = np.full((first[-1] + 1, 3), _PAPER, np.uint8)
+    colours = COLOURS[looks_of(classed.klass, np.arange(len(own), dtype=np.int32))]
+    shades[own] = (np.array(_PAPER) + _FILL * (colours - np.array(_PAPER, float))).astype(np.uint8)
     cell = _cells(stack.settings, stack.azimuth_start_rad, reach)
-    looks = np.full(_first_cells(stack.settings)[-1] + 1, -1)
-    own = _first_cells(stack.settings)[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone]
-    looks[own + stack.sector] = looks_of(classed.klass, np.arange(len(own), dtype=np.int32))
-    shades = np.concatenate([_PAPER + _FILL * (COLOURS - np.array(_PAPER, float)), [_PAPER]]).astype(np.uint8)
-    scene[:] = shades[looks[cell]]
+    scene[:] = shades[cell]
     border = np.zeros(cell.shape, np.bool_)
     border[:, 1:] |= cell[:, 1:] != cell[:, :-1]
     border[1:] |= cell[1:] != cell[:-1]
-    scene[border] = (scene[border] * 0.7).astype(np.uint8)
+    scene[border] = (scene[border] * _BORDER).astype(np.uint8)
 
 
 def _first_cells(settings: PolarSettings) -> NDArray[np.int64]:
@@ -104,20 +104,29 @@ def _first_cells(settings: PolarSettings) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(np.array(settings.sectors) * settings.rings)])
 
 
-def _cells(settings: PolarSettings, azimuth_start: float, reach: float) -> NDArray[np.int64]:
+def _cells(settings: PolarSettings, azimuth_start: float, reach: float) -> NDArray[np.int32]:
     """Cell of the polar grid of every pixel; the number of cells where it is in none."""
-    distance, turn = _polar_pixels(reach)
+    base, sectors = _ring_pixels(settings, reach)
+    share = _polar_pixels(reach)[1] - np.float32(azimuth_start / (2.0 * math.pi))
+    share -= np.floor(share)
+    share *= sectors
+    cell: NDArray[np.int32] = base + np.minimum(share, np.maximum(sectors - 1, 0)).astype(np.int32)
+    return cell
+
+
+@lru_cache(maxsize=2)
+def _ring_pixels(settings: PolarSettings, reach: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """First cell of the ring of every pixel, and its number of sectors: 0 outside the grid."""
+    distance, _ = _polar_pixels(reach)
     edges = np.array([*settings.zone_starts_m, settings.end_m], np.float32)
     zone = np.searchsorted(edges, distance, side="right") - 1
     outside = (zone < 0) | (zone >= len(settings.sectors))
     zone[outside] = 0
     rings, sectors = np.array(settings.rings), np.array(settings.sectors)
-    share = (turn - np.float32(azimuth_start / (2.0 * math.pi))) % 1.0
-    ring = np.minimum((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone], rings[zone] - 1).astype(np.int64)
-    sector = np.minimum((share * sectors[zone]).astype(np.int64), sectors[zone] - 1)
+    ring = ((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone]).astype(np.int64)
     first = _first_cells(settings)
-    cell: NDArray[np.int64] = np.where(outside, first[-1], first[zone] + ring * sectors[zone] + sector)
-    return cell
+    base = first[zone] + np.minimum(ring, rings[zone] - 1) * sectors[zone]
+    return np.where(outside, first[-1], base).astype(np.int32), np.where(outside, 0, sectors[zone]).astype(np.float32)
 
 
 def _paint_points(scene: Picture, scan: Scan, classed: ClassedSectors, reach: float) -> None:
@@ -139,14 +148,22 @@ def _ring_step(reach: float) -> float:
 
 
 def _paint_rings(scene: Picture, reach: float, step: float) -> None:
-    distance, _ = _polar_pixels(reach)
-    off = np.abs(distance - step * np.maximum(np.rint(distance / np.float32(step)), 1.0)) * np.float32(SIDE / 2 / reach)
-    strength = np.clip(1.2 - off, 0.0, 0.8)[..., None] * (off < 1.2)[..., None]
-    scene[:] = (scene + strength * (np.array(_RING) - scene)).astype(np.uint8)
+    place, strength = _ring_lines(reach, step)
+    under = scene.reshape(-1, 3)[place]
+    scene.reshape(-1, 3)[place] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
     for number in range(1, int(reach / step + 1e-6) + 1):
         # On the diagonal, forward and to the right, where neither the arrow nor the edge is in the way.
         out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
         _write(scene, f"{number * step:g} m", int(SIDE / 2 - out) - HEIGHT, int(SIDE / 2 + out) + 4)
+
+
+@lru_cache(maxsize=2)
+def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Pixels of the range rings, and how much of their colour they take."""
+    distance = _polar_pixels(reach)[0].reshape(-1)
+    off = np.abs(distance - step * np.maximum(np.rint(distance / np.float32(step)), 1.0)) * np.float32(SIDE / 2 / reach)
+    place = np.flatnonzero(off < 1.2)
+    return place, np.minimum(np.float32(1.2) - off[place], np.float32(0.8))
 
 
 def _paint_arrow(scene: Picture, row: int, column: int) -> None:

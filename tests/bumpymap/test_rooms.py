@@ -53,7 +53,7 @@ ROOMS = {
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
-    "scan_products": ({"products", "scan"}, {"laspy", "numpy", "plyfile", "pyarrow", "pyproj", "rasterio"}),
+    "scan_products": ({"products", "scan"}, {"laspy", "lazrs", "numpy", "plyfile", "pyarrow", "pyproj", "rasterio"}),
     "scan_pipeline": (
         {"calibration", "crs", "frames", "pipeline", "scan", "scan_config", "scan_methods", "scan_products"},
         {"numpy", "pyproj"},
