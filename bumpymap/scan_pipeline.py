@@ -142,7 +142,7 @@ def _scan(config: ScanConfig, told: Progress) -> ScanResult:
         drive = _drive(config)
         paths = find_frames(config.frames)
         frames = name_frames(paths, None if config.poses is None else read_poses(config.poses, len(paths)))
-        check_scan_folder(config.out, overwrite=config.overwrite)
+        check_scan_folder(config.out, paths, overwrite=config.overwrite)
     reports: list[FrameReport] = []
     skipped: dict[str, str] = {}
     with writing(config.out), together(config.out, MANIFEST) as staged:

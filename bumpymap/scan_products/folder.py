@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -21,15 +21,19 @@ _NAMES = (FRAME_FOLDER, TABLE, GATHERED, MAP_FOLDER, MANIFEST)
 _SIDE = ("class.tif.aux.xml",)
 
 
-def check_scan_folder(folder: Path, *, overwrite: bool) -> None:
+def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool) -> None:
     """Make sure that the products of a scan run can be written to a folder; create it where it is missing.
 
     Raises
     ------
     OutputError
-        It cannot be created or written, or it holds products that may not be replaced, or files of somebody else
-        where products would go.
+        It cannot be created or written, or it holds products that may not be replaced, or ``inputs`` of this run or
+        files of somebody else where products would go.
     """
+    taken = (folder / FRAME_FOLDER).resolve()
+    inside = next((path for path in inputs if taken in path.resolve().parents), None)
+    if inside is not None:
+        raise OutputError(f"{inside} is read by this run, which writes to the folder {taken} too. Choose another --out")
     check_folder(folder, overwrite=True)
     present = [name for name in _NAMES if (folder / name).exists()]
     if present and not overwrite:
@@ -39,9 +43,12 @@ def check_scan_folder(folder: Path, *, overwrite: bool) -> None:
     for name in present:
         if (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another --out")
-    strange = _strange(folder / FRAME_FOLDER)
+    strange = _strange(folder)
     if strange:
-        raise OutputError(f"{strange} was not written by a scan run, and would go with --overwrite. Move it, first")
+        raise OutputError(
+            f"{strange} was not written by a scan run that ended, and would go with --overwrite. Move it away first, or "
+            "choose another --out"
+        )
 
 
 def drop_older(folder: Path, kept: Sequence[str]) -> None:
@@ -79,7 +86,10 @@ def sync(path: Path) -> None:
 
 
 def _strange(folder: Path) -> Path | None:
-    """Return a file of the folder of frames that no run wrote."""
-    if not folder.is_dir():
+    """Return a file among the frames that no run wrote; their folder itself where no run ended here."""
+    frames = folder / FRAME_FOLDER
+    if not frames.is_dir():
         return None
-    return next((path for path in sorted(folder.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
+    if not (folder / MANIFEST).exists():
+        return frames
+    return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
