@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
 from bumpymap.frames import find_frames, read_scan
-from bumpymap.scan.learned import classes_of_labels, network_input
+from bumpymap.scan.learned import MEASURES, classes_of_labels, network_input
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.types import PolarSettings, Scan
 
 __all__ = [
+    "LENT",
     "UNSEEN",
     "Sectors",
     "draw_epoch",
@@ -28,6 +29,9 @@ __all__ = [
 
 UNSEEN = 1_000_000
 """Scenes from this number on are never learned from."""
+LENT = ("count", "beside", "coverage")
+"""Measures that some sectors take from others while learning."""
+_LENT_SHARE = 0.2
 Told = Callable[[int, int], None]
 """Gets how many scans are done, of how many."""
 
@@ -194,7 +198,9 @@ def draw_epoch(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
     """Draw as many sectors of every class that is there, half of them mirrored in azimuth; shuffled.
 
-    A class with fewer sectors than that gives each of them as often as any other, give or take one.
+    A class with fewer sectors than that gives each of them as often as any other, give or take one. Some sectors take
+    their ``LENT`` measures from others, so that the network does not rest its answer on them alone: sensors and
+    places differ in how many points they give more than in the relief that they show.
     """
     rows = []
     for klass in np.unique(sectors.klass):
@@ -205,4 +211,9 @@ def draw_epoch(
     patches = sectors.patches[order]
     mirrored = rng.uniform(size=len(order)) < 0.5
     patches[mirrored] = patches[mirrored][..., ::-1]
-    return patches, sectors.measures[order], sectors.klass[order]
+    measures = sectors.measures[order]
+    for name in LENT:
+        column = MEASURES.index(name)
+        takes = np.flatnonzero(rng.uniform(size=len(order)) < _LENT_SHARE)
+        measures[takes, column] = measures[rng.permutation(takes), column]
+    return patches, measures, sectors.klass[order]

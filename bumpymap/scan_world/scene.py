@@ -195,4 +195,6 @@ def _inside(rng: np.random.Generator, blob: Blob, ground: Ground) -> Floats:
     count = int(4 * blob.radius_m**2 * rng.uniform(0.8, 2.0))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
     x, y = places[:, 0], places[:, 1]
-    return places[(blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)]
+    free = (blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)
+    chosen: Floats = places[free]
+    return chosen

@@ -11,6 +11,7 @@ pytest.importorskip("open3d", reason="open3d comes with the extra 'o3d'")
 from bumpymap.errors import BadInputError
 from bumpymap.learn_scan import data
 from bumpymap.learn_scan.data import (
+    LENT,
     Sectors,
     draw_epoch,
     folder_frames,
@@ -127,7 +128,12 @@ def _made(counts):
     patches = np.zeros((len(klass), 2, 15, 15), np.float32)
     patches[:, 0, 0, 0] = number
     return Sectors(
-        patches, number[:, None].astype("f4"), klass, klass.astype("i2"), klass.astype("i2"), np.ones_like(klass) > 0
+        patches,
+        np.tile(number[:, None], len(MEASURES)).astype("f4"),
+        klass,
+        klass.astype("i2"),
+        klass.astype("i2"),
+        np.ones_like(klass) > 0,
     )
 
 
@@ -136,16 +142,26 @@ def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
     before = sectors.patches.copy()
     patches, measures, klass = draw_epoch(sectors, 20, np.random.default_rng(1))
     assert np.bincount(klass).tolist() == [20, 20, 20]
-    often = np.bincount(measures[:, 0].astype(int), minlength=77)
+    who = measures[:, MEASURES.index("distance")].astype(int)
+    often = np.bincount(who, minlength=77)
     assert often[:50].max() == 1  # enough of them: none twice
     assert set(often[50:57]) == {2, 3}
     assert (often[57:] == 1).all()
-    plain, mirrored = patches[:, 0, 0, 0] == measures[:, 0], patches[:, 0, 0, -1] == measures[:, 0]
+    plain, mirrored = patches[:, 0, 0, 0] == who, patches[:, 0, 0, -1] == who
     assert (plain | mirrored).all()
     assert 10 < mirrored.sum() < 50
     for one, two in zip(draw_epoch(sectors, 20, np.random.default_rng(1)), (patches, measures, klass), strict=True):
         assert_array_equal(one, two)
     assert_array_equal(sectors.patches, before)
+
+
+def test_some_measures_are_lent_and_others_never():
+    _, measures, _ = draw_epoch(_made([900, 900, 900]), 900, np.random.default_rng(1))
+    who = measures[:, MEASURES.index("distance")]
+    for column, name in enumerate(MEASURES):
+        foreign = (measures[:, column] != who).mean()
+        assert 0.15 < foreign < 0.25 if name in LENT else foreign == 0
+        assert_array_equal(np.sort(measures[:, column]), np.sort(who))  # lent, not made up
 
 
 def test_an_epoch_does_without_a_class_that_is_not_there():
