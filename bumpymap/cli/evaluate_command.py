@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 @click.command("evaluate")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @click.option("--library", is_flag=True, help="Evaluate on unseen terrain of the library instead of a survey.")
+@click.option(
+    "--scans", is_flag=True, help="Evaluate the classes of single scans: of the frames given, or of made-up ones."
+)
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--local", is_flag=True, help="Take coordinates without a CRS as metres.")
@@ -39,12 +42,16 @@ if TYPE_CHECKING:
 @click.option(
     "--densities", default="100,50,20,10,5", show_default=True, metavar="LIST", help="Points per m2 to thin to."
 )
+@click.option("--scenes", type=int, default=35, show_default=True, metavar="N", help="With --scans: made-up scenes.")
+@click.option("--model", type=PATH, metavar="FILE", help="With --scans: scan network of your own.")
+@click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: stripe classes of your own.")
 @click.option("--skip", default="", metavar="LIST", help="Of drives, density, invariance, noise, timing: leave out.")
 @click.option("--overwrite", is_flag=True, help="Replace the report, and drop drives of other settings.")
 def command(
     *,
     surveys: tuple[Any, ...],
     library: bool,
+    scans: bool,
     out: Path,
     crs: str | None,
     local: bool,
@@ -63,10 +70,16 @@ def command(
     bumpymap evaluate site.laz --out trust
     bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
     bumpymap evaluate --library --out trust
+    bumpymap evaluate --scans --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    if library == bool(surveys):
-        raise UsageError("evaluate takes either surveys, such as site.laz, or --library")
     set_up_logging(as_json=False)
+    if scans:
+        if library:
+            raise UsageError("--scans and --library are evaluations of their own; give one of them")
+        _evaluate_scans(surveys, out, given, overwrite=overwrite)
+        return
+    if library == bool(surveys):
+        raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans")
     settings = _settings(given)
     subjects = _subjects(given)
     _require(settings)
@@ -92,6 +105,32 @@ def command(
         click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
         sys.exit(130)
     _summary(findings, files)
+
+
+def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *, overwrite: bool) -> None:
+    from bumpymap.evaluate_scan.report import write_scan_report
+    from bumpymap.evaluate_scan.run import evaluate_scans, made_up, read_frames
+    from bumpymap.evaluate_scan.settings import ScanEvaluateSettings
+    from bumpymap.evaluate_scan.timing import require_plain
+    from bumpymap.frames import find_frames
+    from bumpymap.scan import load_stripes
+    from bumpymap.scan.learned import ScanModel
+
+    settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
+    network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
+    stripes = load_stripes(given["stripes"])
+    require_plain(simulates=not places)
+    frames = find_frames([Path(place) for place in places]) if places else []
+    _check_place(out, overwrite=overwrite)
+    with BarProgress() as told:
+        scans = read_frames(frames) if frames else made_up(settings)
+        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, told)
+    files = write_scan_report(findings, out)
+    for method, found in findings.accuracy.items():
+        click.echo(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
+    for cost in findings.costs:
+        click.echo(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
+    click.echo(f"wrote {files[0]}")
 
 
 def _settings(given: dict[str, Any]) -> "EvaluateSettings":

@@ -16,7 +16,7 @@ from bumpymap.evaluate.subject import Verdict
 from bumpymap.evaluate.timing import StepCost
 from bumpymap.vehicle.journal import Key
 
-__all__ = ["DrivenPatches", "Findings"]
+__all__ = ["DrivenPatches", "Findings", "plain_record"]
 
 FORMAT = "bumpymap-evaluation"
 
@@ -57,14 +57,15 @@ class Findings:
     def to_record(self) -> dict[str, Any]:
         """Return every number as JSON has it; None stands for what cannot be known."""
         record: dict[str, Any] = {"format": FORMAT, "version": 1}
-        return record | {name: _plain(value) for name, value in asdict(self).items()}
+        return record | {name: plain_record(value) for name, value in asdict(self).items()}
 
 
-def _plain(value: Any) -> Any:
+def plain_record(value: Any) -> Any:
+    """Turn nested records into what JSON has: six digits, None for what is not finite, lists in a fixed order."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_record(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple | frozenset):
-        return [_plain(item) for item in (sorted(value) if isinstance(value, frozenset) else value)]
+        return [plain_record(item) for item in (sorted(value) if isinstance(value, frozenset) else value)]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

@@ -49,6 +49,10 @@ ROOMS = {
         {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
         {"bumpytiles", "matplotlib", "numpy", "scipy"},
     ),
+    "evaluate_scan": (
+        {"evaluate", "frames", "learn_scan", "scan"},
+        {"numpy", "scipy", "skimage", "sklearn"},
+    ),
     "scan": (set(), {"bumpytiles", "numpy", "onnxruntime", "skimage", "sklearn"}),
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
