@@ -33,7 +33,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
     if inside is not None:
-        raise OutputError(f"{inside} is read by this run, which writes to the folder {taken} too. Choose another --out")
+        raise OutputError(f"{inside} is read by this run, and lies where it would write. Choose another --out")
     check_folder(folder, overwrite=True)
     present = [name for name in _NAMES if (folder / name).exists()]
     if present and not overwrite:
@@ -46,7 +46,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     strange = _strange(folder)
     if strange:
         raise OutputError(
-            f"{strange} was not written by a scan run that ended, and would go with --overwrite. Move it away first, or "
+            f"{strange} was not written by a scan run that ended, and would go with --overwrite. Move it away, or "
             "choose another --out"
         )
 
