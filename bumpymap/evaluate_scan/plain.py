@@ -82,12 +82,12 @@ def _stripes(heights: NDArray[np.float64], settings: StripeFilter) -> float:
 
     rows = np.arange(len(heights))[:, None]
     waves = np.cos(2 * math.pi * (rows / settings.wavelength_px + heights / settings.metres_per_stripe))
-    seen = np.zeros(waves.shape, bool)
+    seen: NDArray[np.bool_] = np.zeros(waves.shape, np.bool_)
     for number in range(settings.orientations):
         theta = math.pi * number / settings.orientations
         kernel: NDArray[np.float64] = np.asarray(gabor_kernel(1 / settings.wavelength_px, theta, bandwidth=1)).real
         down, right = np.indices(kernel.shape) - (np.array(kernel.shape) // 2)[:, None, None]
         own = np.cos(2 * math.pi * (right * math.cos(theta) + down * math.sin(theta)) / settings.wavelength_px)
         seen |= convolve(waves, kernel / (kernel * own).sum()) >= settings.threshold
-    starts = seen & ~np.vstack([np.zeros(seen.shape[1], bool), seen[:-1]])
-    return float(starts.sum() / seen.shape[1])
+    starts = seen[1:] & ~seen[:-1]
+    return float((starts.sum() + seen[0].sum()) / len(seen))
