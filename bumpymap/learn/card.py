@@ -35,6 +35,7 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     """
     network = settings.network
     side = f"{network.pixels} x {network.pixels}"
+    numbers = f"{parameters:,} trained numbers; {size:,} bytes of ONNX, opset 17"
     single = "\n".join(f"| {text} | {_percent(evaluation.single[key])} |" for key, text in _ALTERATIONS.items())
     return f"""# Texture network
 
@@ -45,8 +46,8 @@ Tells the four terrain forms of the BumpyPatch paper apart in the heightmap of o
   {settings.tile_size:g} m, its least-squares plane taken off, holes filled from their neighbours, min-max scaled to
   [0, 1] (feature version {FEATURE_VERSION}).
 - **Output**: `probability` (batch, {len(network.classes)}) float32, in the order above.
-- **Network**: four 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels;
-  {parameters:,} trained numbers; {size:,} bytes of ONNX, opset 17.
+- **Network**: four 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels,
+  averaged over the patch, and {network.hidden} units that read the averages; {numbers}.
 
 ## Data
 

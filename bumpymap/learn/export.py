@@ -1,7 +1,8 @@
 """Network to ONNX, written out layer by layer: batch normalisation folded into the convolutions, softmax at the end.
 
 Operators are those of opset 17, so that old ONNX Runtimes read the file. The graph holds no operator whose answer for
-one patch depends on its place in the batch (the head is a 1 x 1 convolution, not a matrix product over the batch).
+one patch depends on its place in the batch (the last two layers are 1 x 1 convolutions, not matrix products over the
+batch).
 """
 
 import json
@@ -45,6 +46,7 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
         "conv2": _fold(net.conv2, net.norm2),
         "conv3": _fold(net.conv3, net.norm3),
         "conv4": _fold(net.conv4, net.norm4),
+        "conv5": _fold(net.conv5, net.norm5),
         "head": (_numpy(net.head.weight), _numpy(net.head.bias)),
     }
     pixels, classes = net.settings.pixels, len(net.settings.classes)
@@ -70,7 +72,7 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
 
 
 def _nodes(border: int) -> list[onnx.NodeProto]:
-    """Layers in order; ``border`` is the padding [px] of the last convolution."""
+    """Layers in order; ``border`` is the padding [px] of the fourth convolution."""
 
     def conv(layer: str, source: str, target: str, pad: int = 0) -> onnx.NodeProto:
         return helper.make_node("Conv", [source, f"{layer}.weight", f"{layer}.bias"], [target], pads=[pad] * 4)
@@ -86,9 +88,11 @@ def _nodes(border: int) -> list[onnx.NodeProto]:
         conv("conv4", "g", "h", pad=border),
         helper.make_node("Relu", ["h"], ["i"]),
         helper.make_node("GlobalAveragePool", ["i"], ["j"]),
-        conv("head", "j", "k"),
-        helper.make_node("Flatten", ["k"], ["l"], axis=1),
-        helper.make_node("Softmax", ["l"], [OUTPUT_NAME], axis=1),
+        conv("conv5", "j", "k"),
+        helper.make_node("Relu", ["k"], ["l"]),
+        conv("head", "l", "m"),
+        helper.make_node("Flatten", ["m"], ["n"], axis=1),
+        helper.make_node("Softmax", ["n"], [OUTPUT_NAME], axis=1),
     ]
 
 

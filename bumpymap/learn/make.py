@@ -78,6 +78,7 @@ def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) 
         "tile_size": settings.tile_size,
         "feature_version": FEATURE_VERSION,
         "channels": list(settings.network.channels),
+        "hidden": settings.network.hidden,
         "parameters": parameters,
         "seed": settings.seed,
         "command": settings.command,

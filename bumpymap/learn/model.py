@@ -18,11 +18,13 @@ class NetworkSettings:
     """Pixels along a side of a patch, at least 9."""
     channels: tuple[int, int, int, int] = (16, 32, 64, 96)
     """Filters of the four convolutions."""
+    hidden: int = 128
+    """Units between what is averaged over the patch and the answer."""
     classes: tuple[str, ...] = TEXTURES
 
 
 class TextureNet(nn.Module):
-    """Four 3 x 3 convolutions, the last two at half resolution, averaged over the patch.
+    """Four 3 x 3 convolutions, the last two at half resolution, averaged over the patch; two layers read the averages.
 
     No padding before the pooling: a border of zeros would be low ground to the network. The last convolution pads only
     where a patch of under 11 pixels leaves it too little.
@@ -38,7 +40,8 @@ class TextureNet(nn.Module):
         self.conv3, self.norm3 = nn.Conv2d(b, c, 3, padding=1, bias=False), nn.BatchNorm2d(c)
         border = int(settings.pixels < 11)
         self.conv4, self.norm4 = nn.Conv2d(c, d, 3, padding=border, bias=False), nn.BatchNorm2d(d)
-        self.head = nn.Conv2d(d, len(settings.classes), 1)
+        self.conv5, self.norm5 = nn.Conv2d(d, settings.hidden, 1, bias=False), nn.BatchNorm2d(settings.hidden)
+        self.head = nn.Conv2d(settings.hidden, len(settings.classes), 1)
 
     def forward(self, patches: torch.Tensor) -> torch.Tensor:
         """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1]."""
@@ -47,6 +50,7 @@ class TextureNet(nn.Module):
         x = torch.relu(self.norm3(self.conv3(self.pool(x))))  # (n, 64, 5, 5)
         x = torch.relu(self.norm4(self.conv4(x)))  # (n, 96, 3, 3)
         x = x.mean(dim=(2, 3), keepdim=True)  # (n, 96, 1, 1)
+        x = torch.relu(self.norm5(self.conv5(x)))  # (n, 128, 1, 1)
         return self.head(x).flatten(1)  # (n, 4)
 
     def parameter_count(self) -> int:

@@ -30,6 +30,7 @@ class TrainSettings:
     patches_per_texture: int = 6534
     """As in the paper: 26,136 patches in all."""
     batch: int = 256
+    """Least number of patches between two steps; batches are as even as can be."""
     learning_rate: float = 5e-3
     """Peak, after the warm-up."""
     weight_decay: float = 1e-2
@@ -39,9 +40,9 @@ class TrainSettings:
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "patches_per_texture", "batch", "threads"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        for name, least in {"epochs": 1, "patches_per_texture": 1, "batch": 2, "threads": 1}.items():
+            if getattr(self, name) < least:
+                raise UsageError(f"{name} is {getattr(self, name)}; it must be at least {least}")
         if self.seed < 0:
             raise UsageError(f"seed is {self.seed}; it must be 0 or more")
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
@@ -132,10 +133,10 @@ def _run_epoch(
     net.train()
     patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
     labels = torch.from_numpy(samples.labels)
-    batches = math.ceil(len(labels) / settings.batch)
+    batches = max(1, len(labels) // settings.batch)  # of even sizes: one of a single patch has no spread to normalise
     loss_sum, hits = 0.0, 0
     for number in range(batches):
-        rows = slice(number * settings.batch, (number + 1) * settings.batch)
+        rows = slice(number * len(labels) // batches, (number + 1) * len(labels) // batches)
         rate = _learning_rate((epoch + number / batches) / settings.epochs, settings.learning_rate)
         for group in optimizer.param_groups:
             group["lr"] = rate

@@ -156,8 +156,8 @@ def test_shipped_file_says_where_it_comes_from(model):
     assert json.loads(model.metadata["classes"]) == list(TEXTURES)
     assert (model.tile_size, model.pixels) == (3.0, 15)
     assert model.metadata["command"].startswith("bumpymap train --seed ")
-    assert float(model.metadata["accuracy_unseen"]) >= 0.97
-    assert float(model.metadata["accuracy_altered_copies"]) >= 0.97
+    assert float(model.metadata["accuracy_unseen"]) >= 0.985
+    assert float(model.metadata["accuracy_altered_copies"]) >= 0.985
     for name in ("confusion_unseen", "confusion_altered_copies"):
         assert np.array(json.loads(model.metadata[name])).shape == (4, 4)
     assert len(model.id) == 12

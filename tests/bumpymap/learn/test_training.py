@@ -77,6 +77,18 @@ def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
     _assert_same(resumed, small)
 
 
+@pytest.mark.parametrize("batch", [2, 67, 1000])
+def test_no_batch_is_too_small_to_normalise(batch):
+    # 16 patches of each texture and 4 short waves: 67 would leave one patch over.
+    net = train(replace(SMALL, epochs=1, batch=batch))
+    assert all(np.isfinite(value).all() for value in _numbers(net).values())
+
+
+def test_a_batch_of_one_patch_is_refused():
+    with pytest.raises(UsageError, match="batch is 1; it must be at least 2"):
+        replace(SMALL, batch=1)
+
+
 def test_a_checkpoint_says_what_it_holds(tmp_path):
     train(SMALL, tmp_path / "c")
     state = torch.load(tmp_path / "c", weights_only=True)
@@ -109,6 +121,7 @@ def test_onnx_says_what_torch_says(pixels):
     with torch.no_grad():
         net.norm2.running_mean.uniform_(-0.1, 0.1)
         net.norm4.weight.uniform_(0.5, 2.0)
+        net.norm5.running_mean.uniform_(-0.1, 0.1)
         net.head.bias.uniform_(-1.0, 1.0)
     patches = unseen_patches(3, 100, pixels).patches
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
