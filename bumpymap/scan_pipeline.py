@@ -180,11 +180,11 @@ def _scan_frame(frame: Frame, config: ScanConfig, method: Method, sinks: _Sinks,
     if reason := why_empty(scan, classed):
         _log.warning("%s gives no classed ground: %s", frame.path, reason)
     report = report_frame(frame, scan, classed, seconds)
+    if sinks.gathered is not None and frame.pose is not None:  # first: it may refuse the frame
+        sinks.gathered.add(scan, frame.pose, classed)
     write_frame(frame.name, scan, classed, folder, config.products)
     if sinks.table is not None:
         sinks.table.add(frame.name, classed)
-    if sinks.gathered is not None and frame.pose is not None:
-        sinks.gathered.add(scan, frame.pose, classed)
     return report
 
 

@@ -384,3 +384,50 @@ def test_a_frame_by_itself_is_what_the_run_wrote(drive, mapped, tmp_path):
     for ending in ("json", "png"):
         name = f"frames/1.{ending}"
         assert (tmp_path / name).read_bytes() == (mapped[0] / name).read_bytes()
+
+
+def test_a_full_disk_leaves_nothing(drive, tmp_path, monkeypatch):
+    from bumpymap.scan_products import frame
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(frame, "write_cloud", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        scan_frames(ScanConfig((drive / "frames",), tmp_path / "out", method="filter"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_that_lies_too_far_away_is_skipped_whole(drive, tmp_path):
+    far = [POSES[0], (POSES[1][0], POSES[1][1] + 3e6)]
+    poses = write_poses(tmp_path / "poses.txt", far)
+    config = ScanConfig(
+        (drive / "frames",), tmp_path / "out", poses=poses, method="filter", products=("cloud", "table")
+    )
+    with pytest.raises(BadInputError, match="1 lies more than 2,000 km"):
+        scan_frames(config)
+    result = scan_frames(replace(config, skip_bad=True))
+    assert list(result.skipped) == [str(drive / "frames" / "1.bin")]
+    assert [path.name for path in (tmp_path / "out" / "frames").iterdir()] == ["0.ply"]
+    assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"0"}
+    assert laspy.open(tmp_path / "out" / "gathered.laz").header.point_count == result.frames[0].points
+
+
+def test_learned_classes_and_no_stripes_where_a_network_ships(drive, tmp_path):
+    from bumpymap.scan.learned import classify_learned
+    from bumpymap.scan_methods import choose_method
+
+    config = ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", products=("table",))
+    if choose_method(config).name == "filter":
+        with pytest.raises(UsageError, match="no scan network ships"):
+            choose_method(replace(config, method="learned"))
+        return
+    scan_frames(config)
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet")
+    klass = classify_learned(polar_sectors(read_scan(config.frames[0]))).klass
+    assert table["class"].to_pylist() == [None if own == 255 else own for own in klass.tolist()]
+    assert table["stripes"].null_count == table.num_rows
+    other = replace(config, polar=PolarSettings(rings=(2, 2, 2, 2)))
+    assert choose_method(other).name == "filter"
+    with pytest.raises(UsageError, match="was trained for"):
+        choose_method(replace(other, method="learned"))
