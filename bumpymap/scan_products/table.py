@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bumpymap.products._arrow import numbers, texts
 from bumpymap.scan import NOT_TRAVERSABLE, ClassedSectors
 from bumpymap.scan_products.geometry import sector_bounds
 
@@ -89,7 +90,7 @@ def _rows(name: str, classed: ClassedSectors) -> pa.Table:
     count = len(stack.zone)
     unknown = {"class": classed.klass == NOT_TRAVERSABLE, "label": stack.label < 0}
     columns: dict[str, Any] = {
-        "frame": np.full(count, name, dtype=object),
+        "frame": [name] * count,
         "points": stack.count,
         "class": np.where(unknown["class"], 0, classed.klass),
         "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
@@ -100,6 +101,12 @@ def _rows(name: str, classed: ClassedSectors) -> pa.Table:
     arrays = []
     for column in schema:
         values = columns[column.name] if column.name in columns else getattr(stack, column.name)
-        missing = unknown.get(column.name, np.isnan(values) if column.nullable else None)
-        arrays.append(pa.array(values, column.type, mask=missing))
+        known = ~unknown[column.name] if column.name in unknown else None
+        arrays.append(_array(values, column.type, known))
     return pa.table(arrays, schema=schema)
+
+
+def _array(values: Any, kind: pa.DataType, known: Any) -> pa.Array:
+    if kind == pa.bool_():  # Arrow packs truth into bits
+        return numbers(values, pa.uint8()).cast(kind)
+    return texts(values, kind) if kind == pa.string() else numbers(values, kind, known)

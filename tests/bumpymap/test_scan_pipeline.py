@@ -431,3 +431,14 @@ def test_learned_classes_and_no_stripes_where_a_network_ships(drive, tmp_path):
     assert choose_method(other).name == "filter"
     with pytest.raises(UsageError, match="was trained for"):
         choose_method(replace(other, method="learned"))
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("pattern", ["patchwork_128ch/*.pcd", "monoforce/husky/*.ply", "monoforce/husky_oru/*.ply"])
+@pytest.mark.parametrize("method", ["filter", None])
+def test_real_scans_of_three_sensors_need_no_setting(shared_data, tmp_path, pattern, method):
+    (path,) = (shared_data / "scans").glob(pattern)
+    (report,) = scan_frames(ScanConfig((path,), tmp_path / "out", method=method)).frames
+    assert min(report.sectors[0], report.sectors[3]) > 0  # smooth ground, and what is none
+    klass = PlyData.read(tmp_path / "out" / "frames" / f"{path.stem}.ply")["vertex"]["class"]
+    assert np.bincount(klass, minlength=256)[[0, 1, 2, 255]].tolist() == list(report.classed_points)
