@@ -29,9 +29,9 @@ __all__ = [
 
 UNSEEN = 1_000_000
 """Scenes from this number on are never learned from."""
-LENT = ("count", "beside", "coverage")
+LENT = ("coverage",)
 """Measures that some sectors take from others while learning."""
-_LENT_SHARE = 0.2
+_LENT_SHARE = 0.15
 Told = Callable[[int, int], None]
 """Gets how many scans are done, of how many."""
 
@@ -199,8 +199,8 @@ def draw_epoch(
     """Draw as many sectors of every class that is there, half of them mirrored in azimuth; shuffled.
 
     A class with fewer sectors than that gives each of them as often as any other, give or take one. Some sectors take
-    their ``LENT`` measures from others, so that the network does not rest its answer on them alone: sensors and
-    places differ in how many points they give more than in the relief that they show.
+    their ``LENT`` measures from others, so that the network does not rest its answer on them alone: how full the
+    pixels are depends on the sensor more than relief does.
     """
     rows = []
     for klass in np.unique(sectors.klass):

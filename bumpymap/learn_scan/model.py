@@ -18,9 +18,9 @@ class ScanNetSettings:
 
     stem: int = 16
     """Filters of the first convolution, which halves the resolution."""
-    widths: tuple[int, ...] = (16, 24, 24)
+    widths: tuple[int, ...] = (16, 24, 24, 24)
     """Channels after each inverted residual; where they grow, the resolution is halved."""
-    expansion: int = 3
+    expansion: int = 4
     """How many times wider an inverted residual is inside."""
     beside: int = 16
     """Channels that the measures become."""
@@ -73,7 +73,7 @@ class ScanNet(nn.Module):
         """Return logits (n, CLASSES) of pictures (n, CHANNELS, pixels, pixels) and measures (n, len(MEASURES))."""
         x = nn.functional.relu6(self.stem(patches))  # (n, 16, 8, 8)
         for block in self.blocks:
-            x = block(x)  # (n, 16, 8, 8), (n, 24, 4, 4), (n, 24, 4, 4)
+            x = block(x)  # (n, 16, 8, 8), then (n, 24, 4, 4) three times
         x = x.mean(dim=(2, 3), keepdim=True)  # (n, 24, 1, 1)
         beside = nn.functional.relu6(self.beside(measures[:, :, None, None]))  # (n, 16, 1, 1)
         x = nn.functional.relu6(self.hidden(torch.cat((x, beside), dim=1)))  # (n, 48, 1, 1)

@@ -28,12 +28,12 @@ class ScanTrainSettings:
     """Everything that a training depends on, beside the scans themselves."""
 
     seed: int = 1
-    epochs: int = 24
+    epochs: int = 20
     scenes: int = 300
     """Made-up scenes to learn from; a data set on disk brings its own frames."""
     turns: int = 2
     """How often each scan is cut once more after a random turn."""
-    sectors_per_class: int = 12_000
+    sectors_per_class: int = 10_000
     """Sectors of each class in every epoch."""
     batch: int = 128
     learning_rate: float = 4e-3
