@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BumpymapError
-from bumpymap.ride.correction import TAIL, Correction, fail_features, ride_features
+from bumpymap.ride.correction import NORMAL_TAIL, TAIL, Correction, fail_features, ride_features
 from bumpymap.ride.geometry import Rides
 
 __all__ = ["MOST_FAILED", "DrivenPatches", "NoisyPatches", "fit_correction"]
@@ -85,6 +85,8 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
     # What a fit of all leaves out of each: the honest error.
     left_out = _cross_validated(features, target, error, log_g, log_range)
+    doubt = error * _student(driven.completed[good])
+    spread = _held(spread, target - left_out, doubt, log_g, log_range)
     fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
     low, middle, high = _noise_tables(noisy)
     return Correction(
@@ -124,8 +126,7 @@ def _fit_c_r(
         size = np.abs(residual) / np.sqrt(variance)
         huber = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9))
         spread = _fit_spread(residual, error, log_g, log_range)
-    low, high = (float(0.5 * np.log(np.exp(2 * side) + _VALIDATION_ERROR**2)) for side in spread)
-    return coefficients, (low, high)
+    return coefficients, spread
 
 
 def _fit_spread(
@@ -145,6 +146,27 @@ def _fit_spread(
     # The Student's scale, as the standard deviation whose 80 % interval it has.
     widen = np.log(1.475884 / 1.281552)
     return float(found[0] + widen), float(found[1] + widen)
+
+
+def _held(
+    spread: tuple[float, float], left_out: Floats, doubt: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[float, float]:
+    """Widen (or narrow) a spread until the intervals hold their share of what was left out; add what a mean has.
+
+    ``doubt`` is the drives' own standard error, widened for how few they are.
+    """
+    own = np.exp(np.interp(log_g, log_range, spread))
+    factors = np.geomspace(0.5, 3.0, 181)
+    held = np.abs(left_out) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, doubt)
+    factor = factors[int(np.argmin(np.abs(held.mean(axis=1) - (1 - 2 * TAIL))))]
+    low, high = (float(0.5 * np.log((factor * np.exp(side)) ** 2 + _VALIDATION_ERROR**2)) for side in spread)
+    return low, high
+
+
+def _student(drives: NDArray[np.int64]) -> Floats:
+    """Tail of Student's distribution of a mean of so many drives over the normal one (first Cornish-Fisher term)."""
+    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives - 1.0))
+    return wider
 
 
 def _cross_validated(
