@@ -165,7 +165,7 @@ def _held(
 
 def _student(drives: NDArray[np.int64]) -> Floats:
     """Tail of Student's distribution of a mean of so many drives over the normal one (first Cornish-Fisher term)."""
-    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives - 1.0))
+    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
     return wider
 
 
