@@ -22,7 +22,7 @@ _COMMANDS = {
     "info": "what is in a survey, and what a run would need",
     "map": "make roughness layers and a cost map from surveys",
     "scan": "class the ground around a robot in its LiDAR scans, and map its drive",
-    "train": "train the texture network",
+    "train": "train the texture network, or that of scans",
 }
 
 

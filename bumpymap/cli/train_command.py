@@ -1,19 +1,30 @@
-"""``bumpymap train``: train the texture network."""
+"""``bumpymap train``: train the texture network, or with ``--scans`` the network for the sectors of scans."""
 
+import logging
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from bumpymap.cli._terminal import BarProgress, set_up_logging
 from bumpymap.errors import UsageError
+from bumpymap.progress import Progress
 
 if TYPE_CHECKING:
     from bumpymap.learn.train import EpochReport
 
 __all__ = ["command"]
 
+_log = logging.getLogger(__name__)
 
+_SIMULATED = "simulated"
+_OF_TEXTURES = ("patches_per_texture", "tile_size", "pixels")
+_OF_SCANS = ("scenes", "sectors_per_class")
+
+
+# Defaults stand in the help as text: they live in rooms that import torch. A test holds the texts to them.
 @click.command("train")
 @click.option(
     "--out",
@@ -22,41 +33,101 @@ __all__ = ["command"]
     help="ONNX file to write; the model card goes beside it (.md).",
 )
 @click.option(
-    "--seed", default=1, show_default=True, help="Decides the patches, the alterations and the first weights."
+    "--scans",
+    metavar="simulated|RELLIS_FOLDER",
+    help="Train the network of `bumpymap scan` instead: on made-up scenes, or on a folder in the layout of RELLIS-3D.",
 )
-@click.option("--epochs", default=30, show_default=True, help="Times that every patch is learned from.")
-@click.option("--patches-per-texture", default=6534, show_default=True, help="Training patches of each of the four.")
-@click.option("--tile-size", default=3.0, show_default=True, help="Side of the tiles it is for, m.")
-@click.option("--pixels", default=15, show_default=True, help="Pixels along a side of a tile.")
-@click.option("--threads", default=1, show_default=True, help="CPU threads; part of what decides the last bits.")
-def command(
-    *, out: Path, seed: int, epochs: int, patches_per_texture: int, tile_size: float, pixels: int, threads: int
-) -> None:
-    """Train the texture network on made-up terrain and write it as ONNX.
+@click.option("--seed", type=int, help="Decides what is learned from and the first weights [default: 1].")
+@click.option("--epochs", type=int, help="Rounds of learning [default: 30; with --scans 20].")
+@click.option("--patches-per-texture", type=int, help="Textures: training patches of each of the four [default: 6534].")
+@click.option("--tile-size", type=float, help="Textures: side of the tiles it is for, m [default: 3].")
+@click.option("--pixels", type=int, help="Textures: pixels along a side of a tile [default: 15].")
+@click.option("--scenes", type=int, help="--scans simulated: scenes to learn from [default: 300].")
+@click.option("--sectors-per-class", type=int, help="--scans: sectors of each class in a round [default: 10000].")
+@click.option("--threads", type=int, help="CPU threads; part of what decides the last bits [default: 1].")
+def command(*, out: Path, scans: str | None, **given: Any) -> None:
+    """Train the texture network on made-up terrain and write it as ONNX; needs no survey.
 
-    Needs no survey. Interrupted, the same command goes on from its last whole epoch.
-    """
-    _require_learn()
+    With --scans, train the network for the sectors of LiDAR scans. Interrupted, the same command goes on from its last
+    whole epoch.
+
+    \b
+    bumpymap train --out textures.onnx
+    bumpymap train --scans simulated --out scan.onnx
+    bumpymap train --scans Rellis-3D --out scan.onnx
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    set_up_logging(as_json=False)
+    options = {name: value for name, value in given.items() if value is not None}
+    _refuse_foreign(options, scans)
+    _require(simulates=scans == _SIMULATED)
+    if out.suffix != ".onnx":
+        raise UsageError(f"--out is {out}; its name must end in .onnx")
+    if scans is None:
+        _train_textures(options, out)
+    else:
+        _train_scans(options, out, None if scans == _SIMULATED else Path(scans))
+
+
+def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
+    """Refuse options of the other network: they would have no effect."""
+    foreign = [
+        f"--{name.replace('_', '-')}" for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options
+    ]
+    if foreign and scans is None:
+        raise UsageError(
+            f"{foreign[0]} is about scans: add --scans simulated or --scans RELLIS_FOLDER, or leave it out"
+        )
+    if foreign:
+        raise UsageError(f"{foreign[0]} is about the texture network and has no effect with --scans: leave it out")
+    if scans is not None and not scans.strip():
+        raise UsageError(
+            "--scans is empty; is a variable unset? Give simulated, or a folder in the layout of RELLIS-3D"
+        )
+
+
+def _train_textures(options: dict[str, Any], out: Path) -> None:
     from bumpymap.learn.make import make_model
     from bumpymap.learn.model import NetworkSettings
     from bumpymap.learn.train import TrainSettings
 
-    if out.suffix != ".onnx":
-        raise UsageError(f"--out is {out}; its name must end in .onnx")
-    settings = TrainSettings(
-        seed=seed,
-        epochs=epochs,
-        patches_per_texture=patches_per_texture,
-        tile_size=tile_size,
-        threads=threads,
-        network=NetworkSettings(pixels=pixels),
-    )
-    made = make_model(settings, out, _print_epoch)
+    network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
+    made = make_model(TrainSettings(**options, network=network), out, _print_epoch)
     scores = made.evaluation
     click.echo(f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %")
     click.echo(f"accuracy on altered copies (as in the paper): {100 * scores.altered_copies.accuracy:.2f} %")
     click.echo(f"{made.model} ({made.parameters:,} trained numbers), {made.card}")
     click.echo(f"use it with: bumpymap map SURVEY --out DIR --model {made.model}")
+
+
+def _train_scans(options: dict[str, Any], out: Path, folder: Path | None) -> None:
+    from bumpymap.learn_scan.evaluate import even_accuracy
+    from bumpymap.learn_scan.make import make_scan_model
+    from bumpymap.learn_scan.train import ScanTrainSettings
+
+    if folder is None:
+        _require_simulator()
+    elif "scenes" in options:
+        _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
+    with BarProgress() as progress:
+        made = make_scan_model(ScanTrainSettings(**options), out, folder, _print_epoch, _gathering(progress))
+    scores = made.evaluation
+    click.echo(
+        f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {100 * even_accuracy(scores.every):.2f} %"
+    )
+    click.echo(f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %")
+    click.echo(f"{made.model} ({made.parameters:,} trained numbers), {made.card}")
+    click.echo(f"use it with: bumpymap scan FRAME --out DIR --model {made.model}")
+
+
+def _gathering(progress: Progress) -> Callable[[int, int], None]:
+    """Show a bar for each set of scans: those to learn from, those to be judged by."""
+
+    def gathered(done: int, total: int) -> None:
+        if done == 1:
+            progress.start("cutting scans into sectors", total)
+        progress.advance(1)
+
+    return gathered
 
 
 def _print_epoch(report: "EpochReport") -> None:
@@ -67,7 +138,23 @@ def _print_epoch(report: "EpochReport") -> None:
     )
 
 
-def _require_learn() -> None:
-    missing = [name for name in ("torch", "onnx") if find_spec(name) is None]
+def _require(*, simulates: bool) -> None:
+    """Refuse before the hours of work what cannot be done without a library."""
+    wanted = ("torch", "onnx", "open3d") if simulates else ("torch", "onnx")
+    missing = [name for name in wanted if find_spec(name) is None]
     if missing:
-        raise UsageError(f"training needs {' and '.join(missing)}. Install with: pip install 'bumpymap[learn]'")
+        *first, last = missing
+        named = f"{', '.join(first)} and {last}" if first else last
+        extras = ",".join(["learn"] * bool({"torch", "onnx"} & set(missing)) + ["o3d"] * ("open3d" in missing))
+        raise UsageError(f"training needs {named}. Install with: pip install 'bumpymap[{extras}]'")
+
+
+def _require_simulator() -> None:
+    """Load the simulator's library: where it is installed, a library of the system may still be missing."""
+    try:
+        import open3d  # noqa: F401
+    except (ImportError, OSError) as error:
+        raise UsageError(
+            f"--scans simulated needs open3d, which cannot be loaded: {error}. It needs the system libraries "
+            "libusb-1.0-0, libegl1, libgl1 and libx11-6"
+        ) from error
