@@ -1,11 +1,9 @@
 """Settings: one tree of defaults that works with no file. Unknown keys are refused; nothing changes during a run."""
 
 import os
-import tomllib
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args
 
 from bumpymap.errors import BadInputError, UsageError
 
@@ -18,7 +16,6 @@ __all__ = [
     "Rating",
     "ZUnit",
     "decide_ground",
-    "read_settings",
 ]
 
 Ground = Literal["auto", "all", "class", "csf"]
@@ -154,55 +151,6 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     if ground == "class" and not flagged:
         raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
-
-
-def read_settings(path: Path) -> dict[str, Any]:
-    """Read settings of ``MapConfig`` from a TOML file; relative paths in it start at its folder.
-
-    Raises
-    ------
-    UsageError
-        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds.
-    """
-    try:
-        record = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"cannot read settings from {path}: {error}") from error
-    return _checked(record, MapConfig, str(path), path.parent)
-
-
-def _checked(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
-    known = {f.name: f.type for f in fields(owner)}
-    unknown = sorted(set(record) - set(known))
-    if unknown:
-        raise UsageError(f"{origin}: unknown setting {', '.join(unknown)}; there are: {', '.join(known)}")
-    settings = {}
-    for name, value in record.items():
-        kind: Any = known[name]
-        if is_dataclass(kind) and isinstance(value, dict):
-            settings[name] = kind(**_checked(value, kind, f"{origin} [{name}]", folder))  # type: ignore[arg-type, operator]
-        else:
-            settings[name] = _converted(value, kind, f"{origin}: {name}", folder)
-    return settings
-
-
-def _converted(value: Any, kind: Any, name: str, folder: Path) -> Any:
-    """Return a TOML value as the setting's type; texts become paths below ``folder`` where paths are wanted."""
-    if get_args(kind)[1:] == (NoneType,):  # whoever wants None leaves the setting out
-        kind = get_args(kind)[0]
-    if kind is Path and isinstance(value, str):
-        return folder / value
-    if get_origin(kind) is tuple and isinstance(value, list) and all(isinstance(item, str) for item in value):
-        return tuple(item if "://" in item else folder / item for item in value)
-    plain = {bool: (bool, "true or false"), int: (int, "a whole number"), float: (int | float, "a number")}
-    wanted, word = plain.get(kind, (str, "a text"))
-    if is_dataclass(kind):
-        word = f"a table [{name.rpartition(' ')[2]}]"
-    elif get_origin(kind) is tuple:
-        word = "a list of texts"
-    elif isinstance(value, wanted) and isinstance(value, bool) == (kind is bool) and kind is not Path:
-        return value
-    raise UsageError(f"{name} is {value!r}; it must be {word}")
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

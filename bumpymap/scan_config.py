@@ -1,17 +1,15 @@
 """Settings of a scan run: one tree of defaults that works with no file. Unknown keys are refused."""
 
-import tomllib
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args
 
 from bumpymap.config import Compat
 from bumpymap.errors import UsageError
 from bumpymap.frames import Robot
 from bumpymap.scan import PolarSettings, ScanMethod
 
-__all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct", "read_scan_settings"]
+__all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
 ScanProduct = Literal["polygons", "table", "cloud", "picture"]
 SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
@@ -68,54 +66,3 @@ class ScanConfig:
             raise UsageError(
                 f"--{maps[0]} is about the map of a drive, which needs the place of every frame: add --poses FILE"
             )
-
-
-def read_scan_settings(path: Path) -> dict[str, Any]:
-    """Read settings of ``ScanConfig`` from a TOML file; relative paths in it start at its folder.
-
-    Raises
-    ------
-    UsageError
-        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds.
-    """
-    try:
-        record = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"cannot read settings from {path}: {error}") from error
-    return _settings(record, ScanConfig, str(path), path.parent)
-
-
-def _settings(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
-    known: dict[str, Any] = {f.name: f.type for f in fields(owner)}
-    unknown = sorted(set(record) - set(known))
-    if unknown:
-        raise UsageError(f"{origin}: unknown setting {', '.join(unknown)}; there are: {', '.join(known)}")
-    return {name: _value(value, known[name], f"{origin}: {name}", folder) for name, value in record.items()}
-
-
-def _value(value: Any, kind: Any, name: str, folder: Path) -> Any:
-    """Return a TOML value as the setting's type; texts become paths below ``folder`` where paths are wanted."""
-    if get_args(kind)[1:] == (NoneType,):  # whoever wants None leaves the setting out
-        kind = get_args(kind)[0]
-    items = get_args(kind)
-    word = getattr(kind, "__name__", str(kind))
-    if is_dataclass(kind):
-        if isinstance(value, dict):
-            return kind(**_settings(value, kind, f"{name} table", folder))  # type: ignore[arg-type, operator]
-        word = "a table"
-    elif get_origin(kind) is tuple:
-        if isinstance(value, list) and (items[-1] is Ellipsis or len(items) == len(value)):
-            return tuple(_value(item, items[0], name, folder) for item in value)
-        word = f"a list of {'' if items[-1] is Ellipsis else f'{len(items)} '}values"
-    elif get_origin(kind) is Literal:
-        if value in items:
-            return value
-        word = f"one of {', '.join(items)}"
-    elif kind is Path and isinstance(value, str):
-        return folder / value
-    elif (kind is float and type(value) is int) or type(value) is kind:
-        return kind(value)
-    raise UsageError(f"{name} is {value!r}; it must be {_WORDS.get(kind, word)}")
-
-
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", Path: "a text"}

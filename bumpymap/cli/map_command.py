@@ -6,8 +6,9 @@ from typing import Any, get_args
 import click
 
 from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
-from bumpymap.config import Compat, Ground, MapConfig, Rating, ZUnit, read_settings
+from bumpymap.config import Compat, Ground, MapConfig, Rating, ZUnit
 from bumpymap.errors import UsageError
+from bumpymap.settings_file import read_settings_file
 
 __all__ = ["command"]
 
@@ -54,7 +55,7 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     from bumpymap.pipeline import map_surveys
 
     set_up_logging(as_json=log_json)
-    settings = read_settings(config_file) if config_file else {}
+    settings = read_settings_file(config_file, MapConfig) if config_file else {}
     settings |= {name: value for name, value in given.items() if value not in (None, False, ())}
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
         if name not in settings:

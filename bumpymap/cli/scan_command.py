@@ -82,14 +82,15 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     """Join the settings of the file and of the command line, which wins."""
     from dataclasses import replace
 
-    from bumpymap.scan_config import ScanConfig, read_scan_settings
+    from bumpymap.scan_config import ScanConfig
+    from bumpymap.settings_file import read_settings_file
 
     options = {name: value for name, value in given.items() if value not in (None, False, ())}
     if fit is not None:
         wrong = [name for name in _NOT_OF_A_FIT if name in options]
         if wrong:
             raise UsageError(f"--fit writes stripe classes and nothing else: leave --{wrong[0].replace('_', '-')} out")
-    settings = read_scan_settings(config_file) if config_file else {}
+    settings = read_settings_file(config_file, ScanConfig) if config_file else {}
     polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
     radius = options.pop("robot_radius", None)
     if "products" in options:

@@ -2,8 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.config import FeatureSettings, MapConfig, read_settings
+from bumpymap.config import FeatureSettings, MapConfig
 from bumpymap.errors import UsageError
+from bumpymap.settings_file import read_settings_file
 
 
 def test_defaults_need_no_file():
@@ -18,7 +19,7 @@ def test_settings_from_a_file(tmp_path):
         'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
         'workers = 3\nscratch = "tmp"\n[features]\nmin_points = 50\n'
     )
-    config = MapConfig(**read_settings(file))
+    config = MapConfig(**read_settings_file(file, MapConfig))
     assert (config.workers, config.scheduler, config.scratch) == (3, None, tmp_path / "tmp")
     assert config.surveys == (tmp_path / "a.laz",)
     assert config.out == tmp_path / "layers"
@@ -37,7 +38,8 @@ def test_settings_from_a_file(tmp_path):
         ("crs = 32614", "crs is 32614; it must be a text"),
         ("calibration = 3", "calibration is 3; it must be a text"),
         ('surveys = "a.laz"', "surveys is 'a.laz'; it must be a list of texts"),
-        ("surveys = [1]", r"surveys is \[1\]; it must be a list of texts"),
+        ("surveys = [1]", "value 1 of surveys is 1; it must be a text"),
+        ('ground = "some"', "ground is 'some'; it must be one of auto, all, class, csf"),
         ("local = 1", "local is 1; it must be true or false"),
         ("workers = true", "workers is True; it must be a whole number"),
         ("workers = 0\nscheduler = 3", "scheduler is 3; it must be a text"),
@@ -49,7 +51,7 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
     file = tmp_path / "site.toml"
     file.write_text(text)
     with pytest.raises(UsageError, match=message):
-        read_settings(file)
+        read_settings_file(file, MapConfig)
 
 
 @pytest.mark.parametrize(
@@ -72,4 +74,4 @@ def test_values_out_of_bounds_are_refused(setting, message):
 
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(UsageError, match="cannot read settings"):
-        read_settings(tmp_path / "none.toml")
+        read_settings_file(tmp_path / "none.toml", MapConfig)

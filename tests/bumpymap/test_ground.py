@@ -11,11 +11,12 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.config import CsfSettings, read_settings
+from bumpymap.config import CsfSettings, MapConfig
 from bumpymap.engine import Budget
 from bumpymap.errors import UsageError
 from bumpymap.ground import cloth, mark_ground, require_filter, rest_filter
 from bumpymap.products import PRODUCT_NAMES
+from bumpymap.settings_file import read_settings_file
 from bumpytiles import Grid, TileBuckets
 
 needs_filter = pytest.mark.skipif(importlib.util.find_spec("CSF") is None, reason="no cloth-simulation-filter")
@@ -233,4 +234,4 @@ def test_bad_settings_are_refused(tmp_path, text, message):
     file = Path(tmp_path / "site.toml")
     file.write_text(f"[csf]\n{text}\n")
     with pytest.raises(UsageError, match=message):
-        read_settings(file)
+        read_settings_file(file, MapConfig)

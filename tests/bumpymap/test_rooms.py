@@ -16,6 +16,7 @@ ROOMS = {
     "errors": (set(), set()),
     "atomic": (set(), set()),
     "progress": (set(), set()),
+    "settings_file": (set(), set()),
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),

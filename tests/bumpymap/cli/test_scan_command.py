@@ -15,7 +15,8 @@ from plyfile import PlyData, PlyElement
 from bumpymap.cli import main
 from bumpymap.cli.scan_command import METHODS, PRODUCTS, command
 from bumpymap.scan import PolarSettings, ScanMethod
-from bumpymap.scan_config import SCAN_PRODUCTS, ScanConfig, read_scan_settings
+from bumpymap.scan_config import SCAN_PRODUCTS, ScanConfig
+from bumpymap.settings_file import read_settings_file
 
 
 def site(count=12_000, seed=0):
@@ -306,11 +307,12 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
         ("[polar]\nring = [1]", "unknown setting ring"),
         ("polar = 3", "must be a table"),
         ("[polar]\nrings = [1.5, 2]", "must be a whole number"),
-        ("[polar]\nrings = 4", "must be a list of values"),
-        ("[robot]\nbox_m = [1, 2]", "must be a list of 4 values"),
+        ("[polar]\nrings = 4", "must be a list of whole numbers"),
+        ("[robot]\nbox_m = [1, 2]", "must be a list of 4 numbers"),
         ('method = "magic"', "must be one of filter, learned"),
         ('products = ["maps"]', "must be one of polygons"),
         ("frames = [1]", "must be a text"),
+        ('frames = "drive"', "must be a list of texts"),
         ("skip_bad = 1", "must be true or false"),
         ("[robot]\nradius_m = true", "must be a number"),
         ("frames = [", "cannot read settings"),
@@ -326,7 +328,7 @@ def test_wrong_settings_of_a_file(scan, frame, tmp_path, text, words):
 
 def test_every_setting_can_stand_in_a_file(tmp_path):
     (tmp_path / "a.toml").write_text('out = "o"\nframes = ["f", "/g"]\ncompat = "paper"\nskip_bad = true\n')
-    settings = read_scan_settings(tmp_path / "a.toml")
+    settings = read_settings_file(tmp_path / "a.toml", ScanConfig)
     config = ScanConfig(**settings)
     assert config == ScanConfig((tmp_path / "f", Path("/g")), tmp_path / "o", compat="paper", skip_bad=True)
     assert config.polar == PolarSettings()

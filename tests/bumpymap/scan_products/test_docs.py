@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.scan_config import SCAN_PRODUCTS, ScanConfig, read_scan_settings
+from bumpymap.scan_config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan_pipeline import scan_frames
 from bumpymap.scan_products import COLOURS, NAMES
 from bumpymap.scan_products.table import COLUMNS
+from bumpymap.settings_file import read_settings_file
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "scans.md"
 TYPES = {"int16": "int16", "int32": "int32", "int8": "int8", "float": "float", "bool": "bool", "string": "string"}
@@ -40,7 +41,7 @@ def test_snippet_runs(place, monkeypatch, number):
 def test_the_settings_of_the_page_are_settings(tmp_path):
     (text,) = blocks("toml")
     (tmp_path / "a.toml").write_text(text)
-    config = ScanConfig(**read_scan_settings(tmp_path / "a.toml"))
+    config = ScanConfig(**read_settings_file(tmp_path / "a.toml", ScanConfig))
     assert config.polar == ScanConfig((), tmp_path).polar
     assert config.robot.box_m == (-1.2, 0.4, -0.5, 0.5)
 
