@@ -64,7 +64,7 @@ class Agreement:
     """Median of predicted / driven."""
     steps: Steps
     confusion: list[list[int]]
-    """``[driven class][predicted class]``, patches."""
+    """``[driven class][predicted class]``, patches within the vehicle's slope limit."""
     coverage: Coverage | None
     """Of the 80 % interval; None where there is none."""
     fail: FailAgreement | None
@@ -122,15 +122,15 @@ def compare(
         Name -> predictor (n,); its C_r is the best monotone function of it, fitted to the other patches.
     driven : Driven
     too_steep : array (n,)
-        Beyond the vehicle's slope limit.
+        Beyond the vehicle's slope limit: of the last class by rule, so that there is no class to compare.
     limits : tuple
         C_r between the classes, rad/m.
     """
-    good = driven.comparable
-    klass = driven_class(driven.c_r, driven.failed_share, limits)
+    good, level = driven.comparable, ~too_steep
+    klass = driven_class(driven.c_r, driven.failed_share, limits)[level]
     found = {}
     for name, verdict in verdicts.items():
-        table = confusion(klass, verdict.klass.astype(np.int64), CLASSES)
+        table = confusion(klass, verdict.klass[level].astype(np.int64), CLASSES)
         held = coverage(verdict.c_r_low[good], verdict.c_r_high[good], driven.c_r[good])
         fail = _fail_agreement(verdict.p_fail, driven, too_steep)
         found[name] = _agreement(verdict.c_r, verdict.c_r, driven, table, held, fail)
@@ -138,7 +138,7 @@ def compare(
         fitted = monotone_fit(predictor[good], driven.c_r[good], predictor)
         best = median_error(fitted[good], driven.c_r[good])
         fitted[good] = left_out_fit(predictor[good], driven.c_r[good])
-        table = confusion(klass, np.searchsorted(np.array(limits), fitted, side="right"), CLASSES)
+        table = confusion(klass, np.searchsorted(np.array(limits), fitted[level], side="right"), CLASSES)
         found[name] = replace(_agreement(predictor, fitted, driven, table, None, None), fitted_error=best)
     relative = driven.error[good] / driven.c_r[good]
     most = _fail_agreement(driven.failed_share, driven, too_steep)
