@@ -3,6 +3,8 @@
 import json
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,7 +13,9 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-__all__ = ["LOCATION", "PATH", "BarProgress", "set_up_logging"]
+__all__ = ["DRIVES_KEPT", "LOCATION", "PATH", "BarProgress", "set_up_logging", "telling_how_to_go_on"]
+
+DRIVES_KEPT = "The driven patches are kept: give the same command again to go on."
 
 
 class _NamedPath(click.Path):
@@ -74,6 +78,16 @@ class BarProgress:
         """Go further along the bar of this stage."""
         if self._task is not None:
             self._bars.advance(self._task, steps)
+
+
+@contextmanager
+def telling_how_to_go_on(note: str) -> Iterator[None]:
+    """Say on Ctrl-C or SIGTERM what is kept; the group of commands prints it and exits."""
+    try:
+        yield
+    except KeyboardInterrupt as end:
+        end.add_note(note)
+        raise
 
 
 class _JsonFormatter(logging.Formatter):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bumpymap.atomic import atomic
+from bumpymap.cli._terminal import DRIVES_KEPT, telling_how_to_go_on
 from bumpymap.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -98,20 +99,16 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
     require_dart()
     _check_place(out, overwrite)
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
-    try:
-        with _progress(settings.total_drives) as report:
-            calibration = calibrate(
-                settings,
-                report,
-                workers=workers,
-                journal=journal,
-                discard_other=overwrite,
-                command=again,
-                fit=fit_ride,
-            )
-    except KeyboardInterrupt:
-        click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
-        sys.exit(130)
+    with telling_how_to_go_on(DRIVES_KEPT), _progress(settings.total_drives) as report:
+        calibration = calibrate(
+            settings,
+            report,
+            workers=workers,
+            journal=journal,
+            discard_other=overwrite,
+            command=again,
+            fit=fit_ride,
+        )
     with atomic(out) as beside:
         beside.write_text(calibration.to_json(), encoding="utf-8")
     journal.remove()

@@ -1,13 +1,12 @@
 """``bumpymap evaluate``: can the map be trusted? Its predictions beside drives over the very same ground."""
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
+from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.config import Ground, ZUnit
 from bumpymap.errors import OutputError, UsageError
 
@@ -92,18 +91,14 @@ def command(
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
     _check_place(out, overwrite=overwrite)
-    try:
-        with BarProgress() as told:
-            crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
-            findings = (
-                evaluate_library(subjects, settings, crew)
-                if library
-                else evaluate_survey(readers, options, ground, subjects, settings, crew)
-            )
-            files = write_report(findings, out)
-    except KeyboardInterrupt:
-        click.echo("\nStopped. The driven patches are kept: give the same command again to go on.", err=True)
-        sys.exit(130)
+    with telling_how_to_go_on(DRIVES_KEPT), BarProgress() as told:
+        crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
+        findings = (
+            evaluate_library(subjects, settings, crew)
+            if library
+            else evaluate_survey(readers, options, ground, subjects, settings, crew)
+        )
+        files = write_report(findings, out)
     _summary(findings, files)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._terminal import BarProgress, set_up_logging
+from bumpymap.cli._terminal import BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.errors import UsageError
 from bumpymap.progress import Progress
 
@@ -62,10 +62,11 @@ def command(*, out: Path, scans: str | None, **given: Any) -> None:
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
-    if scans is None:
-        _train_textures(options, out)
-    else:
-        _train_scans(options, out, None if scans == _SIMULATED else Path(scans))
+    with telling_how_to_go_on("Give the same command again to go on from the last whole epoch."):
+        if scans is None:
+            _train_textures(options, out)
+        else:
+            _train_scans(options, out, None if scans == _SIMULATED else Path(scans))
 
 
 def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:

@@ -97,6 +97,7 @@ def _runner(
         return
     # Spawned, not forked: a fork of a process with threads (progress bars, numerical libraries) can hang.
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
     try:
         yield lambda jobs: pool.map(task, jobs)
@@ -105,6 +106,11 @@ def _runner(
             "a simulation process died, perhaps for want of memory; run the same command again to go on, "
             "with fewer --workers if it happens again"
         ) from error
+    except BaseException:
+        # Nobody wants what the workers are at any more, and they would be at it for many seconds.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 

@@ -1,8 +1,10 @@
 """What a run does when it is told to end: as a batch system does, and as a user does."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -57,6 +59,79 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     done = subprocess.run([*again, "--resume"], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert not (out / ".bumpymap-run").exists()
+
+
+# Drives that take for ever, all but the first; each says in whose process it is.
+SLOW = """
+import os, time
+from pathlib import Path
+from bumpymap.vehicle.patch import PatchDrives
+
+def run_job(settings, job):
+    if job == next(iter(settings.jobs())):
+        return PatchDrives(("completed",) * job.starts, (0.1,) * job.starts)
+    (Path(__file__).parent / f"{os.getpid()}.worker").touch()
+    time.sleep(3600)
+"""
+DRIVING = """
+import sys
+sys.path.insert(0, {folder!r})
+import slow
+import bumpymap.vehicle.model
+bumpymap.vehicle.model.require_dart = lambda: None
+import bumpymap.vehicle.calibrate
+bumpymap.vehicle.calibrate.run_job = slow.run_job
+from bumpymap.cli import main
+sys.argv[0] = "bumpymap"
+main()
+"""
+KEPT = "No file is half-written. The driven patches are kept: give the same command again to go on."
+
+
+@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+@pytest.mark.parametrize("send", ["kill", "killpg"])
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
+    (tmp_path / "slow.py").write_text(SLOW)
+    progress = tmp_path / "c.json.progress.jsonl"
+    words = ["calibrate", "--out", str(tmp_path / "c.json"), "--workers", "2"]
+    run = subprocess.Popen(
+        [sys.executable, "-c", DRIVING.format(folder=str(tmp_path)), *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        while len(list(tmp_path.glob("*.worker"))) < 2 or len(progress.read_text().splitlines()) < 2:
+            assert run.poll() is None, run.communicate()[1]
+            time.sleep(0.02)
+        getattr(os, send)(run.pid, getattr(signal, name))
+        stderr = run.communicate(timeout=300)[1]
+    finally:
+        run.kill()
+    assert run.returncode == code, stderr
+    assert stderr.strip() == f"{word} {KEPT}"
+    assert len(progress.read_text().splitlines()) == 2
+    assert not (tmp_path / "c.json").exists()
+    for worker in tmp_path.glob("*.worker"):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(worker.stem), 0)
+
+
+@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+def test_an_evaluation_that_is_ended_says_so(tmp_path, monkeypatch, name, code, word):
+    from click.testing import CliRunner
+
+    from bumpymap.cli import evaluate_command, main
+    from bumpymap.evaluate import run
+
+    monkeypatch.setattr(evaluate_command, "_require", lambda _: None)
+    monkeypatch.setattr(run, "evaluate_library", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
+    result = CliRunner().invoke(main, ["evaluate", "--library", "--out", str(tmp_path)])
+    assert result.exit_code == code
+    assert result.stderr.strip() == f"{word} {KEPT}"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_caller_keeps_its_own_say_about_signals(tmp_path):

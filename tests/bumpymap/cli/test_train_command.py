@@ -91,6 +91,27 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
     assert called[1] == (settings, out, folder)
 
 
+def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
+    require_torch()
+    from bumpymap.learn_scan import train as trainer
+
+    with pytest.MonkeyPatch.context() as patch:
+        run_epoch = trainer._run_epoch
+
+        def stop(*arguments):
+            if arguments[-1] == 1:
+                raise KeyboardInterrupt
+            return run_epoch(*arguments)
+
+        patch.setattr(trainer, "_run_epoch", stop)
+        ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+    assert ended.exit_code == 130
+    assert ended.stderr.endswith("Give the same command again to go on from the last whole epoch.\n")
+    again = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+    assert again.exit_code == 0
+    assert [line.split(":")[0] for line in again.stderr.splitlines()] == ["epoch 2/2"]
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
