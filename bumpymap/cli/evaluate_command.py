@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
+from click.core import ParameterSource
 
+from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.config import Ground, ZUnit
 from bumpymap.errors import OutputError, UsageError
@@ -14,6 +16,9 @@ if TYPE_CHECKING:
     from bumpymap.evaluate.findings import Findings
     from bumpymap.evaluate.settings import EvaluateSettings
     from bumpymap.evaluate.subject import Subject
+
+_OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite")
+_OF_SCANS = ("scenes", "model", "stripes")
 
 
 @click.command("evaluate")
@@ -72,6 +77,7 @@ def command(
     bumpymap evaluate --scans --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=False)
+    _refuse_foreign(places=bool(surveys), scans=scans)
     if scans:
         if library:
             raise UsageError("--scans and --library are evaluations of their own; give one of them")
@@ -102,6 +108,21 @@ def command(
     _summary(findings, files)
 
 
+def _refuse_foreign(*, places: bool, scans: bool) -> None:
+    """Refuse options of the other evaluation: they would have no effect."""
+    context = click.get_current_context()
+    source = context.get_parameter_source
+    given = [name for name in context.params if source(name) is ParameterSource.COMMANDLINE]
+    for name in given:
+        option = f"--{name.replace('_', '-')}"
+        if scans and name not in (*_OF_ALL, *_OF_SCANS):
+            raise UsageError(f"{option} is about surveys and vehicles and has no effect with --scans: leave it out")
+        if not scans and name in _OF_SCANS:
+            raise UsageError(f"{option} is about scans: add --scans, or leave it out")
+    if scans and places and "scenes" in given:
+        raise UsageError("--scenes is about made-up scenes: leave it out, or the frames")
+
+
 def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *, overwrite: bool) -> None:
     from bumpymap.evaluate_scan.report import write_scan_report
     from bumpymap.evaluate_scan.run import evaluate_scans, made_up, read_frames
@@ -115,6 +136,8 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
     stripes = load_stripes(given["stripes"])
     require_plain(simulates=not places)
+    if not places:
+        require_simulator("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     _check_place(out, overwrite=overwrite)
     with BarProgress() as told:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.errors import UsageError
 from bumpymap.progress import Progress
@@ -106,7 +107,7 @@ def _train_scans(options: dict[str, Any], out: Path, folder: Path | None) -> Non
     from bumpymap.learn_scan.train import ScanTrainSettings
 
     if folder is None:
-        _require_simulator()
+        require_simulator("--scans simulated")
     elif "scenes" in options:
         _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
     with BarProgress() as progress:
@@ -148,14 +149,3 @@ def _require(*, simulates: bool) -> None:
         named = f"{', '.join(first)} and {last}" if first else last
         extras = ",".join(["learn"] * bool({"torch", "onnx"} & set(missing)) + ["o3d"] * ("open3d" in missing))
         raise UsageError(f"training needs {named}. Install with: pip install 'bumpymap[{extras}]'")
-
-
-def _require_simulator() -> None:
-    """Load the simulator's library: where it is installed, a library of the system may still be missing."""
-    try:
-        import open3d  # noqa: F401
-    except (ImportError, OSError) as error:
-        raise UsageError(
-            f"--scans simulated needs open3d, which cannot be loaded: {error}. It needs the system libraries "
-            "libusb-1.0-0, libegl1, libgl1 and libx11-6"
-        ) from error
