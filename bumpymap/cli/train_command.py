@@ -10,7 +10,7 @@ import click
 
 from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import BarProgress, set_up_logging, telling_how_to_go_on
-from bumpymap.errors import UsageError
+from bumpymap.errors import OutputError, UsageError
 from bumpymap.progress import Progress
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ _OF_SCANS = ("scenes", "sectors_per_class")
 @click.option("--scenes", type=int, help="--scans simulated: scenes to learn from [default: 300].")
 @click.option("--sectors-per-class", type=int, help="--scans: sectors of each class in a round [default: 10000].")
 @click.option("--threads", type=int, help="CPU threads; part of what decides the last bits [default: 1].")
-def command(*, out: Path, scans: str | None, **given: Any) -> None:
+@click.option("--overwrite", is_flag=True, help="Replace the network of an earlier training.")
+def command(*, out: Path, scans: str | None, overwrite: bool, **given: Any) -> None:
     """Train the texture network on made-up terrain and write it as ONNX; needs no survey.
 
     With --scans, train the network for the sectors of LiDAR scans. Interrupted, the same command goes on from its last
@@ -63,6 +64,8 @@ def command(*, out: Path, scans: str | None, **given: Any) -> None:
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
+    if out.exists() and not overwrite:
+        raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     with telling_how_to_go_on("Give the same command again to go on from the last whole epoch."):
         if scans is None:
             _train_textures(options, out)

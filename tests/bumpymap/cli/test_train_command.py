@@ -61,6 +61,21 @@ def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     used = CliRunner().invoke(main, ["scan", str(frame), "--out", str(tmp_path / "o"), "--model", str(out)])
     assert used.exit_code == 0, used.output
     assert f"bumpymap scan FRAME --out DIR --model {out}" in result.stdout
+    before = out.read_bytes()
+    out.write_text("an older one")
+    assert train("--scans", folder, "--out", out, "--seed", 5, *SHORT, "--overwrite").exit_code == 0
+    assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize("scans", [[], ["--scans", "simulated"]])
+def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
+    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
+    out = tmp_path / "m.onnx"
+    out.write_text("mine")
+    result = train("--out", out, *scans)
+    assert result.exit_code == 3
+    assert "--overwrite" in result.stderr
+    assert out.read_text() == "mine"
 
 
 def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatch):
