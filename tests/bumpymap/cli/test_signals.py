@@ -11,6 +11,15 @@ import pytest
 
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 
+
+@pytest.fixture(autouse=True)
+def heard():
+    """A background job of a shell ignores SIGINT, and so would every process that it starts."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 # The signal arrives at a known place: with early tiles finished, or with none.
 WITH_TILES = """
 import os, signal, sys
@@ -107,7 +116,7 @@ def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name,
             assert run.poll() is None, run.communicate()[1]
             time.sleep(0.02)
         getattr(os, send)(run.pid, getattr(signal, name))
-        stderr = run.communicate(timeout=300)[1]
+        stderr = run.communicate(timeout=60)[1]
     finally:
         run.kill()
     assert run.returncode == code, stderr
