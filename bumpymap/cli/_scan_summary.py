@@ -22,7 +22,7 @@ def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
         return
     console = Console(soft_wrap=True, highlight=False)
     console.print(
-        f"{record['frames']:,} frames, {record['points']:,} points, method {result.method}, "
+        f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms from file to classes (median), "
         f"{sum(result.seconds.values()):.1f} s in all"
     )
@@ -33,7 +33,7 @@ def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
     )
     console.print(_table(record["sectors"], record["points_by_class"]))
     if result.skipped:
-        console.print(f"{len(result.skipped)} frames were skipped; scan.json says why")
+        console.print(f"skipped frames: {len(result.skipped)}; scan.json says why")
     console.print(f"Products in {config.out}: {', '.join(result.files)}", markup=False)
     if result.drive is not None:
         tiles = result.drive.summary

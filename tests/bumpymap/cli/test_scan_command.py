@@ -168,7 +168,7 @@ def no_calibration(folder):
         (empty, "holds no points"),
         (no_bytes, "is empty (0 bytes)"),
         (other_labels, "12,000 points, whose labels take 48,000"),
-        (other_poses, "holds 2 poses for 1 frames"),
+        (other_poses, "holds 2 poses, but the frames are 1"),
         (no_poses, "none.txt"),
         (not_there, "does not exist"),
         (an_empty_folder, "holds no scans"),
@@ -245,7 +245,7 @@ def test_a_bad_frame_among_others(scan, frame, tmp_path):
     assert out_files(tmp_path) is None
     result = scan(frame, bad, "--skip-bad")
     assert result.exit_code == 4
-    assert "1 frames were skipped" in result.stdout
+    assert "skipped frames: 1;" in result.stdout
     assert str(bad) in result.stderr
     assert "frames/frame.ply" in out_files(tmp_path)
 

@@ -78,7 +78,7 @@ def kitti_row(**change):
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,0\n", "quaternion"),
         ("x,y,z,qx,qy,qz,qw\n1,2,word,0,0,0,1\n", "not a finite number"),
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0\n", "6 numbers; 7"),
-        ("x,y,z,qx,qy,qz,qw\n", "0 poses for 1 frames"),
+        ("x,y,z,qx,qy,qz,qw\n", "0 poses, but the frames are 1"),
     ],
 )
 def test_what_is_no_pose_is_refused(tmp_path, text, message):
