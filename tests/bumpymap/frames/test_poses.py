@@ -53,7 +53,7 @@ def test_csv_with_matrices_is_freed_from_rounding(tmp_path):
 @pytest.mark.parametrize("count", [5, 7, 0])
 def test_another_number_of_frames_is_refused(tmp_path, count):
     path = write(tmp_path / "poses.txt", matrices()[:, :3].reshape(6, 12).tolist(), separator=" ")
-    with pytest.raises(BadInputError, match=f"6 poses for {count} frames"):
+    with pytest.raises(BadInputError, match=f"6 poses, but the frames are {count};"):
         read_poses(path, count)
 
 
