@@ -52,8 +52,8 @@ Tells how rough the sectors of one LiDAR scan are: class 0 (smooth) to 2 (rough)
 - **Use**: `bumpymap scan --method learned`.
 - **Input**: `patches` (batch, 2, 15, 15) float32, the heights of a sector over its plane, in the sector's own polar
   coordinates: once scaled by their own range, once by asinh(h / 5 cm); and `measures` (batch, {len(MEASURES)}):
-  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the number of points against that of the other
-  sectors in the ring.
+  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the number of points against that of
+  the ground in the same ring.
 - **Output**: `probability` (batch, {CLASSES}) float32.
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels, {settings.network.expansion} times wider inside; the measures join before the answer.
@@ -106,8 +106,9 @@ def _data(settings: ScanTrainSettings, simulated: bool) -> str:
     if not simulated:
         return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
     return f"""{settings.scenes} made-up scenes with labels (`bumpymap.scan_world`), each seen once by another sensor of
-32, 64 or 128 lines with range noise of 0.8 to 3 cm, lost returns and a tilt of some degrees. No real scan was used.
-Unseen scenes come from other numbers of the same seed.
+32, 64 or 128 lines with range noise of 0.8 to 3 cm, 0.1 to 5 % of lost returns and a tilt of some degrees. No real scan
+was used. The ground of every tenth scene is seen once more from above, without shadows and with blocks heaped on half
+of it. Unseen scenes come from other numbers of the same seed.
 """
 
 
@@ -116,7 +117,10 @@ def _limits(simulated: bool) -> str:
         return ""
     return """- The accuracy is that of telling *made* scenes apart. What the simulator does not know (snow, crops,
   rain, moving things, reflections in water) the network does not know.
-- Mud and water are told from dirt by ruts, by churned ground and by returns that stay away.
+- Mud and water are told from dirt by ruts, by churned ground and by returns that stay away: mud as flat as dry dirt
+  reads as dirt, and so does a puddle of which nothing comes back but its margin.
+- Natural ground is made with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm. Ground
+  rougher than that reads as class 1, whatever grows there.
 """
 
 

@@ -23,6 +23,7 @@ __all__ = [
     "folder_sectors",
     "join",
     "labelled_sectors",
+    "overhead_sectors",
     "scene_scan",
     "simulated_sectors",
 ]
@@ -134,6 +135,17 @@ def simulated_sectors(
                 _keep(file, parts[-1])
         if told:
             told(done, len(scenes))
+    return join(parts)
+
+
+def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
+    """Sectors of the ground of made-up scenes (at least one), seen all over and partly heaped with blocks, in order."""
+    from bumpymap.scan_world import look_down, make_scene
+
+    parts = []
+    for index in scenes:
+        seen = look_down(make_scene(seed, index), index)
+        parts.append(labelled_sectors(Scan(seen.points, seen.intensity, seen.label.astype(np.uint16))))
     return join(parts)
 
 

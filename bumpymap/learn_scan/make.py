@@ -14,7 +14,16 @@ from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
 from bumpymap.learn.train import EpochReport
 from bumpymap.learn_scan.card import model_card
-from bumpymap.learn_scan.data import UNSEEN, Sectors, Told, folder_frames, folder_sectors, simulated_sectors
+from bumpymap.learn_scan.data import (
+    UNSEEN,
+    Sectors,
+    Told,
+    folder_frames,
+    folder_sectors,
+    join,
+    overhead_sectors,
+    simulated_sectors,
+)
 from bumpymap.learn_scan.evaluate import ScanEvaluation, evaluate, even_accuracy
 from bumpymap.learn_scan.export import to_onnx
 from bumpymap.learn_scan.train import ScanTrainSettings, train
@@ -105,8 +114,12 @@ def _gather(
             len(unseen),
         )
     unseen_scenes = range(UNSEEN, UNSEEN + UNSEEN_SCENES)
+    learned = [simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, gathered)]
+    overhead = range(0, settings.scenes - 9, 10)  # every tenth, in every theme
+    if overhead:
+        learned.append(overhead_sectors(settings.seed, overhead))
     return (
-        simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, gathered),
+        join(learned),
         simulated_sectors(settings.seed, unseen_scenes, 0, keep, gathered),
         UNSEEN_SCENES,
     )

@@ -1,7 +1,9 @@
 """The learning method: a small network looks at the heightmap of each sector and says how rough it is.
 
-The answer for a sector must not depend on which others are in the scan. Sectors therefore go through the network in
-batches of one fixed size, the last one padded, on one thread, through a graph that treats each sector by itself.
+What a sector is compared with, the rest of its scan decides in one place only: ``beside``, the number of its points
+against that of the other ground in the ring. The same inputs give the same answer whatever else goes through the
+network: sectors go in batches of one fixed size, the last one padded, on one thread, through a graph that treats each
+by itself.
 """
 
 import hashlib
@@ -32,7 +34,7 @@ __all__ = [
     "probabilities",
 ]
 
-SECTOR_VERSION = 1
+SECTOR_VERSION = 2
 """Version of what the network sees: ``network_input``. A change asks for training."""
 CHANNELS = 2
 """Pictures of a sector: relief scaled by its own range, and relief by its size."""
@@ -157,14 +159,17 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
 
 
 def _usual_count(stack: SectorStack) -> NDArray[np.float64]:
-    """Points that most sectors of the same ring stay under (their upper quartile): what a sensor sees of dry ground.
+    """Points of the ground in the same ring (median of what the gate lets through): what the sensor sees of it.
 
-    Against it, water and wet mud show by the returns that they throw away, whatever the sensor.
+    Against it, water and wet mud show by the returns that they throw away, whatever the sensor. Walls and trees stand
+    out of it: they catch many lines, and beside them any ground would look wet.
     """
     ring = stack.zone.astype(np.int64) * (max(stack.settings.rings)) + stack.ring
     usual = np.empty(len(ring))
     for number in np.unique(ring):
-        usual[ring == number] = np.percentile(stack.count[ring == number], 75)
+        here = ring == number
+        ground = here & stack.traversable
+        usual[here] = np.median(stack.count[ground if ground.any() else here])
     return usual
 
 

@@ -40,7 +40,7 @@ ANSWERS = {
     Label.DIRT: Answer((0.2, 0.4)),
     Label.GRASS: Answer((0.3, 0.6)),
     Label.TREE: Answer((0.3, 0.6)),
-    Label.WATER: Answer((0.05, 0.2), (0.5, 0.95)),
+    Label.WATER: Answer((0.05, 0.2), (0.75, 0.97)),
     Label.VEHICLE: Answer((0.2, 0.7), (0.05, 0.35)),
     Label.ASPHALT: Answer((0.1, 0.25)),
     Label.PERSON: Answer((0.2, 0.6)),
@@ -48,8 +48,8 @@ ANSWERS = {
     Label.BUSH: Answer((0.3, 0.6)),
     Label.CONCRETE: Answer((0.25, 0.5)),
     Label.BARRIER: Answer((0.25, 0.5)),
-    Label.PUDDLE: Answer((0.05, 0.25), (0.4, 0.9)),
-    Label.MUD: Answer((0.1, 0.25), (0.1, 0.5)),
+    Label.PUDDLE: Answer((0.05, 0.25), (0.7, 0.95)),
+    Label.MUD: Answer((0.1, 0.25), (0.05, 0.4)),
     Label.RUBBLE: Answer((0.2, 0.45)),
 }
 """Open water sends little back at the low angles of a ground robot, wet mud less than dry dirt."""

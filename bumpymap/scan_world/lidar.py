@@ -47,6 +47,8 @@ class _Hits:
     """(n,) between beam and normal, 0..1."""
     label: NDArray[np.uint32]
     """(n,)"""
+    turf: NDArray[np.bool_]
+    """(n,) True on ground that grass covers."""
 
 
 def simulate(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
@@ -105,14 +107,14 @@ def _cast(scene: Scene, sensor: Sensor, eye: Floats, level: Floats, rng: np.rand
     label[on_ground] = scene.ground.sample(place[on_ground, 0], place[on_ground, 1]).label
     normal = found["primitive_normals"].numpy().astype(np.float64)
     cosine = np.clip(np.abs((normal * level).sum(axis=1)), 0.0, 1.0)
-    return _Hits(distance, cosine, label)
+    return _Hits(distance, cosine, label, on_ground & (label == Label.GRASS))
 
 
 def _in_grass(scene: Scene, hits: _Hits, eye: Floats, level: Floats, rng: np.random.Generator) -> _Hits:
     """Stop beams on their way through the grass: the way into it is exponential with a mean of ``grass_path_m``."""
     ground = scene.ground
     way = rng.exponential(ground.grass_path_m, len(level))
-    rows = np.flatnonzero(hits.label == Label.GRASS)
+    rows = np.flatnonzero(hits.turf)
     foot = eye + hits.distance[rows, None] * level[rows]
     inside = ground.grass_height(foot[:, 0], foot[:, 1]) / np.maximum(hits.cosine[rows], _LEAST_COSINE)
     inside = np.minimum(inside, 0.9 * hits.distance[rows])
@@ -120,7 +122,7 @@ def _in_grass(scene: Scene, hits: _Hits, eye: Floats, level: Floats, rng: np.ran
     stopped = way[rows] < inside
     distance[rows] -= np.where(stopped, inside - way[rows], 0.0)
     cosine[rows] = np.where(stopped, 0.5, cosine[rows])  # blades stand any way
-    return _Hits(distance, cosine, hits.label)
+    return _Hits(distance, cosine, hits.label, hits.turf)
 
 
 def _answers(hits: _Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.bool_], Floats]:

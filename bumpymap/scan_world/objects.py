@@ -1,4 +1,4 @@
-"""Persons, vehicles, fences, barriers and fields of stones."""
+"""Persons, vehicles, fences, barriers, fields of stones and of blocks."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ import numpy as np
 from bumpymap.scan_world._fields import Floats, log_uniform
 from bumpymap.scan_world._solids import Soup, boxes, ribbon, stones, tube
 
-__all__ = ["Height", "barrier", "fence", "person", "stone_field", "vehicle"]
+__all__ = ["Height", "barrier", "block_field", "fence", "person", "stone_field", "vehicle"]
 
 Height = Callable[[Floats, Floats], Floats]
 """Eastings and northings (n,) [m] -> heights of the ground (n,) [m]."""
@@ -30,6 +30,7 @@ def person(rng: np.random.Generator, base: Floats) -> Soup:
     return np.concatenate(parts)
 
 
+_MOST_BLOCKS = 8000
 _MODELS = np.array(
     [  # length, width, height; cabin from, to (shares of the length), height of the body (share), clearance [m]
         [4.4, 1.8, 1.5, 0.2, 0.85, 0.55, 0.18],
@@ -125,8 +126,22 @@ def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Soup:
 
 def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Soup:
     """Lay stones at ``places`` (n, 2), partly sunk: many small ones, few large ones."""
-    largest = log_uniform(rng, 0.25, 0.8)
-    size = largest * np.clip(rng.pareto(2.0, len(places)) * 0.25 + 0.2, 0.0, 1.0)
+    largest = log_uniform(rng, 0.3, 0.8)
+    size = largest * np.clip(rng.pareto(2.0, len(places)) * 0.25 + 0.25, 0.0, 1.0)
     radii = size[:, None] * rng.uniform([0.6, 0.6, 0.4], [1.2, 1.2, 0.9], (len(places), 3))
     z = height(places[:, 0], places[:, 1]) + rng.uniform(-0.1, 0.6, len(places)) * radii[:, 2]
     return stones(rng, np.column_stack([places, z]), radii)
+
+
+def block_field(rng: np.random.Generator, places: Floats, height: Height) -> Soup:
+    """Heap blocks as of a demolished wall: of one width of 0.2 to 0.8 m, side by side, each as high as it happens."""
+    if not len(places):
+        return np.empty((0, 3, 3), np.float32)
+    low, high = places.min(axis=0), places.max(axis=0)
+    wide = max(log_uniform(rng, 0.2, 0.8), float(np.sqrt(np.prod(high - low) / _MOST_BLOCKS)))
+    cells = np.unique(np.floor(places / wide), axis=0)  # where a place fell: gaps are left between
+    middle = (cells + 0.5) * wide + rng.uniform(-0.1, 0.1, cells.shape) * wide
+    sizes = np.full((len(cells), 3), 1.05 * wide)
+    sizes[:, 2] = rng.uniform(0.0, log_uniform(rng, 0.25, 0.9), len(cells)) + 0.1
+    z = height(middle[:, 0], middle[:, 1]) - 0.1
+    return boxes(sizes, np.column_stack([middle, z]), rng.uniform(-0.3, 0.3, len(cells)))

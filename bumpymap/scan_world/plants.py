@@ -1,11 +1,11 @@
-"""Trees and bushes: stems, and leaves with air between them."""
+"""Trees, bushes and herbs: stems, and leaves with air between them."""
 
 import numpy as np
 
 from bumpymap.scan_world._fields import Floats, log_uniform
 from bumpymap.scan_world._solids import Soup, leaves, tube
 
-__all__ = ["bush", "tree"]
+__all__ = ["bush", "herb", "tree"]
 
 
 def _leaf_count(base: Floats, volume_m3: float) -> int:
@@ -33,6 +33,13 @@ def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
         parts.append(_cloud(rng, middle, np.array([wide, wide, tall]), base, path))
         parts.append(tube(base, middle, 0.015, 0.008, 4))
     return np.concatenate(parts)
+
+
+def herb(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
+    """Make a low plant on ``base`` (3,): a fern, a seedling, a tussock."""
+    wide = height_m * rng.uniform(0.4, 1.0)
+    middle = base + np.array([0.0, 0.0, 0.5 * height_m])
+    return leaves(rng, middle, np.array([wide, wide, 0.5 * height_m]), 60, log_uniform(rng, 0.1, 0.5))
 
 
 def tree(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:

@@ -139,8 +139,8 @@ def make_blob(
     pool = math.inf
     tracks: tuple[tuple[float, float, float, float], ...] = ()
     if label == Label.MUD:
-        deepest, pool = log_uniform(rng, 0.1, 0.35), float(rng.uniform(0.05, 0.25))
-        count = int(np.clip(radius_m * rng.uniform(0.6, 1.2), 2, 16))
+        deepest, pool = log_uniform(rng, 0.15, 0.4), float(rng.uniform(0.08, 0.25))
+        count = int(np.clip(radius_m * rng.uniform(0.8, 1.4), 2, 20))
         main = rng.uniform(0, np.pi)
         tracks = tuple(
             (
@@ -163,8 +163,8 @@ def make_way(rng: np.random.Generator, label: Label, offset_m: float) -> Way:
     )
     line = (float(np.cos(bearing)), float(np.sin(bearing)))
     if label == Label.DIRT:
-        width, rough = float(rng.uniform(1.3, 2.5)), log_uniform(rng, 0.004, 0.018)
-        return Way(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.06))
+        width, rough = float(rng.uniform(1.3, 2.5)), log_uniform(rng, 0.004, 0.025)
+        return Way(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.07))
     kerb = float(rng.uniform(0.08, 0.16)) if rng.uniform() < 0.4 else 0.0
     width, rough = float(rng.uniform(2.5, 5.5)), log_uniform(rng, 0.001, 0.005)
     return Way(label, line, offset_m, bends, width, rough, float(rng.uniform(0.02, 0.1)), 0.0, kerb)

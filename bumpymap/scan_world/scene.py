@@ -9,8 +9,8 @@ from bumpymap.scan_world._fields import Floats, log_uniform, make_field
 from bumpymap.scan_world._solids import Soup
 from bumpymap.scan_world.ground import Ground
 from bumpymap.scan_world.labels import Label
-from bumpymap.scan_world.objects import barrier, fence, person, stone_field, vehicle
-from bumpymap.scan_world.plants import bush, tree
+from bumpymap.scan_world.objects import barrier, block_field, fence, person, stone_field, vehicle
+from bumpymap.scan_world.plants import bush, herb, tree
 from bumpymap.scan_world.regions import Blob, Region, make_blob, make_way
 
 __all__ = ["THEMES", "Scene", "Theme", "make_scene"]
@@ -26,6 +26,8 @@ class Theme:
     puddles: int = 2
     rubble: int = 0
     bare: int = 1
+    herbs: int = 40
+    """Low plants that annotators take for grass."""
     bushes: int = 25
     trees: int = 12
     persons: int = 3
@@ -34,16 +36,22 @@ class Theme:
     barriers: int = 1
     grassy: float = 0.7
     """Probability that grass, not dirt, covers what no region does."""
+    floor_m: tuple[float, float] = (0.003, 0.03)
+    """Standard deviation of roots, tussocks and clods on grass and dirt, from and to, m."""
 
 
 THEMES = {
-    "meadow": Theme(ways=2, mud=0, bushes=30, trees=20, fences=2, grassy=1.0),
-    "forest": Theme(mud=0, bushes=60, trees=120, persons=1, vehicles=1, grassy=0.6),
-    "bushland": Theme(mud=0, puddles=0, bushes=400, trees=10),
-    "mire": Theme(mud=5, puddles=8, bushes=10, trees=5),
-    "quarry": Theme(mud=0, rubble=5, puddles=3, bushes=5, trees=5, vehicles=6, barriers=4, persons=4, grassy=0.15),
-    "shore": Theme(water=4, mud=1, puddles=4, bushes=40),
-    "yard": Theme(mud=0, ways=3, bushes=5, trees=10, persons=14, vehicles=16, fences=6, barriers=6, grassy=0.5),
+    "meadow": Theme(ways=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0),
+    "forest": Theme(mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04)),
+    "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
+    "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
+    "quarry": Theme(
+        mud=0, rubble=9, puddles=3, herbs=10, bushes=8, trees=10, vehicles=8, barriers=4, persons=4, grassy=0.15
+    ),
+    "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
+    "yard": Theme(
+        mud=0, ways=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
+    ),
 }
 
 
@@ -101,7 +109,7 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
         bumps_m=log_uniform(rng, 0.02, 0.15),
         fine=make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
         cover=cover,
-        cover_rough_m=log_uniform(rng, 0.003, 0.015),
+        cover_rough_m=log_uniform(rng, *theme.floor_m),
         regions=(),
         grass_m=log_uniform(rng, 0.03, 0.3),
         grass_tufts=make_field(rng, 512, 0.1, 0.4, (0.3, 8.0)),
@@ -110,9 +118,9 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
     regions: list[Region] = []
     other = Label.DIRT if cover == Label.GRASS else Label.GRASS
     for label, most, farthest, sizes, rough in (
-        (other, theme.bare, 40, (6, 25), (0.003, 0.015)),
-        (Label.MUD, theme.mud, 30, (5, 22), (0.03, 0.09)),
-        (Label.RUBBLE, theme.rubble, 30, (5, 20), (0.02, 0.08)),
+        (other, theme.bare, 40, (6, 25), theme.floor_m),
+        (Label.MUD, theme.mud, 30, (5, 22), (0.05, 0.1)),
+        (Label.RUBBLE, theme.rubble, 30, (5, 20), (0.03, 0.1)),
     ):
         regions += [
             make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
@@ -149,24 +157,28 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: Ground) -> list
 
     things: list[tuple[Label, Soup]] = []
     for label, places in (
-        (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 60.0)),
-        (Label.TREE, _spots(rng, _up_to(rng, theme.trees), 4.5, 75.0)),
+        (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0)),
+        (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0)),
+        (Label.TREE, _spots(rng, _up_to(rng, theme.trees), 4.5, 105.0)),
         (Label.PERSON, _spots(rng, _up_to(rng, theme.persons), 4.0, 25.0)),
-        (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 45.0)),
+        (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 70.0)),
     ):
         z = height(places[:, 0], places[:, 1])
         things += [(label, _grow(rng, label, np.array([*place, up]))) for place, up in zip(places, z, strict=True)]
     for label, most, build in ((Label.FENCE, theme.fences, fence), (Label.BARRIER, theme.barriers, barrier)):
-        lines = [build(rng, np.array(_place(rng, 5, 35)), height) for _ in range(_up_to(rng, most))]
+        lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
         things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
     for region in ground.regions:
         if region.label == Label.RUBBLE and isinstance(region, Blob):
-            things.append((Label.RUBBLE, stone_field(rng, _inside(rng, region, ground), height)))
+            build_field = stone_field if rng.uniform() < 0.35 else block_field
+            things.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
     return [(label, soup) for label, soup in things if len(soup)]
 
 
 def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Soup:
     match label:
+        case Label.GRASS:
+            return herb(rng, base, log_uniform(rng, 0.1, 0.4))
         case Label.BUSH:
             return bush(rng, base, log_uniform(rng, 0.4, 2.5))
         case Label.TREE:
@@ -192,7 +204,7 @@ def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float
 
 def _inside(rng: np.random.Generator, blob: Blob, ground: Ground) -> Floats:
     """Places in a blob for its stones, not under the robot and not where a way or a puddle lies over it."""
-    count = int(4 * blob.radius_m**2 * rng.uniform(0.8, 2.0))
+    count = int(4 * blob.radius_m**2 * rng.uniform(1.0, 2.5))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
     x, y = places[:, 0], places[:, 1]
     free = (blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import UsageError
+from bumpymap.scan_world._fields import log_uniform
 
 __all__ = ["SENSORS", "Sensor", "draw_sensor"]
 
@@ -72,18 +73,20 @@ SENSORS = {
     "32_sparse": Sensor(lines=32, lowest_deg=-25.0, highest_deg=15.0, height_m=1.2),
 }
 """Names of settings after what is on the market: lines and how far they open."""
+_COMMON = {"64_narrow": 3.0, "64_dense": 3.0, "32_sparse": 0.5, "64_wide": 2.5, "128_wide": 4.0}
+"""Weights of those that are drawn more or less often than the others."""
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
-    """Draw one of ``SENSORS``, mounted and built a little differently; half have plain 64 lines."""
+    """Draw one of ``SENSORS``, mounted and built a little differently: two fifths are the wide ones of low robots."""
     names = list(SENSORS)
-    weight = np.array([{"64_narrow": 4.0, "64_dense": 4.0, "32_sparse": 0.5}.get(name, 1.5) for name in names])
+    weight = np.array([_COMMON.get(name, 1.5) for name in names])
     sensor = SENSORS[names[rng.choice(len(names), p=weight / weight.sum())]]
     return replace(
         sensor,
-        height_m=float(np.clip(sensor.height_m * rng.uniform(0.7, 1.35), 0.6, 2.1)),
+        height_m=float(np.clip(sensor.height_m * rng.uniform(0.7, 1.35), 0.5, 2.1)),
         noise_m=float(rng.uniform(0.008, 0.03)),
         reach_m=sensor.reach_m * float(rng.uniform(0.7, 1.3)),
-        lost=float(rng.uniform(0.001, 0.03)),
+        lost=log_uniform(rng, 0.001, 0.05),
         tilt_deg=(float(rng.normal(0, 1.5)), float(rng.normal(0, 1.5))),
     )

@@ -18,6 +18,7 @@ from bumpymap.learn_scan.data import (
     folder_sectors,
     join,
     labelled_sectors,
+    overhead_sectors,
     simulated_sectors,
 )
 from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
@@ -171,3 +172,14 @@ def test_an_epoch_does_without_a_class_that_is_not_there():
 def test_join_keeps_the_order():
     one, two = _made([2, 1, 0]), _made([0, 0, 3])
     assert_array_equal(join([one, two]).klass, [0, 0, 1, 2, 2, 2])
+
+
+def test_ground_from_above_is_half_blocks_and_none_of_it_water():
+    sectors = overhead_sectors(1, [0, 5])
+    assert set(sectors.klass) == {0, 1}
+    assert 0.2 < (sectors.label == 34).mean() < 0.8
+    assert not np.isin(sectors.label, (6, 31)).any()
+    blocks, rest = (sectors.measures[sectors.label == 34], sectors.measures[sectors.klass == 0])
+    column = MEASURES.index("residual")
+    assert np.median(blocks[:, column]) > np.median(rest[:, column]) + 0.3  # more than twice as rough
+    _same(overhead_sectors(1, [0, 5]), sectors)

@@ -17,7 +17,7 @@ from bumpymap.learn_scan.evaluate import confusion, evaluate, even_accuracy, pre
 from bumpymap.learn_scan.export import to_onnx  # noqa: E402
 from bumpymap.learn_scan.make import make_scan_model  # noqa: E402
 from bumpymap.learn_scan.train import ScanTrainSettings, train  # noqa: E402
-from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, _infer  # noqa: E402
+from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, _infer  # noqa: E402
 
 SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
 
@@ -175,7 +175,7 @@ def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
     made = make_scan_model(replace(SMALL, scenes=3), tmp_path / "m.onnx")
     assert "3 made-up scenes" in made.card.read_text(encoding="utf-8")
     assert made.evaluation.scans == 2
-    assert ScanModel.load(made.model).metadata["sector_version"] == "1"
+    assert ScanModel.load(made.model).metadata["sector_version"] == str(SECTOR_VERSION)
 
 
 def test_bad_places_and_folders_are_refused(tmp_path):

@@ -51,7 +51,7 @@ def _rows(stack, rows):
     return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-1]})
 
 
-def test_smooth_ground_is_class_0_and_rough_ground_less_often(stack, model):
+def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):
     classed = classify_learned(stack, model)
     assert classed.method == "learned"
     assert classed.stripes is None
@@ -60,9 +60,9 @@ def test_smooth_ground_is_class_0_and_rough_ground_less_often(stack, model):
     heaps = (middle[:, 0] > -5) & (middle[:, 1] > 6)
     wall = middle[:, 0] < -11
     assert (classed.klass[smooth] == 0).mean() > 0.95
-    # Points all over, without the shadows that a LiDAR leaves, look like grass: many of the heaps pass for it.
-    assert (classed.klass[heaps] == 0).mean() < 0.7
-    assert (classed.klass[wall] >= 2).mean() > 0.95  # rough, or not traversable
+    assert (classed.klass[heaps] == 0).mean() < 0.1
+    assert (classed.klass[wall] >= 2).mean() > 0.9  # rough, or not traversable
+    assert (classed.klass[wall] > 0).all()
 
 
 def test_the_gate_comes_first(stack, model):
@@ -121,7 +121,26 @@ def test_what_the_network_sees(stack):
     assert_allclose(10 ** measures[:, MEASURES.index("count")] * 200, stack.count, rtol=1e-5)
     inner = (stack.zone == 0) & (stack.ring == 0)
     assert_allclose(10 ** measures[inner, MEASURES.index("distance")] * 20, 5.0, rtol=1e-5)
-    beside = stack.count[inner] / np.percentile(stack.count[inner], 75)
+    beside = stack.count[inner] / np.median(stack.count[inner & stack.traversable])
+    assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
+
+
+def test_walls_do_not_make_the_ground_beside_them_look_wet(stack):
+    """However many points obstacles catch, ground is compared with ground."""
+    _, before = network_input(stack)
+    crowded = replace(stack, count=np.where(stack.traversable, stack.count, 50 * stack.count))
+    _, after = network_input(crowded)
+    column, ground = MEASURES.index("beside"), stack.traversable
+    assert 0 < ground.sum() < len(ground)
+    assert_array_equal(after[ground, column], before[ground, column])
+    lost = replace(stack, count=np.where(np.arange(len(ground)) == np.flatnonzero(ground)[0], 1, stack.count))
+    assert network_input(lost)[1][np.flatnonzero(ground)[0], column] < -1
+
+
+def test_a_ring_of_nothing_but_walls_is_compared_with_them(stack):
+    _, measures = network_input(replace(stack, traversable=np.zeros(len(stack.zone), bool)))
+    inner = (stack.zone == 0) & (stack.ring == 0)
+    beside = stack.count[inner] / np.median(stack.count[inner])
     assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
 
 
@@ -172,12 +191,12 @@ def test_other_files_are_refused(tmp_path, model):
         if prop.key == "sector_version":
             prop.value = "0"
     (tmp_path / "old.onnx").write_bytes(old.SerializeToString())
-    with pytest.raises(BadInputError, match="of version 0; this bumpymap makes those of version 1"):
+    with pytest.raises(BadInputError, match="of version 0; this bumpymap makes those of version 2"):
         ScanModel.load(tmp_path / "old.onnx")
 
 
 def test_the_shipped_network_says_how_good_it_is(model):
     assert len(model.id) == 12
-    assert float(model.metadata["accuracy_even"]) > 0.8324  # the paper's
+    assert float(model.metadata["accuracy_even"]) > 0.9  # the paper's: 0.8324, on other patches
     assert float(model.metadata["accuracy_unseen"]) > 0.9
     assert "--seed" in model.metadata["command"]

@@ -11,6 +11,8 @@ from bumpymap.scan_world._fields import make_field
 from bumpymap.scan_world._solids import boxes, leaves, ribbon, stones, tube
 from bumpymap.scan_world.ground import ground_mesh
 from bumpymap.scan_world.labels import ANSWERS, Label
+from bumpymap.scan_world.objects import block_field
+from bumpymap.scan_world.plants import herb
 from bumpymap.scan_world.regions import make_blob, make_way
 from bumpymap.scan_world.scene import THEMES, make_scene
 
@@ -55,7 +57,7 @@ def test_nothing_but_ground_is_nearer_than_the_robot_is_wide():
 
 def test_a_scene_without_anything_is_no_error(monkeypatch):
     monkeypatch.setitem(THEMES, "bare", replace(THEMES["meadow"], bushes=0, trees=0, persons=0, vehicles=0, fences=0))
-    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, ways=0, mud=0, puddles=0, bare=0))
+    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, herbs=0, ways=0, mud=0, puddles=0, bare=0))
     scene = make_scene(1, 1, "bare")
     assert scene.things == ()
     assert set(scene.ground.sample(X, Y).label) == {Label.GRASS}
@@ -134,6 +136,30 @@ def test_leaves_stop_beams_after_their_free_path():
     volume = 4 / 3 * np.pi * 8
     # Triangles any way up show half of their area; sides vary by 0.6 to 1.4, which adds 5 % of area.
     assert _area(soup) / volume / 2 == pytest.approx(1 / 0.5, rel=0.08)
+
+
+def test_herbs_are_low_and_stand_where_they_grow():
+    for seed in range(5):
+        soup = herb(np.random.default_rng(seed), np.array([4.0, 2.0, 1.0]), 0.3)
+        middle = soup.mean(axis=1)
+        assert np.abs(middle[:, :2] - [4.0, 2.0]).max() < 0.35
+        assert 0.9 < middle[:, 2].min() < middle[:, 2].max() < 1.4
+        assert np.ptp(middle[:, 2]) > 0.15
+
+
+def test_blocks_are_packed_and_as_high_as_they_happen():
+    places = np.random.default_rng(1).uniform(-4, 4, (5000, 2))
+    for seed in range(4):
+        soup = block_field(np.random.default_rng(seed), places, lambda x, _y: 0.1 * x)
+        block = soup.reshape(-1, 36, 3)
+        wide = np.ptp(block[..., :2], axis=1).max(axis=1)
+        assert 0.2 < wide.min() <= wide.max() < 1.05 * 0.8 * 1.3
+        high = block[..., 2].max(axis=1) - 0.1 * block[..., 0].mean(axis=1)
+        assert 0.0 <= high.min() < high.max() < 0.9
+        assert np.ptp(high) > 0.1
+        tops = _area(soup[np.ptp(soup[..., 2], axis=1) == 0]) / 2  # a lid and a floor each
+        assert tops > 0.9 * 64  # side by side: no ground between
+    assert block_field(np.random.default_rng(1), places[:0], lambda x, _y: x).shape == (0, 3, 3)
 
 
 def test_the_mesh_follows_the_ground(monkeypatch):
