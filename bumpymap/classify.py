@@ -1,4 +1,4 @@
-"""Which texture each tile has: the only room that imports ONNX Runtime.
+"""Which texture each tile has, by a small network.
 
 The answer for a tile must not depend on which tiles stand beside it in a stack. Patches therefore go through the
 network in batches of one fixed size, the last one padded, on one thread, through a graph that treats each patch by
@@ -8,15 +8,13 @@ itself.
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError, UsageError
+from bumpymap.onnx_file import metadata_of, read_network, session, shipped_network
 from bumpymap.textures import FEATURE_VERSION, normalise
 from bumpymap.types import TEXTURES, PatchStack, Reason, TextureMap
 
@@ -29,6 +27,7 @@ it shows the rounding of the survey's coordinates, not ground, m."""
 _BATCH = 16
 """Larger ones gain 3 % a patch and lose more to padding: a block has some two hundred tiles."""
 _FORMAT = "bumpymap-textures"
+_KIND = "texture network"
 _REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
 
 
@@ -62,26 +61,16 @@ class TextureModel:
     @classmethod
     def shipped(cls) -> "TextureModel":
         """Read the network that ships with bumpymap."""
-        resource = files("bumpymap") / "data" / "models" / "textures.onnx"
-        return cls._from_bytes(resource.read_bytes(), "the texture network in the package")
+        return cls._from_bytes(shipped_network("textures.onnx"), "the texture network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "TextureModel":
         """Read a network that ``bumpymap train`` wrote. Raises BadInputError where it is none."""
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise BadInputError(f"cannot read the texture network {path}: {error}. {_REMEDY}") from error
-        return cls._from_bytes(content, str(path))
+        return cls._from_bytes(read_network(path, _KIND, _REMEDY), str(path))
 
     @classmethod
     def _from_bytes(cls, content: bytes, origin: str) -> "TextureModel":
-        try:
-            metadata = dict(_session(content).get_modelmeta().custom_metadata_map)
-        except Exception as error:  # ONNX Runtime has its own family of exceptions, without a public base
-            raise BadInputError(f"{origin} is not an ONNX model: {error}. {_REMEDY}") from error
-        if metadata.get("format") != _FORMAT:
-            raise BadInputError(f"{origin} is an ONNX model, but not a texture network of bumpymap. {_REMEDY}")
+        metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         try:
             classes, version = tuple(json.loads(metadata["classes"])), int(metadata["feature_version"])
             tile_size, pixels = float(metadata["tile_size"]), int(metadata["pixels"])
@@ -131,23 +120,12 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
 
 def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
     """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; returns (n, 4)."""
-    session = _session(model.content)
-    name = session.get_inputs()[0].name
+    network = session(model.content)
+    name = network.get_inputs()[0].name
     probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
     for start in range(0, len(scaled), _BATCH):
         part = scaled[start : start + _BATCH, None]  # (batch, 1, pixels, pixels)
         if len(part) < _BATCH:
             part = np.concatenate((part, np.zeros((_BATCH - len(part), *part.shape[1:]), np.float32)))
-        probability[start : start + _BATCH] = session.run(None, {name: part})[0][: len(scaled) - start]
+        probability[start : start + _BATCH] = network.run(None, {name: part})[0][: len(scaled) - start]
     return probability
-
-
-@lru_cache(maxsize=4)
-def _session(content: bytes) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

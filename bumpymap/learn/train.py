@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from bumpymap.errors import OutputError, UsageError
+from bumpymap.errors import UsageError
+from bumpymap.learn.checkpoint import restore, save
 from bumpymap.learn.data import Samples, epoch_samples, training_patches
 from bumpymap.learn.model import NetworkSettings, TextureNet
 from bumpymap.textures import FEATURE_VERSION
@@ -112,13 +113,14 @@ def train(
             net = TextureNet(settings.network)
         net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
         optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=settings.weight_decay)
-        done = _restore(checkpoint, settings, net, optimizer) if checkpoint and checkpoint.exists() else 0
+        record = _record(settings)
+        done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
         training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
         for epoch in range(done, settings.epochs):
             report = _run_epoch(net, optimizer, epoch_samples(training, settings.seed, epoch), settings, epoch)
             _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
             if checkpoint:
-                _save(checkpoint, settings, net, optimizer, epoch + 1)
+                save(checkpoint, record, net, optimizer, epoch + 1)
             if told:
                 told(report)
     finally:
@@ -162,42 +164,3 @@ def _record(settings: TrainSettings) -> dict[str, Any]:
     record = asdict(settings)
     record["network"] = {key: list(v) if isinstance(v, tuple) else v for key, v in record["network"].items()}
     return {**record, "feature_version": FEATURE_VERSION}
-
-
-def _save(
-    checkpoint: Path, settings: TrainSettings, net: TextureNet, optimizer: torch.optim.Optimizer, epochs_done: int
-) -> None:
-    state = {
-        "settings": _record(settings),
-        "classes": list(settings.network.classes),
-        "feature_version": FEATURE_VERSION,
-        "epochs_done": epochs_done,
-        "network": net.state_dict(),
-        "optimizer": optimizer.state_dict(),
-    }
-    part = checkpoint.with_name(checkpoint.name + ".part")
-    try:
-        torch.save(state, part)
-        part.replace(checkpoint)
-    except (OSError, RuntimeError) as error:
-        raise OutputError(f"cannot write the checkpoint {checkpoint}: {error}. Choose another --out") from error
-
-
-def _restore(checkpoint: Path, settings: TrainSettings, net: TextureNet, optimizer: torch.optim.Optimizer) -> int:
-    """Load a checkpoint; returns the number of epochs that are done."""
-    remedy = "Delete it, or choose another --out"
-    try:
-        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-        found, done = state["settings"], int(state["epochs_done"])
-    except Exception as error:  # torch raises many kinds for a file that is not its own
-        raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
-    wanted = _record(settings)
-    if found != wanted:
-        different = ", ".join(
-            f"{key} {found.get(key)} (now {wanted[key]})" for key in wanted if found.get(key) != wanted[key]
-        )
-        raise UsageError(f"{checkpoint} is of a training with other settings: {different}. {remedy}")
-    net.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
-    _log.info("going on from epoch %d in %s", done, checkpoint)
-    return done

@@ -27,7 +27,8 @@ ROOMS = {
     "kernels": (set(), {"bumpytiles", "numpy"}),
     "ground": (set(), {"CSF", "bumpytiles", "numpy"}),
     "features": ({"kernels"}, {"bumpytiles", "numpy"}),
-    "classify": ({"textures"}, {"numpy", "onnxruntime"}),
+    "onnx_file": (set(), {"onnxruntime"}),
+    "classify": ({"onnx_file", "textures"}, {"numpy"}),
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
     "products": (
         set(),

@@ -92,9 +92,9 @@ def test_a_batch_of_one_patch_is_refused():
 def test_a_checkpoint_says_what_it_holds(tmp_path):
     train(SMALL, tmp_path / "c")
     state = torch.load(tmp_path / "c", weights_only=True)
-    assert state["classes"] == list(TEXTURES)
-    assert state["settings"]["network"]["channels"] == [16, 32, 64, 96]
-    assert state["feature_version"] == 1
+    assert state["record"]["network"]["classes"] == list(TEXTURES)
+    assert state["record"]["network"]["channels"] == [16, 32, 64, 96]
+    assert state["record"]["feature_version"] == 1
     with pytest.raises(UsageError, match="seed 1 \\(now 5\\)"):
         train(replace(SMALL, seed=5), tmp_path / "c")
 
