@@ -46,8 +46,8 @@ def read_poses(path: Path, count: int) -> NDArray[np.float64]:
     poses = _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, words, 12))
     if len(poses) != count:
         raise BadInputError(
-            f"{path} holds {len(poses):,} poses, but the frames are {count:,}; one for each is wanted, in the order of time. Is "
-            "it of another drive, or are frames missing?"
+            f"{path} holds {len(poses):,} poses, but the frames are {count:,}; one for each is wanted, in the order of "
+            "time. Is it of another drive, or are frames missing?"
         )
     _make_rigid(path, poses)
     return poses

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from bumpymap.errors import OutputError, UsageError
+from bumpymap.errors import UsageError
+from bumpymap.learn.checkpoint import restore, save
 from bumpymap.learn.train import EpochReport
 from bumpymap.learn_scan.data import Sectors, draw_epoch
 from bumpymap.learn_scan.model import ScanNet, ScanNetSettings
@@ -90,12 +91,12 @@ def train(
             net = ScanNet(settings.network)
         optimizer = torch.optim.AdamW(net.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
         record = _record(settings, sectors)
-        done = _restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
+        done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
         for epoch in range(done, settings.epochs):
             report = _run_epoch(net, optimizer, sectors, settings, epoch)
             _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
             if checkpoint:
-                _save(checkpoint, {"record": record, "epochs_done": epoch + 1}, net, optimizer)
+                save(checkpoint, record, net, optimizer, epoch + 1)
             if told:
                 told(report)
     finally:
@@ -139,28 +140,3 @@ def _record(settings: ScanTrainSettings, sectors: Sectors) -> dict[str, Any]:
     record["network"] = {key: list(v) if isinstance(v, tuple) else v for key, v in record["network"].items()}
     counts = np.bincount(sectors.klass, minlength=3).tolist()
     return {**record, "sectors": counts, "sector_version": SECTOR_VERSION}
-
-
-def _save(checkpoint: Path, state: dict[str, Any], net: ScanNet, optimizer: torch.optim.Optimizer) -> None:
-    part = checkpoint.with_name(checkpoint.name + ".part")
-    try:
-        torch.save({**state, "network": net.state_dict(), "optimizer": optimizer.state_dict()}, part)
-        part.replace(checkpoint)
-    except (OSError, RuntimeError) as error:
-        raise OutputError(f"cannot write the checkpoint {checkpoint}: {error}. Choose another --out") from error
-
-
-def _restore(checkpoint: Path, wanted: dict[str, Any], net: ScanNet, optimizer: torch.optim.Optimizer) -> int:
-    """Load a checkpoint; returns the number of epochs that are done."""
-    remedy = "Delete it, or choose another --out"
-    try:
-        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-        found, done = state["record"], int(state["epochs_done"])
-    except Exception as error:  # torch raises many kinds for a file that is not its own
-        raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
-    if found != wanted:
-        different = ", ".join(f"{k} {found.get(k)} (now {v})" for k, v in wanted.items() if found.get(k) != v)
-        raise UsageError(f"{checkpoint} is of another training: {different}. {remedy}")
-    net.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
-    return done

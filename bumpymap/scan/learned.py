@@ -10,15 +10,13 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError, UsageError
+from bumpymap.onnx_file import metadata_of, read_network, session, shipped_network
 from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack
 
 __all__ = [
@@ -50,6 +48,7 @@ vehicle, fence, barrier."""
 
 _BATCH = 32
 _FORMAT = "bumpymap-scan"
+_KIND = "scan network"
 _REMEDY = "Train one with: bumpymap train --scans simulated --out MODEL.onnx"
 
 
@@ -80,26 +79,17 @@ class ScanModel:
     @classmethod
     def shipped(cls) -> "ScanModel":
         """Read the network that ships with bumpymap."""
-        return cls.from_bytes(_shipped_bytes(), "the scan network in the package")
+        return cls.from_bytes(shipped_network("scan.onnx"), "the scan network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "ScanModel":
         """Read a network that training wrote. Raises BadInputError where it is none."""
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise BadInputError(f"cannot read the scan network {path}: {error}. {_REMEDY}") from error
-        return cls.from_bytes(content, str(path))
+        return cls.from_bytes(read_network(path, _KIND, _REMEDY), str(path))
 
     @classmethod
     def from_bytes(cls, content: bytes, origin: str) -> "ScanModel":
         """Check an ONNX file from ``origin``. Raises BadInputError where it is no scan network."""
-        try:
-            metadata = dict(_session(content).get_modelmeta().custom_metadata_map)
-        except Exception as error:  # ONNX Runtime has its own family of exceptions, without a public base
-            raise BadInputError(f"{origin} is not an ONNX model: {error}. {_REMEDY}") from error
-        if metadata.get("format") != _FORMAT:
-            raise BadInputError(f"{origin} is an ONNX model, but not a scan network of bumpymap. {_REMEDY}")
+        metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
             raise BadInputError(
                 f"{origin} looks at sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
@@ -220,29 +210,13 @@ def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]
 
 def _infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     """Run a network on sectors; returns (n, CLASSES)."""
-    session = _session(content)
+    network = session(content)
     count = len(inputs["measures"])
     rows = -(-count // _BATCH) * _BATCH
     padded = {name: np.concatenate([v, np.zeros((rows - count, *v.shape[1:]), v.dtype)]) for name, v in inputs.items()}
     parts = [
-        session.run(None, {name: values[start : start + _BATCH] for name, values in padded.items()})[0]
+        network.run(None, {name: values[start : start + _BATCH] for name, values in padded.items()})[0]
         for start in range(0, rows, _BATCH)
     ]
     probability: NDArray[np.float32] = np.concatenate(parts)[:count]
     return probability
-
-
-@lru_cache(maxsize=1)
-def _shipped_bytes() -> bytes:
-    return (files("bumpymap") / "data" / "models" / "scan.onnx").read_bytes()
-
-
-@lru_cache(maxsize=4)
-def _session(content: bytes) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

@@ -55,7 +55,7 @@ ROOMS = {
         {"evaluate", "frames", "learn_scan", "scan"},
         {"numpy", "scipy", "skimage", "sklearn"},
     ),
-    "scan": (set(), {"bumpytiles", "numpy", "onnxruntime", "skimage", "sklearn"}),
+    "scan": ({"onnx_file"}, {"bumpytiles", "numpy", "skimage", "sklearn"}),
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
