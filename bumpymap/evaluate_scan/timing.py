@@ -23,7 +23,8 @@ def require_plain(*, simulates: bool) -> None:
     wanted = {"sklearn": "scikit-learn", "skimage": "scikit-image"} | ({"open3d": "open3d"} if simulates else {})
     missing = [name for module, name in wanted.items() if importlib.util.find_spec(module) is None]
     if missing:
-        raise UsageError(f"evaluate --scans needs {' and '.join(missing)}: pip install 'bumpymap[scan,o3d]'")
+        extras = "scan,o3d" if simulates else "scan"
+        raise UsageError(f"evaluate --scans needs {' and '.join(missing)}: pip install 'bumpymap[{extras}]'")
 
 
 @dataclass(frozen=True, slots=True)

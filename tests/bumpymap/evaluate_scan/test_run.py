@@ -7,7 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
+from bumpymap.errors import UsageError
 from bumpymap.evaluate_scan.plain import plain_classes
+from bumpymap.evaluate_scan.timing import require_plain
 from bumpymap.evaluate_scan.turning import kept_share, turned
 from bumpymap.scan import Scan, classify_filter, load_stripes, polar_sectors
 
@@ -89,3 +91,11 @@ def test_the_plain_way_finds_much_the_same():
     plain = np.bincount(classes, minlength=3) / len(classes)
     shares = np.bincount(ours.klass[ours.sectors.traversable], minlength=3) / ours.sectors.traversable.sum()
     assert plain == pytest.approx(shares, abs=0.25)
+
+
+def test_a_missing_library_is_named_with_what_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"scikit-learn and scikit-image: pip install 'bumpymap\[scan\]'"):
+        require_plain(simulates=False)
+    with pytest.raises(UsageError, match=r"open3d: pip install 'bumpymap\[scan,o3d\]'"):
+        require_plain(simulates=True)
