@@ -94,7 +94,7 @@ def test_the_plain_way_finds_much_the_same():
 
 
 def test_a_missing_library_is_named_with_what_brings_it(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(UsageError, match=r"scikit-learn and scikit-image: pip install 'bumpymap\[scan\]'"):
         require_plain(simulates=False)
     with pytest.raises(UsageError, match=r"open3d: pip install 'bumpymap\[scan,o3d\]'"):
