@@ -3,14 +3,14 @@
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from uuid import uuid4
 
 from bumpymap.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "together"]
+__all__ = ["STAGED", "atomic", "no_empty_folder", "together"]
 
 STAGED = ".bumpymap-layers-"
 """How the names of folders begin where files wait for each other; one that a killed process left can go."""
@@ -79,6 +79,19 @@ def together(folder: Path, last: str) -> Iterator[Path]:
         _move_all(staged, folder, last)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
+
+
+@contextmanager
+def no_empty_folder(folder: Path) -> Iterator[None]:
+    """Take a folder away that the body made and left empty when it failed."""
+    fresh = not folder.exists()
+    try:
+        yield
+    except BaseException:
+        if fresh:
+            with suppress(OSError):  # stays where something was written to it
+                folder.rmdir()
+        raise
 
 
 def _make_folder(folder: Path) -> None:

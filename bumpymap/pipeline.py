@@ -1,7 +1,6 @@
 """The main job, step by step: surveys in, rated tiles and their files out. No arithmetic here, only the order."""
 
 import logging
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from bumpymap.atomic import no_empty_folder
 from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
 from bumpymap.config import Compat, CsfSettings, FeatureSettings, Ground, MapConfig
@@ -102,14 +102,9 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
     BumpymapError
         Anything a user can cause; no file is left half-written.
     """
-    fresh = not config.out.exists()
     try:
-        return _map(config, progress or SilentProgress())
-    except BaseException:
-        if fresh:
-            with suppress(OSError):  # goes away where nothing was written to it
-                config.out.rmdir()
-        raise
+        with no_empty_folder(config.out):
+            return _map(config, progress or SilentProgress())
     finally:
         rest_filter()
 

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.atomic import atomic, together
+from bumpymap.atomic import atomic, no_empty_folder, together
 from bumpymap.calibration import Calibration
 from bumpymap.config import MapConfig
 from bumpymap.crs import parse_crs
@@ -90,14 +90,8 @@ def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRes
     BumpymapError
         Anything a user can cause; no file is left half-written.
     """
-    fresh = not config.out.exists()
-    try:
+    with no_empty_folder(config.out):
         return _scan(config, progress or SilentProgress())
-    except BaseException:
-        if fresh:
-            with suppress(OSError):  # goes away where nothing was written to it
-                config.out.rmdir()
-        raise
 
 
 def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[StripeModel, dict[str, str]]:

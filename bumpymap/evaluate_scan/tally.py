@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.scan import CLASSES, ClassedSectors, SectorStack, StripeFilter
+from bumpymap.scan import CLASSES, ClassedSectors
 from bumpymap.scan.learned import classes_of_labels
-from bumpymap.scan.stripes import count_stripes
 
 __all__ = ["Accuracy", "ClassRow", "SectorTable", "accuracy_of", "class_rows", "join_sectors"]
 
@@ -61,7 +60,7 @@ class Accuracy:
 
 
 def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
-    """Gather the traversable sectors of scans (at least one), each classed by the same methods."""
+    """Gather the traversable sectors of one or more scans, classed by the same methods; the filter is one of them."""
     stacks = [next(iter(methods.values())).sectors for methods in classed]
     open_to = [stack.traversable for stack in stacks]
 
@@ -78,14 +77,15 @@ def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
         truth=np.concatenate(
             [classes_of_labels(stack.label[gate]) for stack, gate in zip(stacks, open_to, strict=True)]
         ),
-        stripes=gathered([_stripes(stack) for stack in stacks]),
+        stripes=gathered([_stripes(methods) for methods in classed]),
         variance=gathered([stack.variance for stack in stacks]),
         residual=gathered([stack.residual for stack in stacks]),
     )
 
 
-def _stripes(stack: SectorStack) -> NDArray[np.float32]:
-    return count_stripes(stack.heights, StripeFilter())
+def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
+    """Take the count of the method that counts them."""
+    return next(found.stripes for found in methods.values() if found.stripes is not None)
 
 
 def class_rows(table: SectorTable, method: str) -> list[ClassRow]:

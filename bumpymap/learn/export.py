@@ -5,25 +5,19 @@ one patch depends on its place in the batch (the last two layers are 1 x 1 convo
 batch).
 """
 
-import json
 from collections.abc import Mapping
 
 import numpy as np
 import onnx
-import torch
-from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import nn
 
 from bumpymap.learn.model import TextureNet
+from bumpymap.learn.onnx_graph import as_double, fold, to_bytes
 
 __all__ = ["INPUT_NAME", "OUTPUT_NAME", "to_onnx"]
 
 INPUT_NAME = "patches"
 OUTPUT_NAME = "probability"
-_OPSET = 17
-_IR_VERSION = 8
-_Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
@@ -42,12 +36,12 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
         Input ``patches`` (batch, 1, pixels, pixels) float32, output ``probability`` (batch, classes) float32.
     """
     weights = {
-        "conv1": _fold(net.conv1, net.norm1),
-        "conv2": _fold(net.conv2, net.norm2),
-        "conv3": _fold(net.conv3, net.norm3),
-        "conv4": _fold(net.conv4, net.norm4),
-        "conv5": _fold(net.conv5, net.norm5),
-        "head": (_numpy(net.head.weight), _numpy(net.head.bias)),
+        "conv1": fold(net.conv1, net.norm1),
+        "conv2": fold(net.conv2, net.norm2),
+        "conv3": fold(net.conv3, net.norm3),
+        "conv4": fold(net.conv4, net.norm4),
+        "conv5": fold(net.conv5, net.norm5),
+        "head": (as_double(net.head.weight).astype(np.float32), as_double(net.head.bias).astype(np.float32)),
     }
     pixels, classes = net.settings.pixels, len(net.settings.classes)
     graph = helper.make_graph(
@@ -61,14 +55,7 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
             for part, array in zip(("weight", "bias"), pair, strict=True)
         ],
     )
-    model = helper.make_model(
-        graph, producer_name="bumpymap", opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
-    )
-    props = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
-    helper.set_model_props(model, props)
-    onnx.checker.check_model(model, full_check=True)
-    content: bytes = model.SerializeToString(deterministic=True)
-    return content
+    return to_bytes(graph, metadata)
 
 
 def _nodes(border: int) -> list[onnx.NodeProto]:
@@ -94,18 +81,3 @@ def _nodes(border: int) -> list[onnx.NodeProto]:
         helper.make_node("Flatten", ["m"], ["n"], axis=1),
         helper.make_node("Softmax", ["n"], [OUTPUT_NAME], axis=1),
     ]
-
-
-def _fold(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> _Weights:
-    """Weight and bias of one convolution equal to ``norm(conv(x))``: w g / s and b - m g / s, s = sqrt(var + eps)."""
-    gain = _numpy(norm.weight).astype(np.float64) / np.sqrt(_numpy(norm.running_var).astype(np.float64) + norm.eps)
-    weight = _numpy(conv.weight) * gain[:, None, None, None]
-    bias = _numpy(norm.bias) - _numpy(norm.running_mean) * gain
-    return weight.astype(np.float32), bias.astype(np.float32)
-
-
-def _numpy(tensor: torch.Tensor | None) -> NDArray[np.float32]:
-    if tensor is None:
-        raise TypeError("a layer of the network lacks its weights")
-    values: NDArray[np.float32] = tensor.detach().numpy()
-    return values

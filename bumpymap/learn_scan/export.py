@@ -3,25 +3,21 @@
 Operators are those of opset 17. The graph holds none whose answer for one sector depends on its place in the batch.
 """
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import onnx
-import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
+from bumpymap.learn.onnx_graph import as_double, fold, to_bytes
 from bumpymap.learn_scan.model import ScanNet
 from bumpymap.scan.learned import CHANNELS, MEASURES
 from bumpymap.scan.types import CLASSES, PolarSettings
 
 __all__ = ["to_onnx"]
-
-_OPSET = 17
-_IR_VERSION = 8
 
 
 class _Graph:
@@ -47,14 +43,14 @@ class _Graph:
         return name
 
     def conv(self, layer: nn.Conv2d, norm: nn.BatchNorm2d | None, source: str) -> str:
-        """Add a convolution; ``norm`` is folded in: w g / s and b - m g / s, s = sqrt(var + eps)."""
-        weight, bias = _double(layer.weight), _double(layer.bias) if layer.bias is not None else 0.0
+        """Add a convolution; ``norm`` is folded in."""
         if norm is not None:
-            gain = _double(norm.weight) / np.sqrt(_double(norm.running_var) + norm.eps)
-            weight, bias = weight * gain[:, None, None, None], _double(norm.bias) - _double(norm.running_mean) * gain
+            weight, bias = fold(layer, norm)
+        else:
+            weight, bias = (as_double(part).astype(np.float32) for part in (layer.weight, layer.bias))
         name = f"conv{len(self.nodes)}"
-        self.weights.append(self.constant(f"{name}.weight", weight.astype(np.float32)))
-        self.weights.append(self.constant(f"{name}.bias", np.asarray(bias, np.float32)))
+        self.weights.append(self.constant(f"{name}.weight", weight))
+        self.weights.append(self.constant(f"{name}.bias", bias))
         return self.add(
             "Conv",
             [source, f"{name}.weight", f"{name}.bias"],
@@ -100,13 +96,7 @@ def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
         [helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["batch", CLASSES])],
         built.weights,
     )
-    model = helper.make_model(
-        graph, producer_name="bumpymap", opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
-    )
-    helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in metadata.items()})
-    onnx.checker.check_model(model, full_check=True)
-    content: bytes = model.SerializeToString(deterministic=True)
-    return content
+    return to_bytes(graph, metadata)
 
 
 def _build(net: ScanNet) -> _Graph:
@@ -123,10 +113,3 @@ def _build(net: ScanNet) -> _Graph:
     x = graph.add("Flatten", [graph.conv(net.head, None, x)], axis=1)
     graph.nodes.append(helper.make_node("Softmax", [x], ["probability"], axis=1))
     return graph
-
-
-def _double(tensor: torch.Tensor | None) -> NDArray[np.float64]:
-    if tensor is None:
-        raise TypeError("a layer of the network lacks its weights")
-    values: NDArray[np.float64] = tensor.detach().double().numpy()
-    return values
