@@ -9,6 +9,7 @@ import pytest
 from bumpymap.errors import BadInputError, BumpymapError
 from bumpymap.ride import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.ride.correction import NORMAL_TAIL, told_from_noise
+from bumpymap.ride.fitting import _held, _student
 
 COUNT = 400
 
@@ -123,3 +124,20 @@ def test_a_vehicle_that_completes_nothing_is_refused():
     stuck = replace(driven, completed=np.zeros(COUNT, int), failed=np.full(COUNT, 8))
     with pytest.raises(BumpymapError, match="--check"):
         fit_correction(stuck, no_noise())
+
+
+@pytest.mark.parametrize("first", [0.06, 0.25])
+def test_a_spread_that_holds_too_few_or_too_many_is_put_right(first):
+    rng = np.random.default_rng(8)
+    log_g, doubt = np.linspace(-4, 0, 4000), np.full(4000, 0.05)
+    left_out = rng.normal(0, np.hypot(0.15, 0.05), 4000)
+    low, high = np.exp(_held((np.log(first), np.log(first)), left_out, doubt, log_g, (-4.0, 0.0)))
+    assert low == pytest.approx(np.hypot(0.15, 0.045), rel=0.06)
+    assert high == pytest.approx(low)
+
+
+def test_few_drives_doubt_their_mean_more():
+    scipy_stats = pytest.importorskip("scipy.stats")
+    drives = np.array([5, 8, 30])
+    wanted = scipy_stats.t.ppf(0.9, drives - 1) / scipy_stats.norm.ppf(0.9)
+    assert _student(drives) == pytest.approx(wanted, rel=0.03)
