@@ -150,7 +150,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
             may_skip=config.skip_bad,
         )
         told.start("writing layers", None)
-        mosaic = CostMosaic(inputs.georeference, float(calibration.vehicle["ride_weight"]), done.mosaic)
+        mosaic = CostMosaic(inputs.georeference, calibration.cost_rule, done.mosaic)
         manifest = _manifest(config, inputs, done, model, calibration, clock)
         with clock.stage("write"):
             files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)

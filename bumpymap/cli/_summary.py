@@ -32,6 +32,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         f"{sum(result.seconds.values()):.1f} s"
     )
     console.print(_table(summary))
+    share = summary.passable / summary.tiles
+    console.print(f"{share:.1%} of the tiles are passable: known, not too steep, and under half of the drives fail")
     if advice := _advice(result, config):
         console.print(advice, markup=False)
     if result.skipped:
@@ -87,6 +89,7 @@ def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "tiles": result.summary.tiles,
         "classes": result.summary.classes,
         "unknown": result.summary.reasons,
+        "passable": result.summary.passable,
         "advice": _advice(result, config),
         "ground_only": result.ground_only,
         "skipped": result.skipped,

@@ -1,7 +1,7 @@
 """The files of a run: rasters, regions, table and manifest. ``CostMosaic`` in, files out."""
 
 from bumpymap.products.folder import PRODUCT_NAMES, check_folder, write_products
-from bumpymap.products.geotiff import CLASS_COLOURS, write_classes, write_heightmap, write_roughness
+from bumpymap.products.geotiff import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products.manifest import (
     complete_manifest,
     describe_file,
@@ -35,6 +35,7 @@ __all__ = [
     "software_versions",
     "summarise",
     "write_classes",
+    "write_cost",
     "write_heightmap",
     "write_manifest",
     "write_products",

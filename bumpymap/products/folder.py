@@ -13,7 +13,7 @@ from uuid import uuid4
 
 from bumpymap.atomic import STAGED, together
 from bumpymap.errors import OutputError
-from bumpymap.products.geotiff import write_classes, write_heightmap, write_roughness
+from bumpymap.products.geotiff import write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products.manifest import (
     MANIFEST_NAME,
     complete_manifest,
@@ -34,6 +34,7 @@ __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
+    "cost.tif",
     "heightmap.tif",
     "tiles.parquet",
     "cost.geojson",
@@ -161,6 +162,7 @@ def _layers(
             ("heightmap.tif",): partial(write_heightmap, mosaic, folder / "heightmap.tif", tags),
             ("roughness.tif",): partial(write_roughness, mosaic, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, mosaic, folder / "class.tif", tags),
+            ("cost.tif",): partial(write_cost, mosaic, folder / "cost.tif", tags),
         },
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, mosaic, globe, folder, facts),

@@ -75,7 +75,7 @@ def complete_manifest(
     Returns
     -------
     dict
-        With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``counts`` and ``files`` beside.
+        With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files`` beside.
     """
     place, grid = mosaic.georeference, mosaic.tiles.grid
     crs = place.crs
@@ -88,11 +88,17 @@ def complete_manifest(
         "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
         "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
         "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
-        "ride_weight_m_per_rad": mosaic.ride_weight,
+        "cost": {
+            "ride_weight_m_per_rad": mosaic.rule.ride_weight,
+            "fail_weight_m": mosaic.rule.fail_weight,
+            "drive_m": mosaic.rule.drive_m,
+            "slope_limit_deg": mosaic.rule.slope_limit_deg,
+        },
         "counts": {
             "tiles": summary.tiles,
             "classified": summary.tiles - summary.unknown,
             "unknown": summary.unknown,
+            "passable": summary.passable,
             "points": summary.points,
             "by_class": summary.classes,
             "by_reason": summary.reasons,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpymap.types import CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostMosaic, Reason
 
 __all__ = ["MapSummary", "summarise"]
 
@@ -31,6 +31,8 @@ class MapSummary:
     """(4,) tiles of each class."""
     by_reason: tuple[int, ...]
     """(6,) tiles without a class for each ``Reason``."""
+    passable: int
+    """Tiles that the vehicle may drive on."""
     median_c_r: tuple[float, ...]
     """(5,) of each class, then of the tiles without one, rad/m; NaN where no tile has a number (so is the next)."""
     median_slope: tuple[float, ...]
@@ -61,9 +63,10 @@ def summarise(mosaic: CostMosaic) -> MapSummary:
     counts = np.zeros((1, _BINS), dtype=np.int64)
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
-    points = 0
+    points = passable = 0
     for strip in mosaic.tiles.strips(_STRIP):
-        found = mosaic.tiles.read(("klass", "reason", "count", *_STEPS), strip)
+        found = mosaic.tiles.read((*PASSABLE_COLUMNS, "reason", "count", *_STEPS), strip)
+        passable += int(mosaic.rule.passable(found).sum())
         group = np.where(found["klass"] == NO_CLASS, groups - 1, found["klass"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
@@ -77,6 +80,7 @@ def summarise(mosaic: CostMosaic) -> MapSummary:
         points=points,
         by_class=tuple(classes[:-1].tolist()),
         by_reason=tuple(reasons.tolist()),
+        passable=passable,
         median_c_r=c_r,
         median_slope=slope,
         median_count=_median(counts[0]),

@@ -73,8 +73,9 @@ def test_styles_have_the_colours_and_names_of_the_classes():
         reason.value: text for reason, text in REASON_TEXT.items()
     }
     root = read_style("cost.qml")
-    assert root.find("renderer-v2").get("attr") == "class_name"
-    assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown"]
+    assert {"class_name", "passable"} <= set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr")))
+    assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown", "not passable"]
+    assert root.find("pipe/rasterrenderer").get("band") == "1"  # cost.tif takes its style from the same file
     for value in range(4):
         symbol = root.find(f".//symbol[@name='{value}']")
         assert symbol.find(".//prop[@k='color']").get("v") == ",".join(map(str, CLASS_COLOURS[value]))
