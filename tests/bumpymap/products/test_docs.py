@@ -11,6 +11,7 @@ from bumpymap.types import BANDS, CLASS_NAMES, REASON_TEXT, CostMosaic, Reason
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "pages"
 STYLES = PAGES / "styles"
+WITH_PYTHON = ("files.md", "gis.md")
 
 
 @pytest.fixture(name="page", scope="module")
@@ -27,19 +28,23 @@ def layers_fixture(tmp_path_factory, cost_map):
 
 
 def snippets():
-    return re.findall(r"```python\n(.*?)```", (PAGES / "files.md").read_text(encoding="utf-8"), re.DOTALL)
+    """Python of the pages, by page and number."""
+    found = {
+        page: re.findall(r"```python\n(.*?)```", (PAGES / page).read_text("utf-8"), re.DOTALL) for page in WITH_PYTHON
+    }
+    return {f"{page}, snippet {number}": text for page in found for number, text in enumerate(found[page])}
 
 
-@pytest.mark.parametrize("number", range(len(snippets())))
-def test_snippet_runs(layers, monkeypatch, number):
+@pytest.mark.parametrize("name", snippets())
+def test_snippet_runs(layers, monkeypatch, name):
     monkeypatch.chdir(layers.parent)
     names = {}
-    exec(compile(snippets()[number], f"files.md, snippet {number}", "exec"), names)  # noqa: S102 (our own page)
+    exec(compile(snippets()[name], name, "exec"), names)  # noqa: S102 (our own page)
     assert any(not name.startswith("__") for name in names)
 
 
 def test_every_file_has_a_snippet():
-    text = "".join(snippets())
+    text = "".join(snippets().values())
     assert {name for name in PRODUCT_NAMES if f"OUT/{name}" in text} >= set(PRODUCT_NAMES) - {"cost.geojson"}
 
 
