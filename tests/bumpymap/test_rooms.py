@@ -20,9 +20,10 @@ ROOMS = {
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
+    "ply_file": (set(), {"numpy"}),
     "readers": (
-        {"crs"},
-        {"bumpytiles", "fsspec", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"},
+        {"crs", "ply_file"},
+        {"bumpytiles", "fsspec", "lazrs", "numpy", "pypcd4", "pyproj"},
     ),
     "kernels": (set(), {"bumpytiles", "numpy"}),
     "ground": (set(), {"CSF", "bumpytiles", "numpy"}),
@@ -59,18 +60,18 @@ ROOMS = {
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
-    "scan_products": ({"products", "scan"}, {"laspy", "lazrs", "numpy", "plyfile", "pyarrow", "pyproj", "rasterio"}),
+    "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
     "scan_pipeline": (
         {"calibration", "crs", "frames", "pipeline", "scan", "scan_config", "scan_methods", "scan_products"},
         {"numpy", "pyproj"},
     ),
-    "frames": ({"readers", "scan"}, {"numpy", "plyfile", "pypcd4"}),
-    "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
+    "frames": ({"readers", "scan"}, {"numpy", "pypcd4"}),
+    "sample": ({"ply_file"}, {"bumpytiles", "laspy", "numpy", "pyproj"}),
 }
 HEAVY = {
     "CSF",
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
-    "numpy", "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
+    "numpy", "onnx", "onnxruntime", "open3d", "pandas", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
     "scipy", "shapely", "skimage", "sklearn", "torch",
 }  # fmt: skip
 
