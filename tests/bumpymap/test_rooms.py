@@ -46,7 +46,7 @@ ROOMS = {
         {"calibration", "features", "ride", "terrains", "textures"},
         {"bumpytiles", "dartpy", "numpy"},
     ),
-    "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "scipy", "torch"}),
     "learn_scan": ({"frames", "learn", "scan", "scan_world"}, {"numpy", "onnx", "torch"}),
     "evaluate": (
         {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
@@ -106,6 +106,14 @@ def test_a_room_imports_only_what_its_row_allows(room):
                     assert other in rooms | VOCABULARY | {room}, f"{file.name} imports room {other}"
             elif top in HEAVY:
                 assert top in heavy, f"{file.name} imports {top}"
+
+
+def test_one_module_imports_onnx_runtime():
+    """It switches the telemetry off first; whoever imports ONNX Runtime past it switches it on."""
+    folders = ("bumpymap", "tiles", "benchmarks", "docs", "tests/bumpymap", "tests/tiles")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    importing = {file for file in files if "onnxruntime" in {name.split(".")[0] for name in imported(file)}}
+    assert importing == {ROOT / "bumpymap" / "onnx_file.py"}
 
 
 def test_every_room_has_a_row():
