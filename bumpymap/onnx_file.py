@@ -1,7 +1,7 @@
 """ONNX files of our own networks: read, checked, run. The only module that imports ONNX Runtime.
 
-Its builds report what they are used for to their maker, from the moment of the import on: an identifier of the machine and a
-database of events in the user's cache, a thread that looks for the network. It is switched off before.
+Its builds report what they are used for to their maker, from the moment of the import on: an identifier of the machine
+and a database of events in the user's cache, a thread that looks for the network. That is switched off before.
 """
 
 import os

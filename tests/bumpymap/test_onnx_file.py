@@ -53,6 +53,7 @@ COMMANDS = ["map", "map --rating table", "map --workers 2", "scan"]
 def test_a_run_leaves_no_file_and_says_nothing_where_it_shall_be_quiet(tmp_path, home, command):
     if "workers" in command:
         pytest.importorskip("distributed")
+        pytest.importorskip("cryptography")
     line = [sys.executable, "-c", PROGRAM, *words(command, tmp_path), "--quiet"]
     done = subprocess.run(line, env=variables(home), capture_output=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

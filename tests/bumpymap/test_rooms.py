@@ -35,7 +35,7 @@ ROOMS = {
         set(),
         {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
     ),
-    "engine": ({"readers"}, {"bumpytiles", "numpy"}),
+    "engine": ({"readers", "settings_file"}, {"bumpytiles", "numpy"}),
     "pipeline": (
         {"calibration", "classify", "cost", "engine", "features", "ground", "products", "readers", "ride"},
         {"bumpytiles", "numpy"},
