@@ -82,17 +82,15 @@ def hired(
 def _crew_of(scheduler: str, tls_config: Path | None, stack: ExitStack) -> Crew:
     from bumpytiles._dask import TlsFiles, workers_at
 
-    remedy = (
-        "Start them: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address"
-    )
-    tls = None
+    start = "Start it: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address"
+    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// where it uses TLS"
     if tls_config is not None:
         settings = read_tls_settings(tls_config)
         tls = TlsFiles(str(settings.ca), str(settings.cert), str(settings.key))
-        remedy = f"Was it started with TLS and a certificate that the authority in {settings.ca} signed? {remedy}"
+        remedy = f"Was it started with TLS and a certificate that the authority in {settings.ca} signed? {start}"
     elif (note := plain_note(scheduler)) is not None:
         _log.warning(note)
-    stack.enter_context(_lost(f"{remedy}, such as tcp://10.0.0.1:8786"))
+    stack.enter_context(_lost(remedy))
     return Crew(stack.enter_context(workers_at(scheduler, _PATIENCE_S, tls)), None)
 
 
