@@ -123,6 +123,8 @@ class MapConfig:
     """Worker processes on this machine; None: everything in this process."""
     scheduler: str | None = None
     """Address of a dask.distributed scheduler, whose workers are used."""
+    tls_config: Path | None = None
+    """File that names the certificates for a scheduler whose address starts with ``tls://``."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
@@ -141,6 +143,17 @@ class MapConfig:
             raise UsageError(
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
                 "on this machine, a scheduler has its own"
+            )
+        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
+        if encrypted and self.tls_config is None:
+            raise UsageError(
+                f"scheduler is {self.scheduler!r}, which wants certificates: give --tls-config FILE, a file that names "
+                "them (ca, cert, key)"
+            )
+        if self.tls_config is not None and not encrypted:
+            raise UsageError(
+                f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
+                "scheduler whose address starts with tls://"
             )
 
 

@@ -37,7 +37,18 @@ _log = logging.getLogger(__name__)
 
 _NAMED = 5
 """Files that a message names."""
-_NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch", "workers", "scheduler"}
+_NO_SAY = {
+    "surveys",
+    "out",
+    "resume",
+    "overwrite",
+    "threads",
+    "memory",
+    "scratch",
+    "workers",
+    "scheduler",
+    "tls_config",
+}
 """Settings without a say in the numbers: a run may go on with others."""
 
 
@@ -138,7 +149,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
     asked = _asked(config, inputs, budget, model, calibration)
     # Workers first: a failure to get them must not cost what an earlier run has finished.
     with (
-        hired(config.scheduler, config.workers, config.threads) as crew,
+        hired(config.scheduler, config.workers, config.threads, config.tls_config) as crew,
         Workspace.opened(config.out, config.scratch, asked, resume=config.resume) as space,
     ):
         engine = _engine(config, job, space, budget, told, crew)

@@ -34,6 +34,7 @@ _PARTLY_DONE = 4
 @click.option("--memory", metavar="SIZE", help="Memory over the interpreter's own, of each worker [default: 1GB].")
 @click.option("--workers", type=int, metavar="N", help="Share the work out among N processes of this machine.")
 @click.option("--scheduler", metavar="ADDRESS", help="Share it out among the workers of a dask scheduler.")
+@click.option("--tls-config", type=PATH, metavar="FILE", help="Certificates for a scheduler at tls://.")
 @click.option(
     "--scratch", type=PATH, metavar="DIR", help="Folder for points that memory cannot hold [default: in --out]."
 )

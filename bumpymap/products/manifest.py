@@ -32,7 +32,7 @@ MANIFEST_NAME = "run.json"
 _FORMAT = "bumpymap-run"
 _VERSION = 1
 _PACKAGES = (
-    "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj",
+    "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
     "rasterio", "scipy", "shapely",
 )  # fmt: skip
 

@@ -122,7 +122,7 @@ def here(monkeypatch):
     workers = Here()
 
     @contextmanager
-    def hired(scheduler, number, threads):
+    def hired(scheduler, number, threads, tls_config):
         yield Crew(workers, 2) if number else None
 
     monkeypatch.setattr("bumpymap.pipeline.hired", hired)
@@ -437,6 +437,7 @@ def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, sched
 
 def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_path):
     pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
     result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2, "--ground", "all", "--memory", "200MB")
     assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from plyfile import PlyData
+from ply_files import read_vertices
 from scipy.spatial.transform import Rotation
 
 from bumpymap.errors import BadInputError, OutputError, UsageError
@@ -101,7 +101,7 @@ def test_points_have_the_classes_that_the_rooms_give(drive, mapped):
     for number in (0, 1):
         scan = read_scan(drive / "frames" / f"{number}.bin")
         klass = point_classes(scan, classify_filter(polar_sectors(scan)))
-        vertex = PlyData.read(mapped[0] / "frames" / f"{number}.ply")["vertex"]
+        vertex = read_vertices(mapped[0] / "frames" / f"{number}.ply")
         np.testing.assert_array_equal(vertex["class"], klass)
         np.testing.assert_array_equal(vertex["x"], scan.points[:, 0])
         assert len(np.unique(klass)) > 2
@@ -440,5 +440,5 @@ def test_real_scans_of_three_sensors_need_no_setting(shared_data, tmp_path, patt
     (path,) = (shared_data / "scans").glob(pattern)
     (report,) = scan_frames(ScanConfig((path,), tmp_path / "out", method=method)).frames
     assert min(report.sectors[0], report.sectors[3]) > 0  # smooth ground, and what is none
-    klass = PlyData.read(tmp_path / "out" / "frames" / f"{path.stem}.ply")["vertex"]["class"]
+    klass = read_vertices(tmp_path / "out" / "frames" / f"{path.stem}.ply")["class"]
     assert np.bincount(klass, minlength=256)[[0, 1, 2, 255]].tolist() == list(report.classed_points)

@@ -3,6 +3,9 @@
 Workers are started or found, asked something one by one, and given tasks. No more tasks are handed out than keep the
 workers busy, and each result is given away when it comes, so nothing piles up on the scheduler or in the client. A
 task whose worker dies is done again by another one; what it does must bear that.
+
+A scheduler runs whatever code it is sent. Workers that are started here talk TLS among each other, with a certificate
+of their own that lives as long as they do: no other user of the machine gets in.
 """
 # mypy: allow-untyped-calls
 # (distributed says that it is typed, and leaves half of its functions out)
@@ -15,11 +18,12 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
-from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
+import dask
+from distributed import Client, Future, KilledWorker, LocalCluster, Security, Worker, WorkerPlugin, get_worker
 
-__all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
+__all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
 _AHEAD = 2
 """Tasks handed out for each worker: one is done, one is at hand when it is finished."""
@@ -27,6 +31,21 @@ _LOOK_S = 10.0
 """So often it is looked whether workers are left, s."""
 _LOOKS = 30
 """So many times in a row without workers are the end."""
+
+
+_NO_PAGES: dict[str, Any] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+"""Nothing is shown to browsers: those pages are open to every user of the machine."""
+
+
+class TlsFiles(NamedTuple):
+    """PEM files with which a client shows a scheduler who it is, and knows the scheduler."""
+
+    ca: str
+    """Certificate of the authority that signed the certificates of scheduler, workers and client."""
+    cert: str
+    """Certificate of this client."""
+    key: str
+    """Its key."""
 
 
 class ClusterError(Exception):
@@ -113,29 +132,48 @@ class _Calm(WorkerPlugin):
 
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
-    """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
+    """Start worker processes on this machine, each of which does one task at a time; stop them in the end.
+
+    Raises
+    ------
+    ImportError
+        ``cryptography``, which makes their certificate, is not installed.
+    """
     _quiet()
+    security = Security.temporary()  # its key stays in memory; a worker is handed it through a pipe
     with (
         TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True) as folder,
+        dask.config.set({"temporary-directory": folder, **_NO_PAGES}),
         LocalCluster(
             n_workers=number,
             threads_per_worker=1,
             processes=True,
-            dashboard_address="127.0.0.1:0",  # any free port: the usual one may be taken
+            host="127.0.0.1",
+            security=security,
+            # It listens for browsers all the same, without pages: on any free port, the usual one may be taken.
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             memory_limit=0,  # tasks keep to their own budget
             silence_logs=logging.CRITICAL,
             local_directory=folder,
             env=dict(environment),
         ) as cluster,
-        Client(cluster, set_as_default=False) as client,
+        Client(cluster, security=security, set_as_default=False) as client,
     ):
         client.register_plugin(_Calm())
         yield Workers(client)
 
 
 @contextmanager
-def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
+def workers_at(address: str, patience_s: float, tls: TlsFiles | None = None) -> Iterator[Workers]:
     """Use the workers of a scheduler.
+
+    Parameters
+    ----------
+    address : str
+    patience_s : float
+    tls : TlsFiles, optional
+        For an address ``tls://``.
 
     Raises
     ------
@@ -144,7 +182,7 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
     """
     _quiet()
     try:
-        client = Client(address, timeout=patience_s, set_as_default=False)
+        client = Client(address, security=_security(tls), timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(f"no scheduler answers at {address} ({error})") from error
     with client:
@@ -153,6 +191,12 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
         except TimeoutError as error:
             raise ClusterError(f"the scheduler at {address} has no workers") from error
         yield Workers(client)
+
+
+def _security(tls: TlsFiles | None) -> Security | None:
+    if tls is None:
+        return None
+    return Security(tls_ca_file=tls.ca, tls_client_cert=tls.cert, tls_client_key=tls.key, require_encryption=True)
 
 
 def threads_here() -> int:
