@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
@@ -118,28 +119,56 @@ def describe_file(path: Path) -> dict[str, Any]:
     Raises
     ------
     BadInputError
-        It cannot be read.
+        It cannot be read, or changes meanwhile.
     """
-    try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return {"path": str(path), "bytes": path.stat().st_size, "sha256": digest}
-    except OSError as error:
-        raise BadInputError(f"cannot read {path} to take its checksum: {error}") from error
+    size, _, digest = _hashed(path)
+    return {"path": str(path), "bytes": size, "sha256": digest}
 
 
 def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
     """Add size and checksum to what a run knows of an input.
 
-    A record that has both already (None where nobody knows, as for an URL) is not read again.
+    A record that has size and checksum already (None where nobody knows, as for a URL) is not read again.
+
+    Parameters
+    ----------
+    record : mapping
+        ``path``; where they are known, ``bytes`` and ``mtime_ns`` (a text) of the file that was read.
 
     Raises
     ------
     BadInputError
-        It cannot be read.
+        It cannot be read, or is another file than the one that was read: its checksum would not be that of the map.
     """
     known = dict(record)
-    return known if {"bytes", "sha256"} <= known.keys() else describe_file(Path(known["path"])) | known
+    if {"bytes", "sha256"} <= known.keys():
+        return known
+    path = Path(known["path"])
+    size, changed, digest = _hashed(path)
+    if known.get("bytes", size) != size or known.get("mtime_ns", changed) != changed:
+        raise _changed(path)
+    return {"path": str(path), "bytes": size, "sha256": digest} | known
+
+
+def _hashed(path: Path) -> tuple[int, str, str]:
+    """Size, time of change and SHA-256 of a file that stays the same meanwhile."""
+    try:
+        with path.open("rb") as file:
+            before = os.fstat(file.fileno())
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            after = os.fstat(file.fileno())
+    except OSError as error:
+        raise BadInputError(f"cannot read {path} to take its checksum: {error}") from error
+    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+        raise _changed(path)
+    return before.st_size, str(before.st_mtime_ns), digest
+
+
+def _changed(path: Path) -> BadInputError:
+    return BadInputError(
+        f"{path} changed while the run went on, so its checksum would not be that of what was read; nothing was "
+        "written. Run again once nothing writes to it any more, or on a copy"
+    )
 
 
 def _code(crs: CRS) -> str | None:
