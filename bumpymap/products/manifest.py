@@ -17,6 +17,7 @@ from pyproj import CRS, proj_version_str
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import BadInputError
+from bumpymap.products.placement import Placement
 from bumpymap.products.summary import MapSummary
 from bumpymap.types import CostMosaic
 
@@ -79,7 +80,7 @@ def complete_manifest(
         With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``counts`` and ``files`` beside.
     """
     place, grid = mosaic.georeference, mosaic.tiles.grid
-    crs = place.crs
+    crs = Placement.of(mosaic).crs_of_heights
     return {
         "format": _FORMAT,
         "version": _VERSION,
@@ -172,8 +173,14 @@ def _changed(path: Path) -> BadInputError:
 
 
 def _code(crs: CRS) -> str | None:
+    """Such as EPSG:32614, or EPSG:32614+5703 where the two parts have codes and their whole has none."""
     authority = crs.to_authority()
-    return None if authority is None else ":".join(authority)
+    if authority is not None:
+        return ":".join(authority)
+    parts = [part.to_authority() for part in crs.sub_crs_list] if crs.is_compound else []
+    if not parts or any(part is None or part[0] != "EPSG" for part in parts):
+        return None
+    return "EPSG:" + "+".join(part[1] for part in parts)
 
 
 def _plain(value: Any) -> Any:
