@@ -42,7 +42,9 @@ _PACKAGES = (
 def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
     """Write a manifest as JSON, whole or not at all.
 
-    Records, paths, CRSs and arrays become plain JSON; numbers that are not finite become null.
+    Records, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. The bytes of a file name
+    that are no UTF-8 stand as Python has them, as escaped surrogates (udce9 behind a backslash is the byte E9):
+    `os.fsencode` of what `json` reads is the name again.
 
     Raises
     ------
@@ -51,7 +53,7 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
     """
     text = json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
 def complete_manifest(
