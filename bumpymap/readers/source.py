@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bumpymap.crs import Place
 from bumpymap.errors import BadInputError, BumpymapError, UsageError
 from bumpymap.readers._decoder_child import Source
-from bumpymap.readers.web import is_web, read_web, web_info
+from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
     "Location",
@@ -141,6 +141,8 @@ def held_to(location: Location, version: Version) -> Iterator[None]:
     token = _HELD.set((location, version))
     try:
         yield
+    except StalledServerError:
+        raise  # it would not answer the next question either
     except BadInputError as error:
         require_same(location, version, error)
         raise
@@ -162,6 +164,8 @@ def require_same(location: Location, version: Version, cause: Exception | None =
     try:
         now = version_of(location)
     except BadInputError as error:
+        if is_url(location):
+            raise cause or error from error  # a server that does not answer says nothing about the file
         raise changed(location, f"it is gone ({error})") from cause or error
     if now != version:
         raise changed(location, _difference(version, now)) from cause

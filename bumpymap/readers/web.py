@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError
 
-__all__ = ["STALL_S", "is_web", "read_web", "web_info"]
+__all__ = ["STALL_S", "StalledServerError", "is_web", "read_web", "web_info"]
 
 STALL_S = 60.0
 """So long a server may send nothing, seconds."""
 _WHOLE, _RANGE, _BEHIND_THE_END = 200, 206, 416
+
+
+class StalledServerError(BadInputError):
+    """A server sent nothing for ``STALL_S``."""
 
 
 def is_web(url: str) -> bool:
@@ -45,7 +49,7 @@ def read_web(files: Any, url: str, start: int, data: NDArray[np.uint8]) -> tuple
     Raises
     ------
     BadInputError
-        The server gives whole files alone, gives other bytes than were asked for, or sends nothing for ``STALL_S``.
+        The server gives whole files alone, gives other bytes than were asked for, or (`StalledServerError`) none.
     """
     got: int
     got, info = _asked(files, url, start, data)
@@ -71,7 +75,7 @@ def _asked(files: Any, url: str, start: int, data: NDArray[np.uint8] | None) -> 
     try:
         return sync(files.loop, _ask, files, url, start, data)
     except TimeoutError as error:
-        raise BadInputError(
+        raise StalledServerError(
             f"the server of {url} sent nothing for {STALL_S:g} s. Try again later, or download the file first"
         ) from error
 

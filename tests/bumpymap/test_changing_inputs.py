@@ -107,6 +107,19 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path):
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 
+def test_map_with_workers_refuses_one_that_changes_while_they_read(survey, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    original = Harvest.take
+
+    def take(self, number, read):
+        again(survey, lambda path: write_survey(path, lift=5.0))
+        original(self, number, read)
+
+    monkeypatch.setattr(Harvest, "take", take)
+    out = tmp_path / "layers"
+    refused(run("map", survey, "--out", out, "--workers", 1), survey, out)
+
+
 def test_info_refuses_it_too(lifted_when_read):
     result = run("info", lifted_when_read)
     assert result.exit_code == 3
