@@ -67,6 +67,9 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     last : str
         Name of the file that says that all are there.
 
+    GDAL and Arrow take UTF-8 alone for a path. Where that of the folder has other bytes, the one that is given leads
+    there by way of an open descriptor.
+
     Raises
     ------
     OutputError
@@ -75,7 +78,8 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
         _make_folder(staged)
-        yield staged
+        with _in_utf8(staged) as path:
+            yield path
         _move_all(staged, folder, last)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
@@ -92,6 +96,20 @@ def no_empty_folder(folder: Path) -> Iterator[None]:
             with suppress(OSError):  # stays where something was written to it
                 folder.rmdir()
         raise
+
+
+@contextmanager
+def _in_utf8(folder: Path) -> Iterator[Path]:
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            yield Path(f"/proc/self/fd/{descriptor}")
+        finally:
+            os.close(descriptor)
+    else:
+        yield folder
 
 
 def _make_folder(folder: Path) -> None:

@@ -290,5 +290,7 @@ def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, An
         "dropped": dropped,
         "notes": info.notes,
     }
+    version = dict(info.version or {})
+    record |= {"bytes": version.pop("size", info.size_bytes)} | version
     # A file on a server is not read again for its checksum.
-    return record | ({"bytes": info.size_bytes, "sha256": None} if isinstance(info.path, str) else {})
+    return record | ({"sha256": None} if isinstance(info.path, str) else {})

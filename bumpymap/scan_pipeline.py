@@ -19,6 +19,7 @@ from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.frames import find_frames, read_poses, read_scan
 from bumpymap.pipeline import MapResult, map_surveys
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
+from bumpymap.readers import version_of
 from bumpymap.scan import Scan, ScanMethod, SectorStack, StripeModel, fit_stripes, polar_sectors
 from bumpymap.scan import save_stripes as write_stripes
 from bumpymap.scan_config import ScanConfig
@@ -167,13 +168,14 @@ def _scan(config: ScanConfig, told: Progress) -> ScanResult:
 def _scan_frame(frame: Frame, config: ScanConfig, method: Method, sinks: _Sinks, folder: Path) -> FrameReport:
     """Read, cut, class, write one frame."""
     begin = time.perf_counter()
+    version = version_of(frame.path)
     scan = _read(frame, config)
     with _about(frame):
         classed = method.classify(scan)
     seconds = time.perf_counter() - begin
     if reason := why_empty(scan, classed):
         _log.warning("%s gives no classed ground: %s", frame.path, reason)
-    report = report_frame(frame, scan, classed, seconds)
+    report = report_frame(frame, version, scan, classed, seconds)
     if sinks.gathered is not None and frame.pose is not None:  # first: it may refuse the frame
         sinks.gathered.add(scan, frame.pose, classed)
     write_frame(frame.name, scan, classed, folder, config.products)

@@ -74,7 +74,8 @@ class Georeference:
     """The survey's CRS and what one of its units is in metres."""
 
     crs: "CRS | None"
-    """The survey's CRS; None where nothing is known (local coordinates)."""
+    """The survey's CRS, with the vertical one where it states that (a compound CRS); None where nothing is known (local
+    coordinates)."""
     metres_per_unit: float = 1.0
     """Horizontal: metres = file units x this."""
     metres_per_unit_z: float = 1.0

@@ -22,8 +22,10 @@ class Place:
 
 
 def describe_crs(crs: CRS) -> str:
-    """Give name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``."""
-    code = crs.to_epsg()
+    """Give name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``; of a compound CRS ``(EPSG:32614+5703)``."""
+    parts = crs.sub_crs_list if crs.is_compound and crs.to_epsg() is None else [crs]
+    codes = [part.to_epsg() for part in parts]
+    code = "" if None in codes else "+".join(map(str, codes))
     return f"{crs.name} (EPSG:{code})" if code else crs.name
 
 

@@ -18,7 +18,7 @@ from bumpymap.engine.parts import Part
 from bumpymap.engine.tasks import PartRead
 from bumpymap.engine.workspace import Workspace
 from bumpymap.errors import BadInputError
-from bumpymap.readers import SurveyReader, Tally
+from bumpymap.readers import SurveyReader, Tally, Version, changed
 from bumpytiles import Pack
 
 __all__ = ["Adoption", "Harvest"]
@@ -110,6 +110,7 @@ class Harvest:
             for read in reads:
                 if read.error is not None:
                     raise read.error
+            self._refuse_versions(file, reads)
             self._readers[file].judge(tally)
         except BadInputError as error:
             self._bad[file] = error
@@ -125,6 +126,13 @@ class Harvest:
         with atomic(self._records / f"{file}.json") as temporary:
             temporary.write_text(json.dumps(record), encoding="utf-8")
         self._keep(file, record)
+
+    def _refuse_versions(self, file: int, reads: Sequence[PartRead]) -> None:
+        """Refuse parts of several versions; copies on several machines may differ in the time of their writing."""
+        seen: dict[str, Version | None] = {}
+        for host, version in (read.seen for read in reads if read.seen is not None):
+            if seen.setdefault(host, version) != version:
+                raise changed(self._readers[file].info.path, f"workers on {host} saw several versions of it")
 
     def _keep(self, file: int, record: dict[str, Any]) -> None:
         self._sound.add(file)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from bumpymap.products._cog import Layer, Sheet, write_cog
 from bumpymap.products.placement import Chunk, Placement
@@ -138,7 +137,7 @@ def write_heightmap(mosaic: CostMosaic, path: Path, about: dict[str, str] | None
         dtype="float32",
         nodata=float("nan"),
         pixels=pixels,
-        crs=_crs_of_heights(place),
+        crs=place.crs_of_heights,
         overviews="AVERAGE",
         block=_HEIGHT_BLOCK,
         about=_about(mosaic, "height map", about),
@@ -176,12 +175,6 @@ def _painter(
         return canvas
 
     return paint
-
-
-def _crs_of_heights(place: Placement) -> CRS | None:
-    """Keep the vertical part of the survey's CRS where it is in metres, as the heights are."""
-    metres = place.georeference.metres_per_unit_z == 1.0
-    return place.georeference.crs if metres else place.horizontal_crs
 
 
 def _about(mosaic: CostMosaic, title: str, about: dict[str, str] | None) -> dict[str, str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.config import ZUnit
-from bumpymap.readers.source import Location
+from bumpymap.readers.source import Location, Version
 from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
@@ -51,6 +51,8 @@ class SurveyInfo:
     """Whether points carry a class; None: the format has the field, only the points tell whether it is used."""
     notes: tuple[str, ...]
     """What a user should know, one sentence each."""
+    version: Version | None = None
+    """Which version of the file is read, see `bumpymap.readers.source.version_of`; None where nobody watches it."""
 
 
 @dataclass(frozen=True, slots=True)

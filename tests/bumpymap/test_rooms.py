@@ -62,7 +62,7 @@ ROOMS = {
     "scan_methods": ({"scan", "scan_config"}, set()),
     "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
     "scan_pipeline": (
-        {"calibration", "crs", "frames", "pipeline", "scan", "scan_config", "scan_methods", "scan_products"},
+        {"calibration", "crs", "frames", "pipeline", "readers", "scan", "scan_config", "scan_methods", "scan_products"},
         {"numpy", "pyproj"},
     ),
     "frames": ({"readers", "scan"}, {"numpy", "pypcd4"}),

@@ -253,7 +253,7 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     for name, write in WRITERS.items():
         seen = set()
         for threads in ("1", "2", "5"):
-            monkeypatch.setattr("bumpymap.products._cog._THREADS", threads)
+            monkeypatch.setattr("bumpymap.products._cog._threads", lambda threads=threads: threads)
             write(cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
