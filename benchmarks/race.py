@@ -1,4 +1,4 @@
-"""Race two runs into one --out, again and again: one does its work whole, the other leaves it alone and says who was first.
+"""Race two runs into one --out, again and again: one does its work whole, the other touches nothing and names the first.
 
 python benchmarks/race.py --data FOLDER [--races 20]
 
@@ -101,7 +101,9 @@ def main() -> None:
     bad = 0
     for kind in _KINDS:
         name, *option = kind.split()
-        words = ["scan", str(frames), "--method", "filter"] if name == "scan" else ["map", str(SURVEY), "--threads", "1"]
+        words = (
+            ["scan", str(frames), "--method", "filter"] if name == "scan" else ["map", str(SURVEY), "--threads", "1"]
+        )
         out = given.data / "out"
         shutil.rmtree(out, ignore_errors=True)
         whole, wanted = finished(words, out)

@@ -107,8 +107,7 @@ def as_done(record: Mapping[str, Any], without: Collection[str], made_with: Mapp
         Ids of what made the numbers, beside the versions.
     """
     return {
-        "inputs": {str(file["path"]): file for file in record["inputs"]}
-        | {str(path): None for path in record.get("skipped", ())},
+        "inputs": {str(file["path"]): file for file in (*record["inputs"], *record.get("skipped_inputs", ()))},
         "settings": flat_settings(record["settings"], without),
         "made with": {**record["versions"], **made_with},
     }

@@ -16,7 +16,7 @@ from bumpymap.classify import TextureModel, classify
 from bumpymap.config import Compat, CsfSettings, FeatureSettings, Ground, MapConfig
 from bumpymap.cost import rate, rate_as_paper
 from bumpymap.engine import ADVICE, Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes
-from bumpymap.errors import BadInputError, OutputError
+from bumpymap.errors import BadInputError
 from bumpymap.features import measure
 from bumpymap.ground import filter_version, mark_ground, require_filter, rest_filter
 from bumpymap.lock import locked
@@ -42,7 +42,7 @@ from bumpymap.readers import (
     open_survey,
 )
 from bumpymap.ride import RideModel
-from bumpymap.run_folder import broken_off
+from bumpymap.run_folder import refuse_broken_off
 from bumpymap.types import CostMosaic, Georeference, tile_columns
 from bumpytiles import Grid, TilePoints, TileWindow
 
@@ -186,12 +186,7 @@ def _read_options(config: MapConfig) -> ReadOptions:
 
 def _check_out(config: MapConfig) -> bool:
     """Make sure that the products can be written; True where a run has ended there and shall stay."""
-    unfinished = broken_off(config.out)
-    if unfinished and not (config.resume or config.overwrite):
-        raise OutputError(
-            f"{config.out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, "
-            "or choose another --out"
-        )
+    unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
     if not (unfinished or config.overwrite) and is_complete(config.out):
         return True
     # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
@@ -225,11 +220,19 @@ def _asked(
     """Everything that a run depends on; one that goes on must have been asked the same."""
     paths = [*(reader.info.path for reader in inputs.readers), *inputs.skipped]
     return {
-        "inputs": {str(path): None if str(path) in inputs.skipped else identity(path) for path in paths},
+        "inputs": {str(path): _identity(path) if str(path) in inputs.skipped else identity(path) for path in paths},
         "settings": flat_settings(config, _NO_SAY),
         "made with": _versions(config.ground) | {"model": model.id, "calibration": calibration.id},
         "cut": {"piece_points": budget.piece_points},
     }
+
+
+def _identity(path: Path | str) -> dict[str, Any] | None:
+    """Tell a skipped file from another; None where not even that can be read."""
+    try:
+        return identity(path)
+    except BadInputError:
+        return None
 
 
 def _manifest(
@@ -249,6 +252,7 @@ def _manifest(
             if dropped is not None
         ],
         "skipped": inputs.skipped,
+        "skipped_inputs": [{"path": path, **_noted(asked["inputs"][path])} for path in inputs.skipped],
         "settings": config,
         "versions": _versions(config.ground),
         "ground_only": done.ground_only,
@@ -316,6 +320,11 @@ def _note(path: Path | str, error: BadInputError, skipped: dict[str, str], confi
     skipped[str(path)] = str(error)
 
 
+def _noted(identity: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Pick what tells a file from its later version without reading it."""
+    return {key: identity[key] for key in ("mtime_ns", "version") if key in identity} if identity else {}
+
+
 def _input_record(reader: SurveyReader, dropped: dict[str, int], identity: Mapping[str, Any]) -> dict[str, Any]:
     info = reader.info
     record = {
@@ -324,7 +333,7 @@ def _input_record(reader: SurveyReader, dropped: dict[str, int], identity: Mappi
         "points": info.point_count,
         "dropped": dropped,
         "notes": info.notes,
-        **{key: identity[key] for key in ("mtime_ns", "version") if key in identity},
+        **_noted(identity),
     }
     # A file on a server is not read again for its checksum.
     return record | ({"bytes": info.size_bytes, "sha256": None} if isinstance(info.path, str) else {})

@@ -27,6 +27,7 @@ __all__ = [
     "broken_off",
     "is_own_folder",
     "read_record",
+    "refuse_broken_off",
     "refuse_other",
     "tidy",
     "what_is_kept",
@@ -57,6 +58,18 @@ def work_folder(out: Path) -> Path:
 def broken_off(out: Path) -> bool:
     """Whether a run with these products was broken off (or is under way): it may go on, and replace what it may."""
     return not work_folder(out).is_symlink() and (work_folder(out) / _ASKED).exists()
+
+
+def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
+    """Say whether a run with these products was broken off; raises OutputError where nobody said what becomes of it."""
+    if not broken_off(out):
+        return False
+    if resume or overwrite:
+        return True
+    raise OutputError(
+        f"{out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, or choose "
+        "another --out"
+    )
 
 
 def what_is_kept(end: BaseException) -> Kept:

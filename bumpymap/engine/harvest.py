@@ -149,7 +149,6 @@ class Harvest:
         for file, record in sorted(records.items()):
             self._keep(file, record)
 
-
     def _is_whole(self, record: Mapping[str, Any]) -> bool:
         early = [
             _name(self._space, f"{kind}-early", number).exists() for kind in self._kinds for number in record["early"]

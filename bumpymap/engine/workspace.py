@@ -102,6 +102,7 @@ class Workspace:
         there = noted.get("packs") == [path.name for path in self.tiles()]
         return noted["record"] if there else None
 
+
 def _tiles(folder: Path, kind: str = "*") -> list[Path]:
     return sorted(folder.glob(f"tiles-{kind}-[0-9][0-9][0-9][0-9][0-9][0-9].pack"))
 
