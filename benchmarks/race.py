@@ -1,4 +1,4 @@
-"""Race two runs into one --out, again and again: one does its work whole, the other touches nothing and names the first.
+"""Race two runs into one --out, again and again: one does its work, the other touches nothing and names the first.
 
 python benchmarks/race.py --data FOLDER [--races 20]
 
