@@ -7,7 +7,7 @@ some neighbours at a time. The client sees counts and names of files alone.
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
@@ -72,7 +72,7 @@ def hired(scheduler: str | None, workers: int | None, threads: int) -> Iterator[
     else:
         each = max(1, threads // (workers or 1))
         # The LAZ decoder takes every core unless it is told otherwise.
-        with _lost("Try fewer --workers"), local_workers(workers or 1, {"RAYON_NUM_THREADS": str(each)}) as found:
+        with _started(local_workers(workers or 1, {"RAYON_NUM_THREADS": str(each)})) as found:
             yield Crew(found, each)
 
 
@@ -255,6 +255,20 @@ class ClusterRun:
         with suppress(ClusterError):
             while time.monotonic() < end and any(answer is True for answer in self._crew.workers.each(busy).values()):
                 time.sleep(0.1)
+
+
+@contextmanager
+def _started(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
+    """Start workers here, and stop them in the end."""
+    with ExitStack() as stack:
+        try:
+            found = stack.enter_context(workers)
+        except (RuntimeError, OSError) as error:  # dask says no more than that they did not
+            raise UsageError(
+                f"the workers did not start ({error}); they may have been killed. Try again, or fewer --workers"
+            ) from error
+        with _lost("Try fewer --workers"):
+            yield found
 
 
 @contextmanager
