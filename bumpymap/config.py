@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from bumpymap.errors import BadInputError, UsageError
 
 __all__ = [
+    "BOTH",
     "Compat",
     "CsfSettings",
     "FeatureSettings",
@@ -23,6 +24,10 @@ Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 
+BOTH = (
+    "--resume goes on with a run that was broken off, --overwrite starts anew: give one of them. A run that was begun "
+    "with --overwrite goes on with --resume alone"
+)
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
 
@@ -139,6 +144,8 @@ class MapConfig:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
+        if self.resume and self.overwrite:
+            raise UsageError(BOTH)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "

@@ -70,7 +70,7 @@ class _LazyGroup(click.Group):
             with _terminable():
                 return super().invoke(ctx)
         except BumpymapError as error:
-            click.echo(f"Error: {error}", err=True)
+            click.echo("\n".join([f"Error: {error}", *getattr(error, "__notes__", [])]), err=True)
             sys.exit(error.exit_code)
         except KeyboardInterrupt as end:
             terminated = isinstance(end, _Terminated)

@@ -7,6 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from bumpymap.cli._summary import ALREADY_DONE
 from bumpymap.scan import StripeModel
 from bumpymap.scan_config import ScanConfig
 from bumpymap.scan_pipeline import ScanResult
@@ -21,6 +22,8 @@ def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
         print(json.dumps(record))
         return
     console = Console(soft_wrap=True, highlight=False)
+    if result.already_done:
+        console.print(f"Already done: {config.out} {ALREADY_DONE}", markup=False)
     console.print(
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms from file to classes (median), "
@@ -78,6 +81,7 @@ def _record(result: ScanResult, config: ScanConfig) -> dict[str, Any]:
         "skipped": result.skipped,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],
         "seconds": result.seconds,
+        "already_done": result.already_done,
     }
 
 

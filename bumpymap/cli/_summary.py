@@ -11,7 +11,9 @@ from bumpymap.pipeline import MapResult
 from bumpymap.products import MapSummary
 from bumpymap.types import CLASS_NAMES, REASON_TEXT, Reason
 
-__all__ = ["show"]
+__all__ = ["ALREADY_DONE", "show"]
+
+ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite makes it anew"
 
 _MOST = 0.5
 """With a larger share of unknown tiles the summary says what to do."""
@@ -26,6 +28,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         return
     console = Console(soft_wrap=True, highlight=False)
     summary = result.summary
+    if result.already_done:
+        console.print(f"Already done: {config.out} {ALREADY_DONE}", markup=False)
     which = f"ground points ({_SAID[config.ground == 'csf']})" if result.ground_only else "points"
     console.print(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
@@ -94,4 +98,5 @@ def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "ground_only": result.ground_only,
         "skipped": result.skipped,
         "seconds": result.seconds,
+        "already_done": result.already_done,
     }

@@ -19,7 +19,19 @@ _PARTLY_DONE = 4
 # The libraries behind these would take --help half a second; a test holds the names to theirs.
 METHODS = ("filter", "learned")
 PRODUCTS = ("polygons", "table", "cloud", "picture")
-_NOT_OF_A_FIT = ("out", "poses", "crs", "method", "model", "stripes", "compat", "products", "vehicle", "calibration")
+_NOT_OF_A_FIT = (
+    "out",
+    "poses",
+    "crs",
+    "method",
+    "model",
+    "stripes",
+    "compat",
+    "products",
+    "vehicle",
+    "calibration",
+    "resume",
+)
 
 
 @click.command("scan")
@@ -45,6 +57,7 @@ _NOT_OF_A_FIT = ("out", "poses", "crs", "method", "model", "stripes", "compat", 
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle, for the map.")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
 @click.option("--skip-bad", is_flag=True, help="Go on without frames that cannot be read (exit code 4).")
+@click.option("--resume", is_flag=True, help="Go on with a run that was broken off.")
 @click.option("--overwrite", is_flag=True, help="Replace the products of an earlier run.")
 @click.option("--quiet", is_flag=True, help="No progress, no summary.")
 @click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")

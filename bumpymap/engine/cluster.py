@@ -8,7 +8,7 @@ some neighbours at a time. The client sees counts and names of files alone.
 import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -98,9 +98,9 @@ def _own_crew(workers: int, threads: int, stack: ExitStack) -> Crew:
     from bumpytiles._dask import local_workers
 
     each = max(1, threads // workers)
-    stack.enter_context(_lost("Try fewer --workers"))
     # The LAZ decoder takes every core unless it is told otherwise.
-    return Crew(stack.enter_context(local_workers(workers, {"RAYON_NUM_THREADS": str(each)})), each)
+    started = _started(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}))
+    return Crew(stack.enter_context(started), each)
 
 
 class ClusterRun:
@@ -282,6 +282,20 @@ class ClusterRun:
         with suppress(ClusterError):
             while time.monotonic() < end and any(answer is True for answer in self._crew.workers.each(busy).values()):
                 time.sleep(0.1)
+
+
+@contextmanager
+def _started(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
+    """Start workers here, and stop them in the end."""
+    with ExitStack() as stack:
+        try:
+            found = stack.enter_context(workers)
+        except (RuntimeError, OSError) as error:  # dask says no more than that they did not
+            raise UsageError(
+                f"the workers did not start ({error}); they may have been killed. Try again, or fewer --workers"
+            ) from error
+        with _lost("Try fewer --workers"):
+            yield found
 
 
 @contextmanager

@@ -6,7 +6,7 @@ A sound file is noted on disk, so that a run that goes on does not read it again
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +145,7 @@ class Harvest:
     def _take_up(self) -> None:
         """Take up the files that an earlier run found sound; forget what it had finished of others."""
         records = {int(path.stem): json.loads(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
+        records = {file: record for file, record in records.items() if self._is_whole(record)}
         known = {number for record in records.values() for number in record["early"]}
         for path in self._space.tiles("*-early"):
             if int(path.stem[-6:]) not in known:
@@ -155,6 +156,12 @@ class Harvest:
                 shutil.rmtree(folder, ignore_errors=True)
         for file, record in sorted(records.items()):
             self._keep(file, record)
+
+    def _is_whole(self, record: Mapping[str, Any]) -> bool:
+        early = [
+            _name(self._space, f"{kind}-early", number).exists() for kind in self._kinds for number in record["early"]
+        ]
+        return all(early) and all((self._points / path).exists() for path, _ in record["packs"])
 
 
 class Adoption:

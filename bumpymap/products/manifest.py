@@ -106,6 +106,9 @@ def complete_manifest(
             "points": summary.points,
             "by_class": summary.classes,
             "by_reason": summary.reasons,
+            "median_c_r": summary.median_c_r,
+            "median_slope": summary.median_slope,
+            "median_count": summary.median_count,
         },
         "files": [dict(file) for file in files],
     }

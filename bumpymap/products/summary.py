@@ -1,6 +1,9 @@
 """What a map holds in a few numbers, counted in one pass over its tiles."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +42,24 @@ class MapSummary:
     """(5,) the same, degrees."""
     median_count: float
     """Points a tile."""
+
+    @classmethod
+    def of(cls, counts: Mapping[str, Any]) -> Self:
+        """Take up what run.json says under ``counts``; medians that it lacks are NaN."""
+        medians = {
+            name: tuple(math.nan if value is None else value for value in counts.get(name, [None] * 5))
+            for name in ("median_c_r", "median_slope")
+        }
+        count = counts.get("median_count")
+        return cls(
+            tiles=counts["tiles"],
+            points=counts["points"],
+            by_class=tuple(counts["by_class"][name] for name in CLASS_NAMES),
+            by_reason=tuple(counts["by_reason"].get(REASON_TEXT[code], 0) for code in Reason),
+            passable=counts["passable"],
+            median_count=math.nan if count is None else count,
+            **medians,
+        )
 
     @property
     def unknown(self) -> int:

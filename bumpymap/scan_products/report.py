@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -34,6 +34,21 @@ class FrameReport:
     """(4,) points of class 0 to 2, then in no class."""
     seconds: float
     """From the file to classed sectors."""
+
+    @classmethod
+    def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
+        """Take up what `record` said."""
+        return cls(
+            frame,
+            record["bytes"],
+            record["sha256"],
+            record["points"],
+            Dropped(**record["dropped"]),
+            record["azimuth_start_rad"],
+            tuple(record["sectors"].values()),
+            tuple(record["points_by_class"].values()),
+            record["seconds"],
+        )
 
     def record(self) -> dict[str, Any]:
         """Say it as scan.json does."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress", "atomic"}
+VOCABULARY = {"types", "config", "errors", "progress", "atomic", "lock", "asked", "run_folder"}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
@@ -16,6 +16,9 @@ ROOMS = {
     "errors": (set(), set()),
     "atomic": (set(), set()),
     "progress": (set(), set()),
+    "lock": (set(), set()),
+    "asked": (set(), set()),
+    "run_folder": (set(), set()),
     "settings_file": (set(), set()),
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
@@ -61,8 +64,20 @@ ROOMS = {
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
     "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
+    "scan_asked": ({"frames", "products", "readers", "scan", "scan_config", "scan_methods", "scan_products"}, set()),
     "scan_pipeline": (
-        {"calibration", "crs", "frames", "pipeline", "readers", "scan", "scan_config", "scan_methods", "scan_products"},
+        {
+            "calibration",
+            "crs",
+            "frames",
+            "pipeline",
+            "products",
+            "scan",
+            "scan_asked",
+            "scan_config",
+            "scan_methods",
+            "scan_products",
+        },
         {"numpy", "pyproj"},
     ),
     "frames": ({"readers", "scan"}, {"numpy", "pypcd4"}),

@@ -4,7 +4,8 @@ import shutil
 
 import pytest
 
-from bumpymap.engine.workspace import Workspace, work_folder
+from bumpymap.engine.workspace import Workspace
+from bumpymap.run_folder import work_folder
 
 ASKED = {"inputs": {"a.laz": 1}, "cut": {"piece_points": 100}}
 

@@ -29,8 +29,8 @@ _AHEAD = 2
 """Tasks handed out for each worker: one is done, one is at hand when it is finished."""
 _LOOK_S = 10.0
 """So often it is looked whether workers are left, s."""
-_LOOKS = 30
-"""So many times in a row without workers are the end."""
+_LOOKS, _LOCAL_LOOKS = 30, 3
+"""So many times in a row without workers are the end: of a cluster, of workers that were started here."""
 
 
 _NO_PAGES: dict[str, Any] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
@@ -58,10 +58,12 @@ class Workers:
     Parameters
     ----------
     client : distributed.Client
+    looks : int
+        So many times in a row without workers are the end.
     """
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, client: Client, looks: int = _LOOKS) -> None:
+        self._client, self._looks = client, looks
 
     def count(self) -> int:
         """Workers that are there now."""
@@ -69,10 +71,23 @@ class Workers:
             return len(self._client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on."""
+        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on.
+
+        Workers that are lost meanwhile do not count.
+
+        Raises
+        ------
+        ClusterError
+            No worker is left.
+        """
         with _losses():
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
-        return answers
+        # What is asked here raises no OSError of its own: it is the connection that broke.
+        left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
+        if not left:
+            were = f"all {len(answers)} workers were lost" if len(answers) > 1 else "the last worker was lost"
+            raise ClusterError(f"{were}; they may have been killed")
+        return left
 
     def run(
         self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]
@@ -116,11 +131,11 @@ class Workers:
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
         """Wait for a task; look meanwhile whether there are workers at all."""
         without = 0
-        while without < _LOOKS:
+        while without < self._looks:
             with suppress(Empty):
                 return finished.get(timeout=_LOOK_S)
             without = 0 if self.count() else without + 1
-        raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
+        raise ClusterError(f"all workers were lost, and none came within {_LOOK_S * self._looks:.0f} s")
 
 
 class _Calm(WorkerPlugin):
@@ -161,7 +176,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
         Client(cluster, security=security, set_as_default=False) as client,
     ):
         client.register_plugin(_Calm())
-        yield Workers(client)
+        yield Workers(client, _LOCAL_LOOKS)
 
 
 @contextmanager
