@@ -108,9 +108,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     assert list(scratch.iterdir()) == []
 
 
-def test_a_full_disk_keeps_finished_tiles_and_gives_back_what_waits(
-    surveys, plain, tmp_path, monkeypatch, after_tiles
-):
+def test_a_full_disk_keeps_finished_tiles_and_gives_back_what_waits(surveys, plain, tmp_path, monkeypatch, after_tiles):
     def fill():
         def full(*_):
             raise OSError(errno.ENOSPC, "No space left on device")
