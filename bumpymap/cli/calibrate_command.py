@@ -15,6 +15,7 @@ import click
 from bumpymap.atomic import atomic
 from bumpymap.cli._terminal import DRIVES_KEPT, telling_how_to_go_on
 from bumpymap.errors import OutputError, UsageError
+from bumpymap.lock import locked
 
 if TYPE_CHECKING:
     from bumpymap.calibration import Calibration
@@ -97,9 +98,13 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
     from bumpymap.vehicle.ride_fit import fit_ride
 
     require_dart()
-    _check_place(out, overwrite)
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
-    with telling_how_to_go_on(DRIVES_KEPT), _progress(settings.total_drives) as report:
+    with (
+        locked(out.parent, f".{out.name}.lock"),
+        telling_how_to_go_on(DRIVES_KEPT),
+        _progress(settings.total_drives) as report,
+    ):
+        _check_place(out, overwrite)
         calibration = calibrate(
             settings,
             report,
@@ -109,9 +114,9 @@ def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwri
             command=again,
             fit=fit_ride,
         )
-    with atomic(out) as beside:
-        beside.write_text(calibration.to_json(), encoding="utf-8")
-    journal.remove()
+        with atomic(out) as beside:
+            beside.write_text(calibration.to_json(), encoding="utf-8")
+        journal.remove()
     _summary(calibration, out)
 
 

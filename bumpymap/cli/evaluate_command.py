@@ -11,6 +11,7 @@ from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.config import Ground, ZUnit
 from bumpymap.errors import OutputError, UsageError
+from bumpymap.lock import locked
 
 if TYPE_CHECKING:
     from bumpymap.evaluate.findings import Findings
@@ -96,8 +97,8 @@ def command(
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
-    _check_place(out, overwrite=overwrite)
-    with telling_how_to_go_on(DRIVES_KEPT), BarProgress() as told:
+    with locked(out), telling_how_to_go_on(DRIVES_KEPT), BarProgress() as told:
+        _check_place(out, overwrite=overwrite)
         crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
         findings = (
             evaluate_library(subjects, settings, crew)
@@ -139,11 +140,11 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *
     if not places:
         require_simulator("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
-    _check_place(out, overwrite=overwrite)
-    with BarProgress() as told:
+    with locked(out), BarProgress() as told:
+        _check_place(out, overwrite=overwrite)
         scans = read_frames(frames) if frames else made_up(settings)
         findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, told)
-    files = write_scan_report(findings, out)
+        files = write_scan_report(findings, out)
     for method, found in findings.accuracy.items():
         click.echo(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
     for cost in findings.costs:
@@ -188,19 +189,13 @@ def _require(settings: "EvaluateSettings") -> None:
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
-    """Refuse a place that cannot be written before the hours of work, not after."""
+    """Refuse to replace a report before the hours of work, not after."""
     from bumpymap.evaluate.report import REPORT
 
     if (out / REPORT).exists() and not overwrite:
         raise OutputError(
             f"{out} holds a report; give --overwrite to make it anew (drives that still fit are kept), or another --out"
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / ".probe").touch()
-        (out / ".probe").unlink()
-    except OSError as error:
-        raise OutputError(f"cannot write to {out}: {error}; choose an --out that you may write to") from error
 
 
 def _summary(findings: "Findings", files: list[Path]) -> None:
