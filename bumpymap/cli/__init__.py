@@ -4,14 +4,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from types import FrameType
+from typing import Any
 
 import click
 
-from bumpymap.errors import BumpymapError
+from bumpymap.cli._ending import Ended, end_of
 
 __all__ = ["main"]
 
@@ -56,18 +58,30 @@ class _LazyGroup(click.Group):
             formatter.write_dl(list(_COMMANDS.items()))
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command; a failure that a user can cause becomes one message and its exit code."""
+        """Run a command; Ctrl-C and SIGTERM become one message and its exit code."""
         try:
             with _terminable():
                 return super().invoke(ctx)
-        except BumpymapError as error:
-            click.echo(f"Error: {error}", err=True)
-            sys.exit(error.exit_code)
         except KeyboardInterrupt as end:
             terminated = isinstance(end, _Terminated)
             said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
-            click.echo(" ".join(said + getattr(end, "__notes__", [])), err=True)
-            sys.exit(_TERMINATED if terminated else _INTERRUPTED)
+            message = " ".join(said + getattr(end, "__notes__", []))
+            raise Ended(message, _TERMINATED if terminated else _INTERRUPTED) from None
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`."""
+        words = list(sys.argv[1:] if args is None else args)
+        run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
+        if not standalone_mode:
+            return run()
+        sys.exit(end_of(run, words))
 
 
 @contextmanager

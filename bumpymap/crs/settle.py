@@ -269,7 +269,7 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
         if any(crs is None for crs in held)
         else "Reproject them to one CRS, or map them in separate runs; --crs sets one for all if the files are wrong"
     )
-    raise BadInputError("the files are not in one CRS:\n" + "\n".join(shown) + f"\n{advice}")
+    raise BadInputError("the files are not in one CRS:", *shown, advice)
 
 
 def _agree(first: CRS | None, second: CRS | None) -> bool:

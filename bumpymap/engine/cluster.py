@@ -203,7 +203,7 @@ class ClusterRun:
     def _finish(self, order: Order, harvest: Harvest, *, ground_only: bool) -> None:
         kind = "ground" if ground_only else "all"
         finished = {key for path in self._space.tiles(kind) for key in Pack(path).keys}
-        self._told.start("measuring tiles", len(harvest.catalogue.keys()))
+        self._told.start("measuring blocks of tiles", len(harvest.catalogue.keys()))
         self._told.advance(len(finished))
         adoption = Adoption(self._space, [kind])
         tasks = ((order, group, ground_only) for group in harvest.catalogue.groups(finished))

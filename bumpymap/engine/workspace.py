@@ -216,8 +216,9 @@ def _refuse_other(before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     if differences:
         shown = differences if len(differences) <= 8 else [*differences[:8], f"and {len(differences) - 8} more"]
         raise UsageError(
-            "the run cannot go on, since it was begun with something else:\n  " + "\n  ".join(shown) + "\nRun it with "
-            "the same inputs and settings, or pass --overwrite to start anew"
+            "the run cannot go on, since it was begun with something else:",
+            *(f"  {difference}" for difference in shown),
+            "Run it with the same inputs and settings, or pass --overwrite to start anew",
         )
 
 
