@@ -1,7 +1,6 @@
 """``bumpymap info``: what is in a survey, and what a run would need."""
 
 import logging
-import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -13,7 +12,7 @@ from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import say, say_json, say_labelled, say_table
-from bumpymap.config import ZUnit
+from bumpymap.config import MapConfig, ZUnit
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
@@ -31,12 +30,10 @@ _BAD_INPUT = 3
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
-@click.option(
-    "--tile-size", type=click.FloatRange(0.05, 1000), default=3.0, metavar="M", help="Tile side [default: 3]."
-)
-@click.option("--pixels", type=click.IntRange(3, 255), default=15, metavar="N", help="Pixels a side [default: 15].")
+@click.option("--tile-size", type=float, default=3.0, metavar="M", help="Side of a tile [default: 3].")
+@click.option("--pixels", type=int, default=15, metavar="N", help="Pixels along a side of a tile [default: 15].")
 @click.option("--memory", default="1GB", metavar="SIZE", help="As for map: what a run would take [default: 1GB].")
-@click.option("--threads", type=click.IntRange(1), metavar="N", help="As for map [default: every core].")
+@click.option("--threads", type=int, metavar="N", help="As for map [default: every core].")
 @click.option("--quick", is_flag=True, help="Look at headers alone, read no points.")
 @click.option("--json", "as_json", is_flag=True, help="The report as JSON, for machines.")
 @output_options("No progress.")
@@ -74,8 +71,10 @@ def command(
     set_up_logging(as_json=log_json)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
     options = ReadOptions(crs, z_unit, trust_points)
-    grid = Grid(tile_size, pixels)
-    budget = Budget(memory_bytes(memory), threads or os.cpu_count() or 1)
+    own = {} if threads is None else {"threads": threads}
+    run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, **own)  # held to its bounds
+    grid = Grid(run.tile_size, run.pixels)
+    budget = Budget(memory_bytes(run.memory), run.threads)
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         reports = [_look(path, options, grid, progress, quick=quick) for path in paths]
@@ -109,6 +108,7 @@ def _look(
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
         enough = enough_points(grid, settings.min_points, settings.min_coverage)
         summary = summarise(reader, grid, enough, progress.advance)
+        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
         return Report(path, grid, reader.info, summary, reader.dropped)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
