@@ -165,7 +165,7 @@ def _engine(
 
 
 def _read_options(config: MapConfig) -> ReadOptions:
-    return ReadOptions(crs=config.crs, z_unit=config.z_unit, trust_points=config.trust_points)
+    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory))
 
 
 def _check_unfinished(config: MapConfig) -> None:

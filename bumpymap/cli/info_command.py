@@ -70,11 +70,11 @@ def command(
 
     set_up_logging(as_json=log_json)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
-    options = ReadOptions(crs, z_unit, trust_points)
     own = {} if threads is None else {"threads": threads}
     run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, **own)  # held to its bounds
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
+    options = ReadOptions(crs, z_unit, trust_points, budget.memory)
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         reports = [_look(path, options, grid, progress, quick=quick) for path in paths]

@@ -22,6 +22,7 @@ except ImportError:  # not on Windows
 
 from bumpymap.atomic import STAGED, atomic
 from bumpymap.errors import OutputError, UsageError
+from bumpymap.json_text import parse_json
 from bumpytiles import Pack, PackError
 
 __all__ = ["WORK_FOLDER", "Workspace", "broken_off", "work_folder"]
@@ -198,7 +199,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def _record(path: Path) -> dict[str, Any] | None:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) else None
