@@ -1,6 +1,16 @@
 """Failures that a user can cause. Each message says what came, what is allowed and what to do."""
 
-__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError"]
+import errno
+
+__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "wanting"]
+
+_WANTED = {
+    errno.EAGAIN: "process",
+    errno.EMFILE: "file that may be opened",
+    errno.ENFILE: "file that may be opened",
+    errno.ENOMEM: "memory",
+}
+_NO_ROOM = ("cannot allocate memory", "failed to map segment", "unable to allocate", "out of memory")
 
 
 class BumpymapError(Exception):
@@ -29,3 +39,20 @@ class BadInputError(BumpymapError):
 
 class OutputError(BumpymapError):
     """A place that cannot be written, or already holds something that must not be overwritten."""
+
+
+def wanting(error: BaseException | None) -> str:
+    """Name what the machine, or a limit set for the process, does not give; empty where it is something else.
+
+    Whoever met the want may have told it as a failure of its own, so the causes count too.
+    """
+    while error is not None:
+        text = str(error).lower()
+        if isinstance(error, RuntimeError) and "start new thread" in text:
+            return "thread"
+        if isinstance(error, OSError) and error.errno in _WANTED:
+            return _WANTED[error.errno]
+        if isinstance(error, MemoryError) or any(words in text for words in _NO_ROOM):
+            return "memory"
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+    return ""

@@ -1,6 +1,5 @@
 """How a run ends: one message and an exit code for whatever a user, a machine or a pipe can cause."""
 
-import errno
 import select
 import sys
 import time
@@ -11,7 +10,7 @@ import click
 
 from bumpymap.cli._events import emit
 from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
-from bumpymap.errors import BumpymapError
+from bumpymap.errors import BumpymapError, wanting
 
 __all__ = ["Ended", "end_of"]
 
@@ -22,7 +21,6 @@ _WANT = (
     "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --workers, or raise the "
     "limit that the process runs under (ulimit, a batch system's, a container's)"
 )
-_NO_ROOM = ("cannot allocate memory", "failed to map segment", "unable to allocate", "out of memory")
 
 
 class Ended(Exception):  # noqa: N818 (no error: somebody wanted the run to end)
@@ -83,30 +81,18 @@ def _ran(run: Callable[[], object]) -> int:
 
 def _told(error: Exception) -> tuple[int, list[str]]:
     """Exit code and message of a failure; the message in lines."""
+    if what := wanting(error):
+        return _BAD, [_WANT.format(what=what)]
     if isinstance(error, BumpymapError | Ended):
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
         return error.exit_code, [error.format_message()]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
-    if what := _wanting(error):
-        return _BAD, [_WANT.format(what=what)]
     if isinstance(error, OSError):
         named = f"{error.filename!s}: " if error.filename is not None else ""
         return _BAD, [f"the system refuses: {named}{error.strerror or error}"]
     return _FAULT, [f"{type(error).__name__}: {error}"]
-
-
-def _wanting(error: Exception) -> str:
-    """Name what the machine, or a limit set for the process, does not give; empty where it is something else."""
-    text = str(error).lower()
-    if isinstance(error, RuntimeError) and "start new thread" in text:
-        return "thread"
-    if isinstance(error, OSError) and error.errno in {errno.EAGAIN, errno.EMFILE, errno.ENFILE}:
-        return "file that may be opened" if error.errno != errno.EAGAIN else "process"
-    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
-        return "memory"
-    return "memory" if any(words in text for words in _NO_ROOM) else ""
 
 
 def _complain(error: Exception, lines: Sequence[str]) -> None:
