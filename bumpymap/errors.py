@@ -1,8 +1,9 @@
 """Failures that a user can cause. Each message says what came, what is allowed and what to do."""
 
 import errno
+from collections.abc import Iterator
 
-__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "wanting"]
+__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "causes", "wanting"]
 
 _WANTED = {
     errno.EAGAIN: "process",
@@ -41,18 +42,24 @@ class OutputError(BumpymapError):
     """A place that cannot be written, or already holds something that must not be overwritten."""
 
 
-def wanting(error: BaseException | None) -> str:
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Give an error, what caused it, what caused that, and so on."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+
+
+def wanting(error: BaseException) -> str:
     """Name what the machine, or a limit set for the process, does not give; empty where it is something else.
 
     Whoever met the want may have told it as a failure of its own, so the causes count too.
     """
-    while error is not None:
-        text = str(error).lower()
-        if isinstance(error, RuntimeError) and "start new thread" in text:
+    for cause in causes(error):
+        text = str(cause).lower()
+        if isinstance(cause, RuntimeError) and "start new thread" in text:
             return "thread"
-        if isinstance(error, OSError) and error.errno in _WANTED:
-            return _WANTED[error.errno]
-        if isinstance(error, MemoryError) or any(words in text for words in _NO_ROOM):
+        if isinstance(cause, OSError) and cause.errno in _WANTED:
+            return _WANTED[cause.errno]
+        if isinstance(cause, MemoryError) or any(words in text for words in _NO_ROOM):
             return "memory"
-        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
     return ""

@@ -1,5 +1,6 @@
 """How a run ends: one message and an exit code for whatever a user, a machine or a pipe can cause."""
 
+import errno
 import select
 import sys
 import time
@@ -10,11 +11,12 @@ import click
 
 from bumpymap.cli._events import emit
 from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
-from bumpymap.errors import BumpymapError, wanting
+from bumpymap.errors import BumpymapError, causes, wanting
 
 __all__ = ["Ended", "end_of"]
 
 _BAD = 3
+_FULL = {errno.ENOSPC, errno.EDQUOT}
 _FAULT = 1
 """A fault of bumpymap: with a traceback, so that it can be reported."""
 _WANT = (
@@ -89,9 +91,11 @@ def _told(error: Exception) -> tuple[int, list[str]]:
         return error.exit_code, [error.format_message()]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
-    if isinstance(error, OSError):
-        named = f"{error.filename!s}: " if error.filename is not None else ""
-        return _BAD, [f"the system refuses: {named}{error.strerror or error}"]
+    for cause in causes(error):
+        if isinstance(cause, OSError) and (cause is error or cause.errno in _FULL):
+            named = f"{cause.filename!s}: " if cause.filename is not None else ""
+            where = " (a disk, or shared memory: /dev/shm)" if cause.errno in _FULL and not named else ""
+            return _BAD, [f"the system refuses: {named}{cause.strerror or cause}{where}"]
     return _FAULT, [f"{type(error).__name__}: {error}"]
 
 

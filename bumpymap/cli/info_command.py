@@ -1,6 +1,7 @@
 """``bumpymap info``: what is in a survey, and what a run would need."""
 
 import logging
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -70,8 +71,9 @@ def command(
 
     set_up_logging(as_json=log_json)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
-    own = {} if threads is None else {"threads": threads}
-    run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, **own)  # held to its bounds
+    count = (os.cpu_count() or 1) if threads is None else threads
+    # Held to the bounds of a run.
+    run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, threads=count)
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
     options = ReadOptions(crs, z_unit, trust_points, budget.memory)
