@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.errors import BadInputError, UsageError
+from bumpymap.json_text import parse_json
 from bumpymap.types import TEXTURES, CostRule
 
 __all__ = ["Calibration", "DrivenTerrain", "shipped_calibrations"]
@@ -151,8 +152,8 @@ class Calibration:
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
             try:
-                record = json.loads(text)
-            except json.JSONDecodeError:
+                record = parse_json(text)
+            except ValueError:
                 record = None
             if not isinstance(record, dict) or record.get("format") != _FORMAT:
                 raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")

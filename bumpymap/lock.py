@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.errors import OutputError
+from bumpymap.json_text import parse_json
 
 __all__ = ["LOCK", "locked"]
 
@@ -148,14 +149,13 @@ def _note_holder(descriptor: int) -> None:
 
 def _held(descriptor: int, path: Path) -> str:
     try:
-        holder: dict[str, Any] = json.loads(os.pread(descriptor, _NOTED, 0))
+        holder: dict[str, Any] = parse_json(os.pread(descriptor, _NOTED, 0).decode())
         command = str(holder["command"])
         command = command if len(command) <= _LONGEST else f"{command[:_LONGEST]}..."
         who = f": pid {holder['pid']} on {holder['host']} since {holder['since']}: {command}"
     except (OSError, ValueError, KeyError, TypeError):  # it took the lock this moment
         who = ""
-    shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in who)
-    return f"another run is writing to {path.parent}{shown}. Wait until it has ended, or choose another --out"
+    return f"another run is writing to {path.parent}{who}. Wait until it has ended, or choose another --out"
 
 
 def _no_folder(folder: Path, error: OSError) -> OutputError:

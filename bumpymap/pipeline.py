@@ -175,11 +175,10 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
             clock,
             may_skip=config.skip_bad,
         )
-        told.start("writing layers", None)
         mosaic = CostMosaic(inputs.georeference, calibration.cost_rule, done.mosaic)
         manifest = _manifest(config, inputs, asked, done, model, calibration, clock)
         with clock.stage("write"):
-            files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
+            files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest, progress=told)
     return MapResult(tuple(files), summary, done.points, done.ground_only, inputs.skipped, clock.seconds)
 
 
@@ -192,7 +191,7 @@ def _engine(
 
 
 def _read_options(config: MapConfig) -> ReadOptions:
-    return ReadOptions(crs=config.crs, z_unit=config.z_unit, trust_points=config.trust_points)
+    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory))
 
 
 def _check_out(config: MapConfig) -> bool:
@@ -293,7 +292,7 @@ def _open(config: MapConfig) -> _Inputs:
         except BadInputError as error:
             _note(path, error, skipped, config)
     if not readers:
-        raise BadInputError("none of the inputs could be read:\n" + "\n".join(skipped.values()))
+        raise BadInputError("none of the inputs could be read:", *skipped.values())
     georeference = common_georeference([reader.info for reader in readers])
     if georeference.crs is not None and config.local:
         _log.warning("--local is not needed: the survey has a CRS (%s)", georeference.crs.name)

@@ -19,6 +19,7 @@ from uuid import uuid4
 from bumpymap.asked import differences
 from bumpymap.atomic import STAGED, atomic, take_away
 from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.json_text import parse_json
 
 __all__ = [
     "WORK_FOLDER",
@@ -149,16 +150,17 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
     found = differences(before, json.loads(json.dumps(dict(now))))
     if found:
         raise UsageError(
-            f"the run in {out} cannot go on, since it was begun with something else:\n  " + "\n  ".join(found) + "\n"
-            "Give it the same inputs and settings, or pass --overwrite in the place of --resume to start anew"
+            f"the run in {out} cannot go on, since it was begun with something else:",
+            *(f"  {difference}" for difference in found),
+            "Give it the same inputs and settings, or pass --overwrite in the place of --resume to start anew",
         )
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
     """Read a JSON object; None where there is none, or a damaged one."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        record = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) else None
 

@@ -314,7 +314,7 @@ def _refuse_none(count: int, skipped: dict[str, str]) -> None:
             *list(skipped.values())[:_NAMED],
             *([f"{len(skipped) - _NAMED} more"] if len(skipped) > _NAMED else []),
         ]
-        raise BadInputError("none of the frames could be read:\n" + "\n".join(shown))
+        raise BadInputError("none of the frames could be read:", *shown)
 
 
 @contextmanager

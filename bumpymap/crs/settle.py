@@ -290,7 +290,7 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
         if any(crs is None for crs in held)
         else "Reproject them to one CRS, or map them in separate runs; --crs sets one for all if the files are wrong"
     )
-    raise BadInputError(f"the files are not in one CRS:\n{_listed(ordered, held)}\n{advice}")
+    raise BadInputError("the files are not in one CRS:", *_listed(ordered, held), advice)
 
 
 def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> CRS | None:
@@ -299,9 +299,10 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
     stated = [crs for crs in vertical if crs is not None]
     if not all(same_zero(stated[0], crs) for crs in stated):
         raise BadInputError(
-            f"the heights of the files are not in one vertical CRS:\n{_listed(ordered, held)}\nReproject them to one, "
-            "or map them in separate runs; --crs with a vertical part, such as EPSG:32614+5703, sets one for all if "
-            "the files are wrong"
+            "the heights of the files are not in one vertical CRS:",
+            *_listed(ordered, held),
+            "Reproject them to one, or map them in separate runs; --crs with a vertical part, such as "
+            "EPSG:32614+5703, sets one for all if the files are wrong",
         )
     if stated and len(stated) < len(held):
         _log.warning(
@@ -317,12 +318,11 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
     return next(metric, held[0])
 
 
-def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> str:
+def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> list[str]:
     lines = [
         f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
     ]
-    shown = lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
-    return "\n".join(shown)
+    return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
 
 
 def _agree(first: CRS | None, second: CRS | None) -> bool:

@@ -26,7 +26,7 @@ from bumpymap.engine.parts import Rivals, cut_parts, part_points
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, busy, count_marks, finish_group, look, read_part
 from bumpymap.engine.tls import plain_note, read_tls_settings
 from bumpymap.engine.workspace import Workspace
-from bumpymap.errors import BadInputError, UsageError
+from bumpymap.errors import BadInputError, UsageError, causes
 from bumpymap.progress import Progress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader
 from bumpytiles import BLOCK_TILES, Pack, TileWindow
@@ -230,7 +230,7 @@ class ClusterRun:
     def _finish(self, order: Order, harvest: Harvest, *, ground_only: bool) -> None:
         kind = "ground" if ground_only else "all"
         finished = {key for path in self._space.tiles(kind) for key in Pack(path).keys}
-        self._told.start("measuring tiles", len(harvest.catalogue.keys()))
+        self._told.start("measuring blocks of tiles", len(harvest.catalogue.keys()))
         self._told.advance(len(finished))
         adoption = Adoption(self._space, [kind])
         tasks = ((order, group, ground_only) for group in harvest.catalogue.groups(finished))
@@ -290,7 +290,9 @@ def _started(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
     with ExitStack() as stack:
         try:
             found = stack.enter_context(workers)
-        except (RuntimeError, OSError) as error:  # dask says no more than that they did not
+        except (RuntimeError, OSError) as error:
+            if any(isinstance(cause, OSError) and cause.errno is not None for cause in causes(error)):
+                raise  # the system says why
             raise UsageError(
                 f"the workers did not start ({error}); they may have been killed. Try again, or fewer --workers"
             ) from error

@@ -18,6 +18,7 @@ from bumpymap.engine.parts import Part
 from bumpymap.engine.tasks import PartRead
 from bumpymap.engine.workspace import Workspace
 from bumpymap.errors import BadInputError
+from bumpymap.json_text import parse_json
 from bumpymap.readers import SurveyReader, Tally, Version, changed
 from bumpytiles import Pack
 
@@ -144,7 +145,7 @@ class Harvest:
 
     def _take_up(self) -> None:
         """Take up the files that an earlier run found sound; forget what it had finished of others."""
-        records = {int(path.stem): json.loads(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
+        records = {int(path.stem): parse_json(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
         records = {file: record for file, record in records.items() if self._is_whole(record)}
         known = {number for record in records.values() for number in record["early"]}
         for path in self._space.tiles("*-early"):

@@ -52,7 +52,9 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
     """Raise OutputError where the run that is complete in a folder differs from the one that is asked for."""
     if differences:
         raise OutputError(
-            f"{folder} already holds a complete run, but not this one:\n  " + "\n  ".join(differences) + f"\n{_REMEDY}"
+            f"{folder} already holds a complete run, but not this one:",
+            *(f"  {difference}" for difference in differences),
+            _REMEDY,
         )
 
 

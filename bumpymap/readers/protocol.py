@@ -31,6 +31,8 @@ class ReadOptions:
     """Unit of the heights; None: believe the file."""
     trust_points: bool = False
     """Ignore the extent that a header claims; the points' own counts."""
+    memory: int = 1 << 30
+    """What unpacking a file may take that cannot be read in pieces (compressed PCD), bytes."""
 
 
 @dataclass(frozen=True, slots=True)

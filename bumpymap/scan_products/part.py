@@ -10,6 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from bumpymap.atomic import atomic
+from bumpymap.json_text import parse_json
 from bumpymap.scan_products.names import Frame
 from bumpymap.scan_products.report import FrameReport
 
@@ -56,7 +57,7 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
     """Take up a finished frame; None where it was not finished, or what is kept of it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as kept:
-            record = json.loads(kept["report"].tobytes())
+            record = parse_json(kept["report"].tobytes().decode())
             rows = pa.ipc.open_stream(kept["rows"].tobytes()).read_all() if kept["rows"].size else None
             if record["name"] != frame.name:
                 return None

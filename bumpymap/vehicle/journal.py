@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
+from bumpymap.json_text import parse_json
 from bumpymap.vehicle.patch import PatchDrives
 
 __all__ = ["Journal", "Key"]
@@ -107,7 +108,7 @@ def _read_patches(lines: list[str]) -> dict[Key, PatchDrives]:
     driven: dict[Key, PatchDrives] = {}
     for line in lines:
         try:
-            record = json.loads(line)
+            record = parse_json(line)
             driven[tuple(record["patch"])] = PatchDrives(tuple(record["outcome"]), tuple(record["c_r"]))
         except (ValueError, KeyError, TypeError):
             _LOG.warning("the progress file ends in a damaged line; %d driven patches before it are kept", len(driven))

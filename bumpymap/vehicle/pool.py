@@ -98,7 +98,13 @@ def _runner(
     # Spawned, not forked: a fork of a process with threads (progress bars, numerical libraries) can hang.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
+    try:
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
+    except OSError as error:  # their locks lie in shared memory
+        raise BumpymapError(
+            f"cannot start {workers} processes: {error.strerror}. Is shared memory (/dev/shm) full? With "
+            "--workers 1 none is needed"
+        ) from error
     try:
         yield lambda jobs: pool.map(task, jobs)
     except BrokenProcessPool as error:

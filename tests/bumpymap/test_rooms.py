@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress", "atomic", "lock", "asked", "run_folder"}
+VOCABULARY = {"types", "config", "errors", "progress", "atomic", "json_text", "lock", "asked", "run_folder"}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
@@ -16,6 +16,7 @@ ROOMS = {
     "errors": (set(), set()),
     "atomic": (set(), set()),
     "progress": (set(), set()),
+    "json_text": (set(), set()),
     "lock": (set(), set()),
     "asked": (set(), set()),
     "run_folder": (set(), set()),
@@ -129,6 +130,17 @@ def test_one_module_imports_onnx_runtime():
     files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
     importing = {file for file in files if "onnxruntime" in {name.split(".")[0] for name in imported(file)}}
     assert importing == {ROOT / "bumpymap" / "onnx_file.py"}
+
+
+def test_json_of_others_is_parsed_to_a_bounded_depth():
+    for file in (ROOT / "bumpymap").rglob("*.py"):
+        if file.stem != "json_text":
+            calls = [
+                node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)
+            ]
+            own = [node for node in calls if ast.unparse(node.func) in {"json.loads", "json.load"}]
+            foreign = [node for node in own if not ast.unparse(node.args[0]).startswith("json.dumps")]
+            assert not foreign, f"{file}: use parse_json"
 
 
 def test_every_room_has_a_row():
