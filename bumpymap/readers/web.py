@@ -5,6 +5,7 @@ here (addresses, proxies, passwords), and the ranges are read from it.
 """
 
 import re
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -98,7 +99,7 @@ async def _ask(files: Any, url: str, start: int, data: NDArray[np.uint8] | None)
         if answer.status != _RANGE and not (start == 0 and total is not None and total <= size):
             raise BadInputError(
                 f"the server of {url} gives whole files alone, no ranges of bytes. Download the file first, such as "
-                f"with: curl -O {url}"
+                f"with: curl -O {shlex.quote(url)}"
             )
         if first != start:
             raise BadInputError(f"the server of {url} was asked for byte {start:,} and gives byte {first:,}")
