@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from bumpymap.errors import BadInputError, UsageError
 
@@ -13,15 +13,19 @@ __all__ = [
     "FeatureSettings",
     "Ground",
     "MapConfig",
+    "NameOrFile",
     "Rating",
     "ZUnit",
     "decide_ground",
+    "names_a_file",
 ]
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
+NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
+"""The path of a file in settings starts at their folder."""
 
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
@@ -93,8 +97,8 @@ class MapConfig:
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
     compat: Compat = "none"
     """``paper``: rate by the rules of the paper."""
-    vehicle: str = "warthog"
-    """A vehicle whose calibration ships."""
+    vehicle: NameOrFile = "warthog"
+    """A vehicle whose calibration ships, or the TOML file of one, with its calibration beside it."""
     calibration: Path | None = None
     """A calibration file; instead of ``vehicle``."""
     model: Path | None = None
@@ -142,6 +146,11 @@ class MapConfig:
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
                 "on this machine, a scheduler has its own"
             )
+
+
+def names_a_file(text: str) -> bool:
+    """Tell whether a `NameOrFile` means a file: it ends in ``.toml``, or names a folder."""
+    return text.endswith(".toml") or "/" in text
 
 
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:

@@ -16,6 +16,7 @@ from bumpymap.cost import rate, rate_as_paper
 from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, broken_off, hired, memory_bytes
 from bumpymap.errors import BadInputError, OutputError
 from bumpymap.features import measure
+from bumpymap.find_calibration import find_calibration
 from bumpymap.ground import filter_version, mark_ground, require_filter, rest_filter
 from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
@@ -127,7 +128,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
                 csf.class_threshold,
             )
         check_folder(config.out, overwrite=may_replace, resume=config.resume)
-        calibration = _calibration(config)
+        calibration = find_calibration(config.vehicle, config.calibration)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
@@ -211,6 +212,7 @@ def _manifest(
         "calibration": {
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],
+            "preferences": calibration.preferences,
             "class_limits": calibration.class_limits,
         },
         "seconds": clock.seconds,
@@ -220,10 +222,6 @@ def _manifest(
 def _versions(ground: Ground) -> dict[str, str]:
     """Versions of everything that has a say in the numbers of a run."""
     return software_versions() | (filter_version() if ground == "csf" else {})
-
-
-def _calibration(config: MapConfig) -> Calibration:
-    return Calibration.load(config.calibration) if config.calibration else Calibration.shipped(config.vehicle)
 
 
 def _open(config: MapConfig) -> _Inputs:

@@ -12,10 +12,10 @@ import numpy as np
 from pyproj import CRS
 
 from bumpymap.atomic import atomic, no_empty_folder, together
-from bumpymap.calibration import Calibration
 from bumpymap.config import MapConfig
 from bumpymap.crs import parse_crs
 from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.find_calibration import find_calibration
 from bumpymap.frames import find_frames, read_poses, read_scan
 from bumpymap.pipeline import MapResult, map_surveys
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
@@ -253,7 +253,7 @@ def _drive(config: ScanConfig) -> MapConfig | None:
         overwrite=config.overwrite,
         **own,  # type: ignore[arg-type]
     )
-    known = Calibration.load(drive.calibration) if drive.calibration else Calibration.shipped(drive.vehicle)
+    known = find_calibration(drive.vehicle, drive.calibration)
     known.require_grid(drive.tile_size, drive.pixels)
     return drive
 

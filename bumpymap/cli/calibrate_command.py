@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 
 
 @click.command("calibrate")
-@click.option("--vehicle", default="warthog", show_default=True, help="Name of a shipped profile, or a TOML file.")
+@click.option(
+    "--vehicle",
+    default="warthog",
+    metavar="NAME_OR_FILE",
+    help="Vehicle that ships, or its TOML file [default: warthog].",
+)
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Calibration file to write (JSON).")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Makes every random choice.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
