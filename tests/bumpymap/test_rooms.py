@@ -51,6 +51,7 @@ ROOMS = {
         },
         {"bumpytiles", "numpy"},
     ),
+    "advice": (set(), {"bumpytiles"}),
     "find_calibration": ({"calibration", "vehicle"}, set()),
     "terrains": ({"textures"}, {"numpy", "scipy"}),
     "ride": ({"calibration"}, {"bumpytiles", "numpy"}),
