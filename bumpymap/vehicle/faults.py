@@ -68,8 +68,8 @@ def _text_faults(record: dict[str, Any], name: str) -> list[str]:
         return [f"missing {name}: a text"]
     if record[name] == UNFILLED:
         return [f"{name} is not filled in: a text"]
-    if not isinstance(record[name], str) or not record[name].strip():
-        return [f"{name} is {shown(record[name])}; it must be a text that is not empty"]
+    if not isinstance(record[name], str) or not record[name].strip() or not record[name].isprintable():
+        return [f"{name} is {shown(record[name])}; it must be a text of one line that is not empty"]
     return []
 
 

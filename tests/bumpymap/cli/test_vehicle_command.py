@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from bumpymap.calibration import Calibration
@@ -118,3 +119,21 @@ def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tm
     result = CliRunner().invoke(main, ["map", "a.laz", "--out", "o", "--calibration", "c.json"])
     assert result.exit_code == 3
     assert "c.json, vehicle: wheelbase_m = 2700: metres" in result.stderr
+
+
+def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):
+    vehicle("new", "mine", "--like", "warthog")
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("ride_weight = 5.0", "ride_weight = 9").replace("= 300.0", "= 40"))
+    quarry = SHIPPED.parents[1] / "sample_data" / "quarry.laz"
+    words = ["map", str(quarry), "--vehicle", "mine.toml", "--out"]
+    result = CliRunner().invoke(main, [*words, "own", "--quiet"])
+    assert result.exit_code == 0, result.output
+    record = json.loads((tmp_path / "own" / "run.json").read_text())
+    assert record["settings"]["vehicle"] == "mine.toml"
+    assert record["calibration"]["preferences"] == {
+        "name": "mine", "description": "like warthog", "ride_weight": 9.0, "fail_weight": 40.0
+    }  # fmt: skip
+    assert record["calibration"]["id"] != Calibration.shipped("warthog").id
+    with rasterio.open(tmp_path / "own" / "roughness.tif") as raster:
+        assert "9" in str(raster.tags())

@@ -69,6 +69,7 @@ def test_file_with_a_path_is_read(tmp_path):
         ("ride_weight", -0.1, ["ride_weight = -0.1: metres per radian; between 0 and 1,000"]),
         ("fail_weight", -1, ["fail_weight = -1: metres; between 0 and 100,000"]),
         ("name", " ", ["name is ' '", "not empty"]),
+        ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),
         ("chassis", 3, ["chassis is 3", "table, [chassis], with mass_kg, inertia_kgm2, com_height_m"]),
         ("chassis.mass_kg", 0, ["chassis.mass_kg = 0: kilograms; between 0.2 and 1,000,000"]),
         ("chassis.mass_kg", 100_000, ["100,160 kg", "between", "masses in kilograms"]),
