@@ -1,5 +1,6 @@
 """``bumpymap vehicle``: vehicle profiles. Which there are, what one means, one to fill in."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +59,8 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
 
     path = out or Path(f"{name}.toml")
     write_blank(name, path, like)
-    click.echo(f"wrote {path}: {'change what differs' if like else 'fill it in'}, then: bumpymap vehicle check {path}")
+    what = "change what differs" if like else "fill it in"
+    click.echo(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
 
 
 def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:
@@ -84,4 +86,5 @@ def _calibration(vehicle: str) -> str:
         found: Any = find_calibration(vehicle)
     except BadInputError as error:
         return str(error)
-    return f"{found.id}, tiles of {found.tile_size:g} m with {found.pixels} pixels; bumpymap map --vehicle {vehicle}"
+    tiles = f"tiles of {found.tile_size:g} m with {found.pixels} pixels"
+    return f"{found.id}, {tiles}; bumpymap map --vehicle {shlex.quote(vehicle)}"

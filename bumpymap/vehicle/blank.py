@@ -60,7 +60,7 @@ def blank_profile(name: str, like: str | None) -> str:
         A vehicle (name or TOML file) whose numbers it begins with; None: a mark that `vehicle check` asks to fill in.
     """
     model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
-    lines = [f"# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check {name}.toml"]
+    lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
     if like is None:
         lines.append(f'# Put a number in the place of each "{UNFILLED}".')
     else:

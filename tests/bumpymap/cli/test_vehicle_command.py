@@ -136,4 +136,4 @@ def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):
     }  # fmt: skip
     assert record["calibration"]["id"] != Calibration.shipped("warthog").id
     with rasterio.open(tmp_path / "own" / "roughness.tif") as raster:
-        assert "9" in str(raster.tags())
+        assert (raster.tags()["vehicle"], raster.tags()["ride_weight_m_per_rad"]) == ("mine", "9")
