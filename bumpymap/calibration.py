@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,16 @@ from bumpymap.errors import BadInputError, UsageError
 from bumpymap.json_text import parse_json
 from bumpymap.types import TEXTURES, CostRule
 
-__all__ = ["Calibration", "DrivenTerrain", "shipped_calibrations"]
+__all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "shipped_calibrations"]
 
-_FAIL_WEIGHT = 300.0
-"""m: the detour that one certain failure is worth, where the vehicle profile does not say."""
 _DRIVE_S = 10.0
 """Seconds that a drive is measured, where the calibration does not say."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
+_PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
+"""Keys of a vehicle profile that no drive depends on."""
+DEFAULT_FAIL_WEIGHT = 300.0
+"""``fail_weight`` of vehicles whose profile does not say it, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class Calibration:
         seconds = self.settings.get("drive", {}).get("measure_s", _DRIVE_S)
         return CostRule(
             ride_weight=float(self.vehicle["ride_weight"]),
-            fail_weight=float(self.vehicle.get("fail_weight", _FAIL_WEIGHT)),
+            fail_weight=float(self.vehicle.get("fail_weight", DEFAULT_FAIL_WEIGHT)),
             drive_m=float(seconds) * float(self.vehicle["speed_mps"]),
             slope_limit_deg=float(self.vehicle["slope_limit_deg"]),
         )
@@ -189,6 +191,46 @@ class Calibration:
             )
         resource = files("bumpymap") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
+
+    @property
+    def preferences(self) -> dict[str, Any]:
+        """Keys of the vehicle that no drive depends on: of the profile that was driven, or `with_preferences`."""
+        return {"fail_weight": DEFAULT_FAIL_WEIGHT} | {
+            key: value for key, value in self.vehicle.items() if key in _PREFERENCES
+        }
+
+    def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
+        """Take name, description and weights from a vehicle profile; all else must be what was driven.
+
+        Preferences change what a map says, so they change the ``id``; equal ones leave it alone.
+
+        Parameters
+        ----------
+        profile : dict
+            Of the vehicle, as in its TOML file.
+        origin : str
+            The files that are compared, for the message.
+
+        Raises
+        ------
+        BadInputError
+            The profile is of another vehicle: any other key differs.
+        """
+        driven, asked = _flat(self.vehicle), _flat(profile)
+        differ = [key for key in {**driven, **asked} if key not in _PREFERENCES and driven.get(key) != asked.get(key)]
+        if differ:
+            told = "; ".join(f"{key} is {asked.get(key)}, was {driven.get(key)}" for key in differ)
+            raise BadInputError(f"{origin} was made for another vehicle: {told}")
+        own = self.preferences
+        changed = {key: asked[key] for key in _PREFERENCES if key in asked and asked[key] != own.get(key)}
+        return replace(self, vehicle=self.vehicle | changed) if changed else self
+
+
+def _flat(vehicle: dict[str, Any]) -> dict[str, Any]:
+    """Put the tables of a profile beside its other keys, as ``belly.length_m``."""
+    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
+    rest = {name: value for name, value in vehicle.items() if name not in tables}
+    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def _check_numbers(calibration: Calibration) -> None:

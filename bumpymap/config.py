@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from bumpymap.errors import BadInputError, UsageError
 
@@ -14,15 +14,19 @@ __all__ = [
     "FeatureSettings",
     "Ground",
     "MapConfig",
+    "NameOrFile",
     "Rating",
     "ZUnit",
     "decide_ground",
+    "names_a_file",
 ]
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
+NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
+"""The path of a file in settings starts at their folder."""
 
 BOTH = (
     "--resume goes on with a run that was broken off, --overwrite starts anew: give one of them. A run that was begun "
@@ -98,8 +102,8 @@ class MapConfig:
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
     compat: Compat = "none"
     """``paper``: rate by the rules of the paper."""
-    vehicle: str = "warthog"
-    """A vehicle whose calibration ships."""
+    vehicle: NameOrFile = "warthog"
+    """A vehicle whose calibration ships, or the TOML file of one, with its calibration beside it."""
     calibration: Path | None = None
     """A calibration file; instead of ``vehicle``."""
     model: Path | None = None
@@ -162,6 +166,11 @@ class MapConfig:
                 f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
                 "scheduler whose address starts with tls://"
             )
+
+
+def names_a_file(text: str) -> bool:
+    """Tell whether a `NameOrFile` means a file: it ends in ``.toml``, or names a folder."""
+    return text.endswith(".toml") or "/" in text
 
 
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:

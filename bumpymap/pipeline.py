@@ -18,6 +18,7 @@ from bumpymap.cost import rate, rate_as_paper
 from bumpymap.engine import ADVICE, Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes
 from bumpymap.errors import BadInputError
 from bumpymap.features import measure
+from bumpymap.find_calibration import find_calibration
 from bumpymap.ground import filter_version, mark_ground, require_filter, rest_filter
 from bumpymap.lock import locked
 from bumpymap.products import (
@@ -151,7 +152,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
                 "as trees. The layers say how rough the ground is, not whether the way is free",
                 csf.class_threshold,
             )
-        calibration = _calibration(config)
+        calibration = find_calibration(config.vehicle, config.calibration)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
@@ -267,6 +268,7 @@ def _manifest(
         "calibration": {
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],
+            "preferences": calibration.preferences,
             "class_limits": calibration.class_limits,
         },
         "seconds": clock.seconds,
@@ -276,10 +278,6 @@ def _manifest(
 def _versions(ground: Ground) -> dict[str, str]:
     """Versions of everything that has a say in the numbers of a run."""
     return software_versions() | (filter_version() if ground == "csf" else {})
-
-
-def _calibration(config: MapConfig) -> Calibration:
-    return Calibration.load(config.calibration) if config.calibration else Calibration.shipped(config.vehicle)
 
 
 def _open(config: MapConfig) -> _Inputs:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from bumpymap.config import BOTH, Compat
+from bumpymap.config import BOTH, Compat, NameOrFile
 from bumpymap.errors import UsageError
 from bumpymap.frames import Robot
 from bumpymap.scan import PolarSettings, ScanMethod
@@ -37,8 +37,8 @@ class ScanConfig:
     """``paper``: fit the stripe classes anew in every scan, as the paper does."""
     products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
     """What is written of the frames."""
-    vehicle: str | None = None
-    """Vehicle of the mapped layers, whose calibration ships; None: that of ``bumpymap map``."""
+    vehicle: NameOrFile | None = None
+    """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
     calibration: Path | None = None
     """A calibration file for the mapped layers; instead of ``vehicle``."""
     skip_bad: bool = False

@@ -13,10 +13,10 @@ import numpy as np
 from pyproj import CRS
 
 from bumpymap.atomic import atomic, move_together, no_empty_folder, take_away
-from bumpymap.calibration import Calibration
 from bumpymap.config import MapConfig
 from bumpymap.crs import parse_crs
 from bumpymap.errors import BadInputError, OutputError, UsageError
+from bumpymap.find_calibration import find_calibration
 from bumpymap.frames import find_frames, read_poses, read_scan
 from bumpymap.lock import locked
 from bumpymap.pipeline import MapResult, map_surveys
@@ -355,7 +355,7 @@ def _drive(config: ScanConfig) -> MapConfig | None:
         resume=config.resume,
         **own,  # type: ignore[arg-type]
     )
-    known = Calibration.load(drive.calibration) if drive.calibration else Calibration.shipped(drive.vehicle)
+    known = find_calibration(drive.vehicle, drive.calibration)
     known.require_grid(drive.tile_size, drive.pixels)
     return drive
 

@@ -1,13 +1,14 @@
 """Settings from a TOML file, by the fields of the dataclass that they are for. Unknown keys are refused."""
 
 import os
-import tomllib
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
+from bumpymap.config import NameOrFile, names_a_file
 from bumpymap.errors import UsageError
+from bumpymap.toml_file import read_toml, shown, shown_names
 
 __all__ = ["read_settings_file", "why_no_path"]
 
@@ -32,8 +33,8 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
         Of the file. Relative paths in it start at its folder.
     owner : type
         Dataclass that the settings are for. A field may be a bool, a number, a text, a Path, a ``Path | str`` (a URL
-        stays a text), a Literal of texts, a tuple of one of these, a dataclass (a table of the file), or any of them
-        or None.
+        stays a text), a ``NameOrFile``, a Literal of texts, a tuple of one of these, a dataclass (a table of the
+        file), or any of them or None.
 
     Returns
     -------
@@ -45,18 +46,14 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     UsageError
         No such file, not TOML, an unknown key, a value of the wrong type or out of bounds.
     """
-    try:
-        record = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # not TOML, not UTF-8, too long a number, too deep
-        raise UsageError(f"cannot read settings from {path}: {error}") from error
-    return _settings(record, owner, str(path), path.parent)
+    return _settings(read_toml(path, "settings", UsageError), owner, str(path), path.parent)
 
 
 def _settings(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
     known: dict[str, Any] = {f.name: f.type for f in fields(owner)}
     unknown = sorted(set(record) - set(known))
     if unknown:
-        raise UsageError(f"{origin}: unknown setting {', '.join(unknown)}; there are: {', '.join(known)}")
+        raise UsageError(f"{origin}: unknown setting {shown_names(unknown)}; there are: {', '.join(known)}")
     return {name: _value(value, known[name], name, origin, folder) for name, value in record.items()}
 
 
@@ -73,15 +70,22 @@ def _value(value: Any, kind: Any, name: str, origin: str, folder: Path) -> Any:
         )
     if get_origin(kind) is Literal and isinstance(value, str) and value in items:
         return value
-    if kind in (Path, Path | str) and isinstance(value, str):
+    if kind in (Path, Path | str, NameOrFile) and isinstance(value, str):
         if reason := why_no_path(value):
             raise UsageError(f"{origin}: {name}: {reason}")
-        return value if kind is not Path and "://" in value else folder / value
+        return _placed(value, kind, folder)
     if type(value) is kind:
         return value
     if kind is float and type(value) is int and abs(value) < 2**1023:
         return float(value)
-    raise UsageError(f"{origin}: {name} is {value!r}; it must be {_word(kind, name)}")
+    raise UsageError(f"{origin}: {name} is {shown(value)}; it must be {_word(kind, name)}")
+
+
+def _placed(text: str, kind: Any, folder: Path) -> Path | str:
+    """Let a path start at the folder of the file; URLs and names are none."""
+    if kind == NameOrFile:
+        return str(folder / text) if names_a_file(text) else text
+    return text if kind is not Path and "://" in text else folder / text
 
 
 def why_no_path(text: str) -> str:

@@ -26,6 +26,7 @@ _COMMANDS = {
     "map": "make roughness layers and a cost map from surveys",
     "scan": "class the ground around a robot in its LiDAR scans, and map its drive",
     "train": "train the texture network, or that of scans",
+    "vehicle": "check a vehicle profile, or begin one",
 }
 
 

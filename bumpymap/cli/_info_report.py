@@ -1,6 +1,5 @@
 """What ``bumpymap info`` says about one survey: facts as records, and what a run would need."""
 
-import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,21 +8,18 @@ from typing import Any
 
 from rich.filesize import decimal
 
-from bumpymap.config import FeatureSettings
+from bumpymap.advice import Outcome, advise, enough_points, made_for, size_options
+from bumpymap.config import FeatureSettings, Ground, decide_ground
 from bumpymap.crs import describe_crs, horizontal_of, unit_name, vertical_of
 from bumpymap.engine import Budget, Estimate, estimate
-from bumpymap.readers import PointSummary, SurveyInfo, enough_points
+from bumpymap.readers import PointSummary, SurveyInfo
+from bumpymap.types import REASON_TEXT
 from bumpytiles import Bounds, Grid
 
-__all__ = ["Report", "as_record", "as_rows", "estimated", "run_record", "run_rows"]
+__all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
 
-_MOST = 0.5
-_LARGEST_TILE = 20
-"""Tiles beyond this say little about what a wheel meets, m."""
 _FAR_APART = 100_000.0
 """No drone or tile of an airborne survey is longer, m."""
-_CLASSIFIED = 0.5
-"""As ``--ground auto``: class 2 is used where more than this share of the tiles has such points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +34,10 @@ class Report:
     dropped: dict[str, int] | None = None
     """None with ``--quick``."""
     error: str = ""
+    options: tuple[str, ...] = ()
+    """Of the command line that ``map`` wants too, such as ``--crs EPSG:32614``."""
+    ground: Ground = "auto"
+    """Which points ``map`` will be told to measure."""
 
     @property
     def bounds(self) -> Bounds | None:
@@ -55,6 +55,11 @@ class Report:
         area = (bounds.east - bounds.west) * (bounds.north - bounds.south) if bounds else 0.0
         return self.info.point_count / area if self.info and area > 0 else None
 
+    @property
+    def outcome(self) -> Outcome | None:
+        """What ``bumpymap map`` will make of its tiles; None where its points were not read."""
+        return outcome_of(self.summary, self.ground) if self.summary is not None else None
+
     def needs(self) -> list[str]:
         """Say what ``bumpymap map`` would need or make of it; one sentence each."""
         if self.info is None:
@@ -64,39 +69,36 @@ class Report:
             said.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if self.dropped is not None and self.summary is None:
             said.append("no point counts (all withheld, noise or without return): nothing to map")
-        said += self._spread() + self._sparse()
-        if self.summary and 0 < self.summary.ground_tile_share <= _CLASSIFIED:
-            share = self.summary.ground_tile_share
-            said.append(f"ground points (class 2) in {share:.0%} of the tiles only: --ground auto will use all points")
-        return said or [f"ready: bumpymap map {shlex.quote(str(self.path))} --out DIR"]
-
-    def _sparse(self) -> list[str]:
-        if self.density is None:
-            return []
-        settings = FeatureSettings()
-        per_tile = self.density * self.grid.tile_size**2
-        enough = enough_points(self.grid, settings.min_points, settings.min_coverage)
+        said += self._spread() + self._unknown()
+        if size_options(self.grid):
+            said.append(f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels want {made_for(self.grid)}")
         summary = self.summary
-        if summary and summary.ground_tile_share > _CLASSIFIED:
-            if summary.ground_enough_share >= _MOST:
-                return []
-            found = f"{summary.ground_points_per_tile:.0f} a tile in the median"
-            sentence = (
-                f"--ground auto will measure ground points (class 2) alone, {found}; about {enough} are needed, so "
-                "most tiles would be unknown. --ground all measures every point, vegetation too"
-            )
-            return [sentence]
-        judged = summary.enough_share if summary else float(per_tile >= enough)
-        if judged >= _MOST:
+        if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
+            share = summary.ground_tiles / summary.tiles
+            said.append(f"ground points (class 2) in {share:.0%} of the tiles only: --ground auto will use all points")
+        return said or [self._ready()]
+
+    def _ready(self) -> str:
+        words = ["bumpymap", "map", str(self.path), *self.options, "--out", "DIR"]
+        few = f", about {self.outcome.share:.0%} of the tiles will be unknown" if self.outcome else ""
+        return f"ready{few}: {shlex.join(words)}"
+
+    def _unknown(self) -> list[str]:
+        """Say how many tiles will be unknown; from a header alone, whether it promises enough points."""
+        settings = FeatureSettings()
+        if self.outcome is not None:
+            said = advise(self.outcome, self.grid, settings, foretold=True)
+            return [said] if said else []
+        if self.dropped is not None or self.density is None:
             return []
-        sentence = (
-            f"{_short(self.density)} pts/m2 is sparse for {self.grid.tile_size:g} m tiles: most would be unknown "
-            f"(about {enough} points a tile are needed, here are {per_tile:.0f})"
+        per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings)
+        if per_tile >= enough:
+            return []
+        said = (
+            f"the header promises {per_tile:.0f} points a tile of {self.grid.tile_size:g} m and about {enough} are "
+            "needed: most tiles will be unknown. Leave out --quick to see how many, and what would help"
         )
-        # A larger tile with the same number of pixels holds more points in each.
-        size = math.ceil(math.sqrt(enough / self.density))
-        larger = f". Tiles of {size} m or more would do, with a calibration made for them"
-        return [sentence + (larger if size <= _LARGEST_TILE else "")]
+        return [said]
 
     def _spread(self) -> list[str]:
         bounds = self.bounds
@@ -104,6 +106,19 @@ class Report:
         if side <= _FAR_APART:
             return []
         return [f"its points are spread over {side / 1000:,.0f} km: are there stray coordinates, or is the CRS wrong?"]
+
+
+def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
+    """Foretell what ``map`` will make of the tiles."""
+    # None of class 2 where they are wanted: map will refuse, info says that all tiles are without ground.
+    ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
+    return Outcome(
+        tiles=summary.tiles,
+        unknown=summary.ground_unknown if ground_only else summary.unknown,
+        measured="ground points (class 2)" if ground_only else "points",
+        points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
+        all_points_per_tile=summary.points / summary.tiles,
+    )
 
 
 def as_record(report: Report) -> dict[str, Any]:
@@ -137,11 +152,16 @@ def as_record(report: Report) -> dict[str, Any]:
             "tile_size_m": report.grid.tile_size,
             "tiles": summary.tiles,
             "points_per_tile": summary.points_per_tile,
-            "tiles_dense_enough": summary.enough_share,
             "ground_points": summary.ground_share,
-            "ground_tiles": summary.ground_tile_share,
+            "ground_tiles": summary.ground_tiles / summary.tiles,
+            "unknown_tiles_about": _shares(outcome_of(summary, report.ground)),
         }
     return record if report.dropped is None else record | {"dropped": report.dropped}
+
+
+def _shares(outcome: Outcome) -> dict[str, float]:
+    """Shares of the tiles that will be unknown, by reason."""
+    return {REASON_TEXT[reason]: count / outcome.tiles for reason, count in outcome.unknown.items() if count}
 
 
 def as_rows(report: Report) -> list[tuple[str, str]]:

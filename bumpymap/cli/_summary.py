@@ -3,20 +3,20 @@
 import math
 from collections.abc import Iterator
 
+from bumpymap.advice import Measured, Outcome, advise
 from bumpymap.cli._text import say, say_json, say_table
 from bumpymap.config import MapConfig
 from bumpymap.pipeline import MapResult
 from bumpymap.products import MapSummary
-from bumpymap.types import CLASS_NAMES, REASON_TEXT, Reason
+from bumpymap.types import CLASS_NAMES, Reason
+from bumpytiles import Grid
 
 __all__ = ["ALREADY_DONE", "show"]
 
 ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite makes it anew"
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
-_MOST = 0.5
-"""With a larger share of unknown tiles the summary says what to do."""
-_SAID = ("class 2", "found by the cloth")
+_MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
 """Where ground comes from: the survey, or the filter."""
 
 
@@ -28,7 +28,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     summary = result.summary
     if result.already_done:
         say(f"Already done: {config.out} {ALREADY_DONE}")
-    which = f"ground points ({_SAID[config.ground == 'csf']})" if result.ground_only else "points"
+    which = _outcome(result, config).measured
     say(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
         f"{sum(result.seconds.values()):.1f} s"
@@ -56,27 +56,21 @@ def _number(value: float, decimals: int) -> str:
     return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
 
-def _advice(result: MapResult, config: MapConfig) -> str:
-    """Say what to do where most tiles are unknown; nothing elsewhere."""
+def _outcome(result: MapResult, config: MapConfig) -> Outcome:
     summary = result.summary
-    reasons, tiles = summary.reasons, summary.tiles
-    if summary.unknown <= _MOST * tiles:
-        return ""
-    most = max(reasons, key=lambda reason: reasons[reason])
-    head = f"{reasons[most] / tiles:.0%} of the tiles are unknown: {most}."
-    if most != REASON_TEXT[Reason.TOO_FEW_POINTS]:
-        return head
-    points = f"{summary.median_count:.0f}"
-    needed = f"at least {config.features.min_points}, spread over the tile, are needed"
-    if result.ground_only:
-        return (
-            f"{head} They hold {points} ground points ({_SAID[config.ground == 'csf']}) in the median; {needed}. "
-            "--ground all measures every point, vegetation too."
-        )
-    return (
-        f"{head} They hold {points} points in the median; {needed}. "
-        "Larger tiles need a calibration and a network made for them: bumpymap calibrate and train, --tile-size."
+    return Outcome(
+        tiles=summary.tiles,
+        unknown={code: summary.by_reason[code] for code in Reason if summary.by_reason[code]},
+        measured=_MEASURED[config.ground == "csf"] if result.ground_only else "points",
+        points_per_tile=summary.median_count,
+        all_points_per_tile=result.points / summary.tiles,
     )
+
+
+def _advice(result: MapResult, config: MapConfig) -> str:
+    """Say what to do where tiles are unknown; nothing where few are."""
+    grid = Grid(config.tile_size, config.pixels)
+    return advise(_outcome(result, config), grid, config.features, foretold=False)
 
 
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:

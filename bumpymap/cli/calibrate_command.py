@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 
 @click.command("calibrate")
-@click.option("--vehicle", default="warthog", show_default=True, help="Name of a shipped profile, or a TOML file.")
+@click.option(
+    "--vehicle",
+    default="warthog",
+    metavar="NAME_OR_FILE",
+    help="Vehicle that ships, or its TOML file [default: warthog].",
+)
 @click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
 @click.option("--seed", type=int, metavar="N", help="Makes every random choice [default: 1].")
 @workers_option("one for every processor")

@@ -42,7 +42,9 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 @click.option("--local", is_flag=True, help="Take coordinates without a CRS as metres.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points used.")
-@click.option("--vehicle", multiple=True, metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
+@click.option(
+    "--vehicle", multiple=True, metavar="NAME_OR_FILE", help="Vehicle that ships, or its TOML file [default: warthog]."
+)
 @click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
 @click.option(
     "--rating", type=click.Choice(get_args(Rating)), default="ride", show_default=True, help="table: no ride model."
@@ -214,12 +216,13 @@ def _settings(given: dict[str, Any]) -> "EvaluateSettings":
 
 
 def _subjects(given: dict[str, Any]) -> "list[Subject]":
-    from bumpymap.calibration import Calibration
     from bumpymap.classify import TextureModel
     from bumpymap.evaluate.subject import Subject
+    from bumpymap.find_calibration import find_calibration
 
     names = given["vehicle"] or (() if given["calibration"] else ("warthog",))
-    calibrations = [Calibration.shipped(name) for name in names] + [Calibration.load(p) for p in given["calibration"]]
+    calibrations = [find_calibration(name) for name in names]
+    calibrations += [find_calibration("", file) for file in given["calibration"]]
     ids = [calibration.id for calibration in calibrations]
     if len(set(ids)) < len(ids):
         raise UsageError("the same calibration was given twice; give each vehicle once")

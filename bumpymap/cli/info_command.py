@@ -3,6 +3,8 @@
 import logging
 import os
 import shlex
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -13,12 +15,12 @@ from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import say, say_json, say_labelled, say_table
-from bumpymap.config import MapConfig, ZUnit
+from bumpymap.config import Ground, MapConfig, ZUnit
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
     from bumpymap.engine import Estimate
-    from bumpymap.readers import ReadOptions
+    from bumpymap.readers import PointTally, ReadOptions
     from bumpytiles import Grid
 
 __all__ = ["command"]
@@ -31,6 +33,9 @@ _BAD_INPUT = 3
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
+@click.option(
+    "--ground", type=click.Choice(["auto", "all", "class"]), default="auto", help="As for map [default: auto]."
+)
 @click.option("--tile-size", type=float, default=3.0, metavar="M", help="Side of a tile [default: 3].")
 @click.option("--pixels", type=int, default=15, metavar="N", help="Pixels along a side of a tile [default: 15].")
 @click.option("--memory", default="1GB", metavar="SIZE", help="As for map: what a run would take [default: 1GB].")
@@ -45,6 +50,7 @@ def command(
     surveys: tuple[Path | str, ...],
     crs: str | None,
     z_unit: ZUnit | None,
+    ground: Ground,
     tile_size: float,
     pixels: int,
     memory: str,
@@ -65,8 +71,9 @@ def command(
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
     from bumpymap.cli._info_report import as_record, estimated, run_record
+    from bumpymap.config import FeatureSettings
     from bumpymap.engine import Budget, memory_bytes
-    from bumpymap.readers import ReadOptions, find_surveys
+    from bumpymap.readers import PointTally, ReadOptions, find_surveys
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
@@ -78,15 +85,17 @@ def command(
     budget = Budget(memory_bytes(run.memory), run.threads)
     options = ReadOptions(crs, z_unit, trust_points, budget.memory)
     paths = find_surveys(surveys)
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
-        reports = [_look(path, options, grid, progress, quick=quick) for path in paths]
+    with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
+        whole = None if quick else PointTally(grid, FeatureSettings())
+        look = partial(_look, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
+        reports = [look(path) for path in paths]
     together = _together(reports)
     told = None if together else estimated(reports, budget)
     if as_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(together)}
         say_json(record | {"run": told and run_record(told, budget)}, indent=1)
     else:
-        _show(reports, together or _one_map(surveys, reports))
+        _show(reports, together or _one_map(surveys, reports, whole))
         if told is not None:
             _show_run(told, grid, memory, budget.threads)
     if any(report.error for report in reports):
@@ -94,26 +103,44 @@ def command(
 
 
 def _look(
-    path: Path | str, options: "ReadOptions", grid: "Grid", progress: CommandProgress, *, quick: bool
+    path: Path | str,
+    options: "ReadOptions",
+    ground: Ground,
+    grid: "Grid",
+    progress: CommandProgress,
+    whole: "PointTally | None",
 ) -> "Report":
-    """Open a file and, unless in a hurry, read it; what is wrong with it becomes part of the report."""
+    """Open a file, read it and add it to the whole if there is one; what is wrong becomes part of the report."""
     from bumpymap.cli._info_report import Report
     from bumpymap.config import FeatureSettings
     from bumpymap.errors import BadInputError
-    from bumpymap.readers import enough_points, open_survey, summarise
+    from bumpymap.readers import PointTally, open_survey
 
-    settings = FeatureSettings()
+    given = tuple(_given(options, ground))
     try:
         reader = open_survey(path, options)
-        if quick:
-            return Report(path, grid, reader.info)
+        if whole is None:
+            return Report(path, grid, reader.info, options=given, ground=ground)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        enough = enough_points(grid, settings.min_points, settings.min_coverage)
-        summary = summarise(reader, grid, enough, progress.advance)
+        tally = PointTally(grid, FeatureSettings()).read(reader, progress.advance)
+        whole.merge(tally)
+        summary = tally.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
-        return Report(path, grid, reader.info, summary, reader.dropped)
+        return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
+
+
+def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
+    """Give the options that ``map`` wants as well."""
+    if options.crs is not None:
+        yield from ("--crs", options.crs)
+    if options.z_unit is not None:
+        yield from ("--z-unit", options.z_unit)
+    if options.trust_points:
+        yield "--trust-points"
+    if ground != "auto":
+        yield from ("--ground", ground)
 
 
 def _together(reports: "list[Report]") -> list[str]:
@@ -130,14 +157,24 @@ def _together(reports: "list[Report]") -> list[str]:
     return []
 
 
-def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]") -> list[str]:
+def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointTally | None") -> list[str]:
     """Say how several files make one map; empty for one file, or where one is bad."""
+    from bumpymap.advice import advise
+    from bumpymap.cli._info_report import outcome_of
+    from bumpymap.config import FeatureSettings
+
     infos = [report.info for report in reports if report.info is not None and not report.error]
     if len(reports) == 1 or len(infos) < len(reports):
         return []
-    named = " ".join(shlex.quote(str(path)) for path in surveys)
     points = sum(info.point_count for info in infos)
-    return [f"{len(reports)} files, {points:,} points, one map: bumpymap map {named} --out DIR"]
+    command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, "--out", "DIR"])
+    said = f"{len(reports)} files, {points:,} points, one map: {command}"
+    summary = whole.summary() if whole is not None else None
+    if summary is None:
+        return [said]
+    outcome = outcome_of(summary, reports[0].ground)
+    advice = advise(outcome, reports[0].grid, FeatureSettings(), foretold=True)
+    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", said]
 
 
 def _show(reports: "list[Report]", together: list[str]) -> None:

@@ -25,7 +25,7 @@ _PARTLY_DONE = 4
 @click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--ground", type=click.Choice(get_args(Ground)), help="Points that count [default: auto].")
-@click.option("--vehicle", metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
+@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle that ships, or its TOML file [default: warthog].")
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
 @click.option("--model", type=PATH, metavar="FILE", help="Texture network of your own.")
 @click.option("--rating", type=click.Choice(get_args(Rating)), help="How tiles are rated [default: ride].")

@@ -56,7 +56,7 @@ _NOT_OF_A_FIT = (
 @click.option(
     "--robot-radius", type=float, metavar="M", help="Returns nearer than this are on the robot [default: 0.5]."
 )
-@click.option("--vehicle", metavar="NAME", help="Vehicle of the map, whose calibration ships [default: warthog].")
+@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle of the map: name or TOML file [default: warthog].")
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle, for the map.")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
 @click.option("--skip-bad", is_flag=True, help="Go on without frames that cannot be read (exit code 4).")

@@ -6,7 +6,7 @@ from bumpymap.readers.detect import open_survey, reopen_survey
 from bumpymap.readers.find import find_surveys
 from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo, SurveyReader
 from bumpymap.readers.source import Location, Version, changed, identity, is_url, version_of
-from bumpymap.readers.summary import PointSummary, enough_points, summarise
+from bumpymap.readers.summary import PointSummary, PointTally
 from bumpymap.readers.tally import Tally
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Location",
     "Piece",
     "PointSummary",
+    "PointTally",
     "ReadOptions",
     "SurveyInfo",
     "SurveyReader",
@@ -22,13 +23,11 @@ __all__ = [
     "Version",
     "changed",
     "common_georeference",
-    "enough_points",
     "find_surveys",
     "identity",
     "is_url",
     "open_survey",
     "reopen_survey",
     "rest_decoder",
-    "summarise",
     "version_of",
 ]

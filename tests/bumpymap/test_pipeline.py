@@ -390,7 +390,7 @@ def test_a_map_without_classes_says_what_to_do(site, tmp_path):
     sparse = write_las(tmp_path / "sparse.laz", x, y, z)
     result = run("map", sparse, "--out", tmp_path / "sparse")
     assert result.exit_code == 0
-    assert "of the tiles are unknown: too few points. They hold 6 points" in result.output
+    assert "of the tiles are unknown, most for too few points: 6 points a tile in the median" in result.output
     few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
     wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
     assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
@@ -441,7 +441,7 @@ def test_info_judges_the_points_that_map_will_measure(site, tmp_path):
     few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
     wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
     told = " ".join(run("info", wooded).output.split())
-    assert "--ground auto will measure ground points (class 2) alone, 12 a tile" in told
+    assert "100% of the tiles will be unknown, most for too few points: 12 ground points (class 2) a tile" in told
     assert "ready" not in told
 
 

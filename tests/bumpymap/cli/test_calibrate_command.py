@@ -101,9 +101,9 @@ def test_missing_out_is_wrong_usage():
     assert "--out FILE.json" in result.output
 
 
-def test_unknown_vehicle_is_bad_input(tmp_path):
+def test_unknown_vehicle_is_wrong_usage(tmp_path):
     result = calibrate("--out", tmp_path / "c.json", "--vehicle", "tank")
-    assert result.exit_code == 3
+    assert result.exit_code == 2
     assert "warthog" in result.output
 
 

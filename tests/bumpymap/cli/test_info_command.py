@@ -1,4 +1,5 @@
 import json
+import re
 
 import laspy
 import numpy as np
@@ -52,7 +53,7 @@ def test_a_good_survey(info, tmp_path):
         "5.8 m x 5.8 m",
         "25.0 pts/m2: 225 points per 3 m tile (median of 4 tiles)",
         "100% of the points are ground",
-        f"ready: bumpymap map {path} --out DIR",
+        f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR",
     ):
         assert words in result.output, words
 
@@ -62,7 +63,7 @@ def test_what_is_missing_is_said(info, tmp_path):
     result = info(path)
     assert result.exit_code == 0
     assert "no CRS: pass --crs EPSG:CODE, or --local" in result.output
-    assert "is sparse for 3 m tiles: most would be unknown" in result.output
+    assert "about 100% of the tiles will be unknown, most for too few points" in result.output
     assert "ready" not in result.output
 
 
@@ -86,8 +87,8 @@ def test_json_holds_the_facts(info, tmp_path):
     assert record["points"] == 897
     assert record["dropped"] == {"withheld": 0, "noise": 3, "not_a_number": 0}
     assert record["tiles"] == 4
-    assert record["tiles_dense_enough"] == 1.0
-    assert record["needs"] == [f"ready: bumpymap map {path} --out DIR"]
+    assert record["unknown_tiles_about"] == {}
+    assert record["needs"] == [f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR"]
 
 
 def test_quick_reads_no_points(info, tmp_path, monkeypatch):
@@ -105,7 +106,7 @@ def test_one_bad_file_among_good_ones(info, tmp_path):
     bad.write_bytes(good.read_bytes()[:-50])
     result = info(tmp_path)
     assert result.exit_code == 3
-    assert f"ready: bumpymap map {good}" in result.output
+    assert f"ready, about 0% of the tiles will be unknown: bumpymap map {good}" in result.output
     assert "cannot be read: " in result.output
     assert str(bad) in result.output
     record = json.loads(info(tmp_path, "--json").stdout)["files"][1]
@@ -140,3 +141,30 @@ def test_nothing_to_look_at(info, tmp_path):
     result = info(write(tmp_path / "a.las", dense()), "--crs", "EPSG:1")
     assert result.exit_code == 2
     assert "EPSG:1" in result.output
+
+
+def test_the_command_has_the_options_that_were_given(info, tmp_path):
+    path = write(tmp_path / "a b.las", dense())
+    said = info(path, "--crs", "EPSG:32614", "--z-unit", "m", "--ground", "all", "--quick").output
+    assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
+
+
+def test_tiles_of_another_size_want_a_calibration_and_a_network(info, tmp_path):
+    said = info(write(tmp_path / "a.laz", dense(), "EPSG:32614"), "--tile-size", "1.5", "--pixels", "30").output
+    assert "ready" not in said
+    assert "want a calibration and a texture network made for them" in said
+    assert "bumpymap train --tile-size 1.5 --pixels 30 --out my.onnx" in said
+
+
+def test_several_files_are_told_together(info, tmp_path):
+    write(tmp_path / "a.laz", dense()[::2], "EPSG:32614", np.full(450, 1, np.uint8))
+    write(tmp_path / "b.laz", dense()[1::2], "EPSG:32614", np.full(450, 1, np.uint8))
+    said = info(tmp_path, "--crs", "EPSG:32614").output
+    assert "together: about 0% of the tiles will be unknown" in said
+    assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
+
+
+def test_a_header_alone_says_whether_it_promises_enough(info, tmp_path):
+    said = info(write(tmp_path / "a.laz", dense()[::20], "EPSG:32614"), "--quick").output
+    assert re.search(r"the header promises \d+ points a tile of 3 m and about 65 are needed", said)
+    assert "ready" not in said

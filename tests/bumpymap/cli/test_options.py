@@ -46,7 +46,7 @@ def reached(monkeypatch, tmp_path):
     import bumpymap.scan_pipeline
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
-    monkeypatch.setattr(bumpymap.pipeline, "_check_unfinished", ends("map"))
+    monkeypatch.setattr(bumpymap.pipeline, "_check_out", ends("map"))
     monkeypatch.setattr(bumpymap.scan_pipeline, "scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.scan_pipeline, "fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))

@@ -21,7 +21,7 @@ from bumpymap.vehicle.journal import Journal
 from bumpymap.vehicle.library import library_terrains, read_library
 from bumpymap.vehicle.patch import PatchDrives
 from bumpymap.vehicle.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
-from bumpymap.vehicle.profile import load_profile
+from bumpymap.vehicle.profile import VehicleProfile, load_profile
 from bumpymap.vehicle.summary import class_limits
 
 pytest.importorskip("dartpy")
@@ -283,7 +283,7 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     shipped = Calibration.shipped(name)
     made = shipped.settings
     profile = load_profile(name)
-    assert shipped.vehicle == profile.to_dict()
+    assert VehicleProfile.from_dict(shipped.vehicle, name) == profile
     effort = {name: made[name] for name in ("patches", "starts", "terrains", "terrain_starts")}
     settings = CalibrationSettings(profile, made["seed"], **effort)
     assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {

@@ -1,0 +1,90 @@
+"""``bumpymap vehicle``: vehicle profiles. Which there are, what one means, one to fill in."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bumpymap.cli._terminal import PATH
+
+if TYPE_CHECKING:
+    from bumpymap.vehicle.profile import VehicleProfile
+
+__all__ = ["command"]
+
+
+@click.group("vehicle")
+def command() -> None:
+    """Look at vehicle profiles, or begin one.
+
+    \b
+    bumpymap vehicle list
+    bumpymap vehicle new my_vehicle
+    bumpymap vehicle check my_vehicle.toml
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+
+
+@command.command("list")
+def list_command() -> None:
+    """List the vehicles that ship with bumpymap."""
+    from bumpymap.vehicle.profile import load_profile, shipped_profiles
+
+    for name in shipped_profiles():
+        click.echo(f"{name:12s} {load_profile(name).description}")
+
+
+@command.command("check")
+@click.argument("vehicle", metavar="NAME_OR_FILE")
+def check_command(vehicle: str) -> None:
+    """Say all that is wrong with a profile, or what it means.
+
+    NAME_OR_FILE is a TOML file, or the name of a vehicle that ships. The exit code is 3 where the profile is wrong.
+    """
+    from bumpymap.vehicle.profile import load_profile
+
+    profile = load_profile(vehicle)
+    for name, value in _meaning(profile):
+        click.echo(f"{name:13s} {value}")
+    click.echo(f"{'calibration':13s} {_calibration(vehicle)}")
+
+
+@command.command("new")
+@click.argument("name", metavar="NAME")
+@click.option("--out", type=PATH, metavar="FILE", help="File to write [default: NAME.toml].")
+@click.option("--like", metavar="NAME_OR_FILE", help="Begin with the numbers of this vehicle [default: none].")
+def new_command(name: str, out: Path | None, like: str | None) -> None:
+    """Write a profile of your vehicle NAME to fill in: every key, its unit and what is allowed."""
+    from bumpymap.vehicle.blank import write_blank
+
+    path = out or Path(f"{name}.toml")
+    write_blank(name, path, like)
+    what = "change what differs" if like else "fill it in"
+    click.echo(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
+
+
+def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:
+    wheel, belly = profile.wheel, profile.belly
+    return [
+        ("vehicle", f"{profile.name}: {profile.description}"),
+        ("mass", f"{profile.mass_kg:,.6g} kg"),
+        ("footprint", f"{profile.length_m:.3g} m long, {profile.width_m:.3g} m wide"),
+        ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
+        ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
+        ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
+        ("ride weight", f"{profile.ride_weight:g} m/rad: a radian of pitching is worth a detour of that length"),
+        ("fail weight", f"{profile.fail_weight:g} m: a certain failure is worth a detour of that length"),
+    ]
+
+
+def _calibration(vehicle: str) -> str:
+    """Say whether the vehicle has a calibration that fits."""
+    from bumpymap.errors import BadInputError
+    from bumpymap.find_calibration import find_calibration
+
+    try:
+        found: Any = find_calibration(vehicle)
+    except BadInputError as error:
+        return str(error)
+    tiles = f"tiles of {found.tile_size:g} m with {found.pixels} pixels"
+    return f"{found.id}, {tiles}; bumpymap map --vehicle {shlex.quote(vehicle)}"
