@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
-from io import TextIOWrapper
 from types import FrameType
 from typing import Any
 
@@ -79,9 +78,6 @@ class _LazyGroup(click.Group):
         **extra: Any,
     ) -> Any:
         """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`."""
-        for stream in (sys.stdout, sys.stderr):  # help has a user's own words in it
-            if isinstance(stream, TextIOWrapper):
-                stream.reconfigure(errors="backslashreplace")
         words = list(sys.argv[1:] if args is None else args)
         run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
         if not standalone_mode:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._terminal import PATH
+from bumpymap.cli._text import say, say_table
 
 if TYPE_CHECKING:
     from bumpymap.vehicle.profile import VehicleProfile
@@ -31,7 +32,7 @@ def list_command() -> None:
     from bumpymap.vehicle.profile import load_profile, shipped_profiles
 
     for name in shipped_profiles():
-        click.echo(f"{name:12s} {load_profile(name).description}")
+        say(f"{name:12s} {load_profile(name).description}")
 
 
 @command.command("check")
@@ -44,9 +45,7 @@ def check_command(vehicle: str) -> None:
     from bumpymap.vehicle.profile import load_profile
 
     profile = load_profile(vehicle)
-    for name, value in _meaning(profile):
-        click.echo(f"{name:13s} {value}")
-    click.echo(f"{'calibration':13s} {_calibration(vehicle)}")
+    say_table([*_meaning(profile), ("calibration", _calibration(vehicle))])
 
 
 @command.command("new")
@@ -60,7 +59,7 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
     path = out or Path(f"{name}.toml")
     write_blank(name, path, like)
     what = "change what differs" if like else "fill it in"
-    click.echo(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
+    say(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
 
 
 def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:

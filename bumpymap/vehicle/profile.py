@@ -119,7 +119,7 @@ class VehicleProfile:
             return profile
         if len(faults) == 1:
             raise BadInputError(f"{origin}: {faults[0]}")
-        raise BadInputError("\n  ".join([f"{origin}: {len(faults)} faults; {_SCHEMA}", *faults]))
+        raise BadInputError(f"{origin}: {len(faults)} faults; {_SCHEMA}", *(f"  {fault}" for fault in faults))
 
 
 def load_profile(name_or_path: str | Path) -> VehicleProfile:
