@@ -113,7 +113,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
     frames = spread_out(name_frames(find_frames(config.frames)), _MOST_FITTED)
     skipped: dict[str, str] = {}
     stacks: list[SectorStack] = []
-    told.start("measuring", len(frames))
+    told.start("measuring frames", len(frames))
     for frame in frames:
         with _skipping(frame, config, skipped):
             scan = _read(frame, config)
@@ -141,7 +141,7 @@ def _scan(config: ScanConfig, told: Progress) -> ScanResult:
     skipped: dict[str, str] = {}
     with writing(config.out), together(config.out, MANIFEST) as staged:
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
-            told.start("scanning", len(frames))
+            told.start("scanning frames", len(frames))
             for frame in frames:
                 with _skipping(frame, config, skipped):
                     reports.append(_scan_frame(frame, config, method, sinks, staged))
