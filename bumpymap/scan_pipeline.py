@@ -130,7 +130,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
     frames = spread_out(name_frames(find_frames(config.frames)), _MOST_FITTED)
     skipped: dict[str, str] = {}
     stacks: list[SectorStack] = []
-    told.start("measuring", len(frames))
+    told.start("measuring frames", len(frames))
     for frame in frames:
         with _skipping(frame, config, skipped):
             scan = _read(frame, config)
@@ -192,7 +192,7 @@ def _scan_frames(
     ):
         staged = _staged(run.path, frames)
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
-            told.start("scanning", len(frames))
+            told.start("scanning frames", len(frames))
             for number, frame in enumerate(frames):
                 with _skipping(frame, config, skipped):
                     version, place = asked["inputs"][str(frame.path)], part_path(run.path, number)

@@ -89,7 +89,7 @@ def noise_proof(
     truth = perfect_c_r(terrains, ride)
     third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth, side="right")
     flat = dead_flat(subject.calibration, _FLAT_TILES)
-    told.start("noise", len(DENSITIES) * len(NOISE_M))
+    told.start("rating noisy surveys", len(DENSITIES) * len(NOISE_M))
     rows: list[NoiseRow] = []
     for density in DENSITIES:
         for noise in NOISE_M:

@@ -46,7 +46,7 @@ def check(done):
 
 @linux
 @pytest.mark.parametrize("command", ["info", "map", "scan"])
-@pytest.mark.parametrize("kilobytes", [200_000, 400_000, 800_000])
+@pytest.mark.parametrize("kilobytes", [200_000, 800_000])
 def test_little_memory(tmp_path, command, kilobytes):
     done = shell(f"ulimit -v {kilobytes}", *commands(tmp_path)[command])
     check(done)
@@ -56,8 +56,8 @@ def test_little_memory(tmp_path, command, kilobytes):
 
 
 @linux
-@pytest.mark.parametrize("command", ["info", "map", "scan"])
-@pytest.mark.parametrize("files", [8, 14, 20])
+@pytest.mark.parametrize("command", ["info", "map"])
+@pytest.mark.parametrize("files", [8, 20])
 def test_few_files(tmp_path, command, files):
     done = shell(f"ulimit -n {files}", *commands(tmp_path)[command])
     check(done)
@@ -65,7 +65,7 @@ def test_few_files(tmp_path, command, files):
 
 
 @linux
-@pytest.mark.parametrize("command", ["info", "map", "scan", "map --workers", "calibrate --workers"])
+@pytest.mark.parametrize("command", ["map", "map --workers", "calibrate --workers"])
 def test_no_shared_memory(tmp_path, command):
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         pytest.skip("only root can mount a small /dev/shm of its own")

@@ -1,5 +1,6 @@
 """What is told of a run: lines where there is no terminal, events for machines, nothing when it is quiet."""
 
+import io
 import json
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from bumpymap.cli import _progress, main
 from bumpymap.cli._ending import end_of
@@ -46,6 +48,14 @@ def test_a_line_has_time_stage_and_share(capsys):
         "0:01:30 reading points: 45% (4,500,000 of 10,000,000)",
         "1:01:30 looking about\\x1b: 7",
     ]
+
+
+def test_a_bar_shows_a_name_as_it_is():
+    shown = io.StringIO()
+    with _progress._drawn(Console(file=shown, force_terminal=True, width=120)) as bars:
+        bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
+        bars.advance(3)
+    assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
 
 
 def events(text):
@@ -97,7 +107,11 @@ def test_it_is_told_again_and_again(capsys, monkeypatch, as_json, seconds):
     waits = Waits(3)
     monkeypatch.setattr(_progress, "Event", waits)
     ticks = []
-    monkeypatch.setattr(EventProgress if as_json else LineProgress, "tick", lambda self: ticks.append(self._total))
+
+    def note(progress):
+        ticks.append(progress)
+
+    monkeypatch.setattr(EventProgress if as_json else LineProgress, "tick", note)
     with show_progress(as_json=as_json) as progress:
         progress.start("reading", 10)
     assert len(ticks) == 3
