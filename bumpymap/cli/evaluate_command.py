@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.config import Ground, ZUnit
 from bumpymap.errors import OutputError, UsageError
@@ -131,13 +130,14 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *
     from bumpymap.frames import find_frames
     from bumpymap.scan import load_stripes
     from bumpymap.scan.learned import ScanModel
+    from bumpymap.scan_world import load_open3d
 
     settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
     stripes = load_stripes(given["stripes"])
     require_plain(simulates=not places)
     if not places:
-        require_simulator("evaluate --scans without frames")
+        load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     _check_place(out, overwrite=overwrite)
     with BarProgress() as told:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import BarProgress, set_up_logging, telling_how_to_go_on
 from bumpymap.errors import OutputError, UsageError
 from bumpymap.progress import Progress
@@ -108,9 +107,10 @@ def _train_scans(options: dict[str, Any], out: Path, folder: Path | None) -> Non
     from bumpymap.learn_scan.evaluate import even_accuracy
     from bumpymap.learn_scan.make import make_scan_model
     from bumpymap.learn_scan.train import ScanTrainSettings
+    from bumpymap.scan_world import load_open3d
 
     if folder is None:
-        require_simulator("--scans simulated")
+        load_open3d("--scans simulated")
     elif "scenes" in options:
         _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
     with BarProgress() as progress:
