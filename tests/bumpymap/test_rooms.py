@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress", "atomic"}
+VOCABULARY = {"types", "config", "errors", "progress", "atomic", "interrupts"}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
     "config": (set(), set()),
     "errors": (set(), set()),
     "atomic": (set(), set()),
+    "interrupts": (set(), set()),
     "progress": (set(), set()),
     "settings_file": (set(), set()),
     "calibration": (set(), set()),
@@ -111,7 +112,7 @@ def test_every_room_has_a_row():
     rooms = {path.stem for path in (ROOT / "bumpymap").glob("*.py")} | {
         path.parent.name for path in (ROOT / "bumpymap").glob("*/__init__.py")
     }
-    assert rooms - {"__init__", "cli"} == set(ROOMS)
+    assert rooms - {"__init__", "__main__", "cli"} == set(ROOMS)
 
 
 def test_the_engine_does_not_know_bumpymap():
