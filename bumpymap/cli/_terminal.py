@@ -110,10 +110,11 @@ class _PlainFormatter(logging.Formatter):
 
 
 def set_up_logging(*, as_json: bool) -> None:
-    """Send the warnings of bumpymap to standard error, as text or as JSON lines."""
+    """Send the warnings of bumpymap and of its engine to standard error, as text or as JSON lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_JsonFormatter() if as_json else _PlainFormatter())
-    logger = logging.getLogger("bumpymap")
-    logger.handlers = [handler]
-    logger.setLevel(logging.INFO if as_json else logging.WARNING)
-    logger.propagate = False
+    for name in ("bumpymap", "bumpytiles"):
+        logger = logging.getLogger(name)
+        logger.handlers = [handler]
+        logger.setLevel(logging.INFO if as_json else logging.WARNING)
+        logger.propagate = False

@@ -99,9 +99,7 @@ def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
     for instant in range(INSTANTS):
         done = ended(1 + instant * steps // INSTANTS)
         assert done.stderr == "", f"instant {instant}"
-        assert done.returncode in (
-            {9} if instant < INSTANTS - 2 else {0, 9}
-        )
+        assert done.returncode in ({9} if instant < INSTANTS - 2 else {0, 9})
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
