@@ -2,8 +2,9 @@
 
 Python runs a handler between any two steps of the main thread. What it raises there is lost where the interpreter
 cannot pass it on: in ``__del__``, in a callback of a weak reference or of a C library. The interpreter prints a
-traceback and the run goes on, deaf. So an exception that was lost is raised again a moment later. Once it has been
-raised, further signals do nothing: they would break the clearing up that the first one began.
+traceback and the run goes on, deaf. So an exception that was lost is raised again a moment later; and where a library
+made an error of its own of it, as the import of some do, that error ends the run as the signal would. Once it has been
+raised, the next two signals do nothing: they would break the clearing up that the first one began.
 """
 
 import os
@@ -18,6 +19,7 @@ from typing import Any
 __all__ = ["Interrupted", "Terminated", "interruptible", "shielded"]
 
 _AGAIN_S = 0.01
+_IGNORED = 2
 
 
 class Interrupted(KeyboardInterrupt):
@@ -40,6 +42,7 @@ class _Ending:
         self.came: int | None = None
         """A signal that waits for the end of a shield, or was lost."""
         self.raised: KeyboardInterrupt | None = None
+        self.ignored = 0
 
     def handle(self, number: int, _: FrameType | None = None) -> None:
         """Raise what belongs to a signal, unless that was done, or must wait."""
@@ -47,6 +50,10 @@ class _Ending:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
         else:
+            if self.raised is not None:
+                self.ignored += 1
+                if self.ignored > _IGNORED:
+                    self.raised, self.ignored = None, 0
             self.came = self.came or number
             self.end()
 
@@ -91,6 +98,10 @@ def interruptible() -> Iterator[None]:
         signal.signal(number, ending.handle)
     try:
         yield
+    except Exception as error:
+        if ending.raised is not None:
+            raise ending.raised from error
+        raise
     finally:
         ending.shields += 1  # it is over: what comes now has nothing to end
         if os.name == "posix":

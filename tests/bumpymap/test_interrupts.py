@@ -41,6 +41,16 @@ def test_a_second_signal_does_not_break_the_clearing_up():
     assert ended("SIGTERM", body) == (9, ["cleared", "Terminated"], "")
 
 
+def test_who_insists_is_heard():
+    body = "try:\n    hit()\nfinally:\n    hit()\n    hit()\n    print('deaf')\n    hit()\n    print('never')"
+    assert ended("SIGTERM", body) == (9, ["deaf", "Terminated"], "")
+
+
+def test_an_error_that_a_library_makes_of_a_signal_is_the_signal():
+    body = "try:\n    hit()\nexcept KeyboardInterrupt:\n    raise ImportError('initialization failed')"
+    assert ended("SIGTERM", body) == (9, ["Terminated"], "")
+
+
 def test_a_shield_lets_a_signal_wait():
     body = "with shielded():\n    with shielded():\n        hit()\n    print('whole')\nprint('never')"
     assert ended("SIGTERM", body) == (9, ["whole", "Terminated"], "")

@@ -8,16 +8,18 @@ task whose worker dies is done again by another one; what it does must bear that
 # (distributed says that it is typed, and leaves half of its functions out)
 
 import logging
+import os
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
+from multiprocessing import resource_tracker
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
 
 __all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -104,33 +106,48 @@ class Workers:
         raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
 
 
-class _Calm(WorkerPlugin):
-    """Ctrl-C on a terminal reaches every process of it; the client alone shall answer, and stop the workers."""
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait until the body is done; threads and processes that it starts never hear them.
 
-    def setup(self, worker: Worker) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    They reach every process of a terminal or a batch job: the client alone shall answer, and stop the workers. And a
+    cluster that is half begun, or half closed, ends with tracebacks.
+    """
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
     """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
     _quiet()
-    with (
-        TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True) as folder,
-        LocalCluster(
-            n_workers=number,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",  # any free port: the usual one may be taken
-            memory_limit=0,  # tasks keep to their own budget
-            silence_logs=logging.CRITICAL,
-            local_directory=folder,
-            env=dict(environment),
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        client.register_plugin(_Calm())
-        yield Workers(client)
+    with ExitStack() as running:
+        resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
+        with _blocked_signals():
+            folder = TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True)
+            cluster = LocalCluster(
+                n_workers=number,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",  # any free port: the usual one may be taken
+                memory_limit=0,  # tasks keep to their own budget
+                silence_logs=logging.CRITICAL,
+                local_directory=running.enter_context(folder),
+                env=dict(environment),
+            )
+            client = Client(running.enter_context(cluster), set_as_default=False)
+            workers = Workers(running.enter_context(client))
+        try:
+            yield workers
+        finally:
+            with _blocked_signals():
+                running.close()
 
 
 @contextmanager
