@@ -53,7 +53,7 @@ RULES = (
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),
     Rule(r"^bumpymap calibrate ", "hours of drives", "--patches 1 --starts 1 --terrains 1 --terrain-starts 1"),
     Rule(r"^bumpymap evaluate --scans ", "made-up scenes, or frames with labels", "--scenes 2"),
-    Rule(r"^bumpymap evaluate ", "an hour of drives", "--patches 4 --starts 2 --skip density,invariance,noise,timing"),
+    Rule(r"^bumpymap evaluate ", "an hour of drives", "--patches 10 --starts 2 --skip density,invariance,noise,timing"),
     Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
     Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--scenes 2 --epochs 1 --sectors-per-class 10"),
     Rule(r"^bumpymap train ", "half an hour", "--patches-per-texture 30 --epochs 1"),
@@ -111,7 +111,7 @@ def furnish(folder: Path) -> None:
     shutil.copy(next((data / "models").glob("scan*.onnx")), folder / "own.onnx")
     shutil.copy(folder / "own.onnx", folder / "scan.onnx")
     for name in ("my_vehicle.json", "my_robot.json"):
-        shutil.copy(data / "calibrations" / "warthog.json", folder / name)
+        shutil.copy(data / "calibrations" / "small_rover.json", folder / name)
 
 
 def _drive(folder: Path) -> None:

@@ -70,7 +70,9 @@ class Store:
 
 
 def _folders(source: Path) -> list[Path]:
-    """Where to look, in this order: a container's user may have no home."""
+    """Where to look, in this order: a container's user may have no home. Only on POSIX do files have owners."""
+    if os.name != "posix":
+        return []
     own = os.environ.get("NUMBA_CACHE_DIR")
     if own:
         return [Path(own)]
@@ -143,9 +145,9 @@ def _say_once(where: str) -> None:
         return
     _said.append(where)
     _log.warning(
-        "the kernels are compiled anew in every run, which takes many seconds, for they cannot be kept: %s. Set "
+        "the kernels are compiled anew in every run, which takes many seconds, for they cannot be kept%s. Set "
         "NUMBA_CACHE_DIR to a folder of your own that nobody else can write to",
-        where,
+        f": {where}" if where else "",
     )
 
 
