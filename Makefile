@@ -1,7 +1,10 @@
 # make demo    map the sample survey and say where the layers are
-# make test    install what the suite needs and run it
+# make test    install what the suite needs and run it; TESTS=FILE for a part of it
+# A checkout that cannot be written: make VENV=/some/where/venv DEMO_OUT=/some/where/demo_out demo
 PYTHON ?= python3
 VENV ?= .venv
+DEMO_OUT ?= demo_out
+TESTS ?=
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
@@ -12,6 +15,8 @@ CONSTRAINTS := .ci/constraints.txt
 $(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "bumpymap needs Python 3.11 or newer, and '$(PYTHON)' is not. Name another one: make PYTHON=/path/to/python3"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "'$(PYTHON)' cannot make environments: its venv module is missing. Debian and Ubuntu: sudo apt-get install python3-venv"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet --constraint $(CONSTRAINTS) --upgrade pip
 	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable .
@@ -22,10 +27,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 	@touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/bumpymap demo --survey sample_data/quarry.laz --out demo_out
+	$(BIN)/bumpymap demo --survey sample_data/quarry.laz --out $(DEMO_OUT)
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto $(TESTS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -48,4 +53,4 @@ wheel: $(VENV)/.installed
 check: lint types docs test
 
 clean:
-	rm -rf $(VENV) demo_out dist site
+	rm -rf $(VENV) $(DEMO_OUT) dist site

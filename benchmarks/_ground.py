@@ -27,7 +27,7 @@ _STONE_CELL = 7.0
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
-    return njit(cache=True, nogil=True)(function)
+    return njit(nogil=True)(function)
 
 
 @_compiled

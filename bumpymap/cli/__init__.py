@@ -1,19 +1,15 @@
 """The command line: argv to settings, one call, a printed summary. Commands are loaded when they are asked for."""
 
-import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
-from types import FrameType
 from typing import Any
 
 import click
 
 from bumpymap.cli._ending import Ended, end_of
+from bumpymap.interrupts import Terminated, interruptible
 
 __all__ = ["main"]
 
@@ -31,10 +27,6 @@ _COMMANDS = {
 
 _INTERRUPTED, _TERMINATED = 130, 143
 """What shells expect after Ctrl-C (SIGINT) and after SIGTERM."""
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM, which batch systems send before they kill; a run cleans up after it as after Ctrl-C."""
 
 
 class _LazyGroup(click.Group):
@@ -61,10 +53,10 @@ class _LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> object:
         """Run a command; Ctrl-C and SIGTERM become one message and its exit code."""
         try:
-            with _terminable():
+            with interruptible():
                 return super().invoke(ctx)
         except KeyboardInterrupt as end:
-            terminated = isinstance(end, _Terminated)
+            terminated = isinstance(end, Terminated)
             said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
             message = " ".join(said + getattr(end, "__notes__", []))
             raise Ended(message, _TERMINATED if terminated else _INTERRUPTED) from None
@@ -83,27 +75,6 @@ class _LazyGroup(click.Group):
         if not standalone_mode:
             return run()
         sys.exit(end_of(run, words))
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM raise `_Terminated` in the body, unless the caller has a say of its own about that signal."""
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield
-        return
-    own = os.getpid()
-
-    def end(number: int, _: FrameType | None) -> None:
-        if os.getpid() == own:
-            raise _Terminated
-        signal.signal(number, signal.SIG_DFL)  # a forked child ends as any process does
-        os.kill(os.getpid(), number)
-
-    signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

@@ -11,7 +11,6 @@ import click
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import ONE_PLACE, joined, option, output_options, typed, workers_option
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
 from bumpymap.config import Ground, Rating, ZUnit
@@ -180,13 +179,14 @@ def _evaluate_scans(
     from bumpymap.frames import find_frames
     from bumpymap.scan import load_stripes
     from bumpymap.scan.learned import ScanModel
+    from bumpymap.scan_world import load_open3d
 
     settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
     stripes = load_stripes(given["stripes"])
     require_plain(simulates=not places)
     if not places:
-        require_simulator("evaluate --scans without frames")
+        load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     with locked(out), shown.progress() as told:
         _check_place(out, overwrite=overwrite)

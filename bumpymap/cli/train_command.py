@@ -12,7 +12,6 @@ import click
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import option, output_options, typed
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._simulator import require_simulator
 from bumpymap.cli._terminal import FILE, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
 from bumpymap.errors import OutputError, UsageError
@@ -132,9 +131,10 @@ def _train_scans(
     from bumpymap.learn_scan.evaluate import even_accuracy
     from bumpymap.learn_scan.make import make_scan_model
     from bumpymap.learn_scan.train import ScanTrainSettings
+    from bumpymap.scan_world import load_open3d
 
     if folder is None:
-        require_simulator("--scans simulated")
+        load_open3d("--scans simulated")
     elif "scenes" in options:
         _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))

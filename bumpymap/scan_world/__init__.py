@@ -4,7 +4,7 @@ Everything is seeded: the same seed gives the same bits on the same machine. Onl
 """
 
 from bumpymap.scan_world.folder import write_folder
-from bumpymap.scan_world.lidar import SimulatedScan, simulate
+from bumpymap.scan_world.lidar import SimulatedScan, load_open3d, simulate
 from bumpymap.scan_world.overhead import look_down
 from bumpymap.scan_world.scene import THEMES, Scene, make_scene
 from bumpymap.scan_world.sensor import SENSORS, Sensor, draw_sensor
@@ -16,6 +16,7 @@ __all__ = [
     "Sensor",
     "SimulatedScan",
     "draw_sensor",
+    "load_open3d",
     "look_down",
     "make_scene",
     "simulate",

@@ -11,18 +11,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.errors import UsageError
 from bumpymap.scan_world._fields import Floats
 from bumpymap.scan_world.ground import ground_mesh
 from bumpymap.scan_world.labels import ANSWERS, Label
 from bumpymap.scan_world.scene import Scene
 from bumpymap.scan_world.sensor import Sensor
 
-__all__ = ["SimulatedScan", "simulate"]
+__all__ = ["SimulatedScan", "load_open3d", "simulate"]
 
 _MARGIN_M = 5.0
 """The ground goes on this much beyond the longest range."""
 _LEAST_COSINE = 0.05
 """No ground is so smooth that grazing light sees less of it."""
+
+
+def load_open3d(what: str) -> Any:
+    """Import the library that casts rays: where it is installed, a library of the system may still be missing.
+
+    Parameters
+    ----------
+    what : str
+        What needs it, for the message.
+
+    Raises
+    ------
+    UsageError
+        It cannot be loaded; the message says what to install.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "open3d":
+            raise UsageError(f"{what} needs open3d. Install it with: pip install 'bumpymap[o3d]'") from error
+        raise UsageError(
+            f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs libraries of the system. "
+            "On Debian and Ubuntu: sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6"
+        ) from error
+    return open3d
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +110,7 @@ def simulate(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
 
 
 def _cast(scene: Scene, sensor: Sensor, eye: Floats, level: Floats, rng: np.random.Generator) -> _Hits:
-    import open3d
-
+    open3d = load_open3d("a simulated scan")
     tensor: Any = open3d.core.Tensor
     world = open3d.t.geometry.RaycastingScene(nthreads=1)
     corners, triangles = ground_mesh(scene.ground, rng, sensor.end_m + _MARGIN_M)

@@ -7,15 +7,17 @@ number of workers nor an interruption changes a bit of the results.
 import multiprocessing
 import os
 import signal
+import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing.connection import wait
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from typing import Protocol, TypeVar
 
 from bumpymap.errors import BumpymapError
+from bumpymap.interrupts import shielded
 from bumpymap.vehicle.journal import Journal, Key
 from bumpymap.vehicle.patch import PatchDrives
 
@@ -77,8 +79,8 @@ def drive_jobs(
     done = total - sum(job.starts for job in left)
     report = progress or (lambda _done, _total: None)
     report(done, total)
-    with _runner(task, min(workers, max(len(left), 1))) as run:
-        for job, drives in zip(left, run(left), strict=True):
+    with closing(_run(task, left, min(workers, len(left)))) as results:
+        for job, drives in zip(left, results, strict=True):
             driven[job.key] = drives
             if journal:
                 journal.add(job.key, drives)
@@ -87,46 +89,103 @@ def drive_jobs(
     return {job.key: driven[job.key] for job in jobs}
 
 
-@contextmanager
-def _runner(
-    task: Callable[[AnyJob], PatchDrives], workers: int
-) -> Iterator[Callable[[Iterable[AnyJob]], Iterator[PatchDrives]]]:
-    """Give a function that runs jobs, in this process or in a pool, and gives their results in order."""
+def _run(
+    task: Callable[[AnyJob], PatchDrives], jobs: Sequence[AnyJob], workers: int
+) -> Generator[PatchDrives, None, None]:
+    """Run jobs, in this process or in others, and give their results in order."""
     if workers <= 1:
-        yield lambda jobs: map(task, jobs)
+        yield from map(task, jobs)
         return
+    started: list[SpawnProcess] = []
+    try:
+        results: dict[int, PatchDrives] = {}
+        wanted = 0
+        for number, result in _results(jobs, [_start(task, started) for _ in range(workers)]):
+            results[number] = result
+            while wanted in results:
+                yield results.pop(wanted)
+                wanted += 1
+    finally:
+        # Whatever the reason, nobody wants what they are at any more, and they would be at it for many seconds.
+        with shielded():
+            for worker in started:
+                worker.kill()
+            for worker in started:
+                worker.join()
+
+
+def _start(task: Callable[[AnyJob], PatchDrives], started: list[SpawnProcess]) -> Connection:
     # Spawned, not forked: a fork of a process with threads (progress bars, numerical libraries) can hang.
     context = multiprocessing.get_context("spawn")
-    others = set(multiprocessing.active_children())
+    resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
+    ours, theirs = context.Pipe()
+    with shielded(), theirs, _blocked_signals():
+        worker = context.Process(target=_work, args=(task, theirs), daemon=True)
+        worker.start()
+        started.append(worker)
+    return ours
+
+
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    """Start a process that is deaf to Ctrl-C and SIGTERM from its first moment: they reach the whole group.
+
+    They are for the main process, which ends its workers. One that is hit while it imports dies with a traceback.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
-    except OSError as error:  # their locks lie in shared memory
-        raise BumpymapError(
-            f"cannot start {workers} processes: {error.strerror}. Is shared memory (/dev/shm) full? With "
-            "--workers 1 none is needed"
-        ) from error
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _results(jobs: Sequence[AnyJob], idle: list[Connection]) -> Generator[tuple[int, PatchDrives], None, None]:
+    """Hand jobs out one by one; give number and result of each as they come.
+
+    This process does that without threads of its own: one would outlive an interruption, and tell the user about it.
+    """
+    waiting = iter(enumerate(jobs))
+    busy: list[Connection] = []
     try:
-        yield lambda jobs: pool.map(task, jobs)
-    except BrokenProcessPool as error:
+        while True:
+            for link, (number, job) in zip(idle.copy(), waiting, strict=False):
+                link.send((number, job))
+                idle.remove(link)
+                busy.append(link)
+            if not busy:
+                return
+            ready = wait(busy)
+            for link in [link for link in busy if link in ready]:
+                number, result, error = link.recv()
+                if error is not None:
+                    raise error
+                busy.remove(link)
+                idle.append(link)
+                yield number, result
+    except (EOFError, ConnectionError) as error:
         raise BumpymapError(
             "a simulation process died, perhaps for want of memory; run the same command again to go on, "
             "with fewer --workers if it happens again"
         ) from error
-    except BaseException:
-        # Nobody wants what the workers are at any more, and they would be at it for many seconds.
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _prepare_worker() -> None:
-    """Leave Ctrl-C to the main process, and end when it does: a worker waits for jobs for ever once that was killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _work(task: Callable[[AnyJob], PatchDrives], link: Connection) -> None:
+    """Do jobs until the other end closes; end with the main process even in the middle of one."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+    with suppress(EOFError, ConnectionError):
+        while True:
+            number, job = link.recv()
+            answer: list[object] = [number, None, None]
+            try:
+                answer[1] = task(job)
+            except Exception as error:  # noqa: BLE001 (whatever it is, the main process raises it)
+                answer[2] = error
+            link.send(answer)
 
 
 def _end_with(sentinel: int) -> None:

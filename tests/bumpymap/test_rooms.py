@@ -8,13 +8,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress", "atomic", "json_text", "lock", "asked", "run_folder"}
+VOCABULARY = {
+    *("types", "config", "errors", "progress", "atomic", "interrupts", "json_text", "lock", "asked", "run_folder")
+}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
     "config": (set(), set()),
     "errors": (set(), set()),
     "atomic": (set(), set()),
+    "interrupts": (set(), set()),
     "progress": (set(), set()),
     "json_text": (set(), set()),
     "lock": (set(), set()),
@@ -161,7 +164,7 @@ def test_every_room_has_a_row():
     rooms = {path.stem for path in (ROOT / "bumpymap").glob("*.py")} | {
         path.parent.name for path in (ROOT / "bumpymap").glob("*/__init__.py")
     }
-    assert rooms - {"__init__", "cli"} == set(ROOMS)
+    assert rooms - {"__init__", "__main__", "cli"} == set(ROOMS)
 
 
 def test_the_engine_does_not_know_bumpymap():

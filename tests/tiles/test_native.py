@@ -1,5 +1,6 @@
 """Machine code kept between runs: the same numbers as numba's and Python's, and never the code of another source."""
 
+import json
 import os
 import subprocess
 import sys
@@ -116,6 +117,96 @@ def test_without_a_place_for_the_cache_it_compiles_every_time(place):
     assert first == second
     assert first.startswith(NUMBERS)
     assert first.endswith("True")
+
+
+@pytest.fixture(scope="module")
+def forged(tmp_path_factory):
+    """Code of another source that says it is that of ``SOURCE``, its name, and what each of the two prints."""
+    files, said = [], []
+    for source in (SOURCE, SOURCE.replace("x * x", "x * x * 0.0")):
+        folder = tmp_path_factory.mktemp("source")
+        (folder / "tiny.py").write_text(source)
+        said.append(run(folder))
+        files.append(kept(folder))
+    (head, _, _), (false, _, code) = (file.read_bytes().partition(b"\n") for file in files)
+    record = json.loads(false) | {"key": json.loads(head)["key"]}
+    return files[0].name, json.dumps(record).encode() + b"\n" + code, *said
+
+
+@pytest.fixture
+def planted(place, forged):
+    """The forged file in the cache of the true source."""
+    name, content, _, _ = forged
+    (place / "cache").mkdir(mode=0o700)
+    (place / "cache" / name).write_bytes(content)
+    return place / "cache" / name
+
+
+def numbers(said):
+    return said.rpartition(" ")[0]
+
+
+def test_nothing_but_who_may_write_it_tells_planted_code_from_true(place, planted, forged):
+    assert run(place) == forged[3] != forged[2]
+
+
+def foreign(path):
+    os.chown(path, 4242, -1, follow_symlinks=False)
+
+
+def linked(path):
+    path.rename(path.with_name("elsewhere"))
+    path.symlink_to("elsewhere")
+
+
+@pytest.mark.parametrize("of", ["file", "folder"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        lambda path: path.chmod(0o775),
+        linked,
+        pytest.param(foreign, marks=pytest.mark.skipif(os.geteuid() != 0, reason="root alone gives files away")),
+    ],
+)
+def test_code_that_another_may_have_planted_does_not_run(place, planted, forged, of, fault):
+    fault(planted if of == "file" else planted.parent)
+    assert numbers(run(place)) == numbers(forged[2])
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="root alone has another user's files")
+def test_what_root_installed_is_taken(place, planted, forged):
+    assert run(place, "import os; os.geteuid = lambda: 12345\n" + RUN) == forged[3]
+
+
+WITHOUT_HOME = """
+import logging, os, pwd
+def nobody(_):
+    raise KeyError("uid not found")
+pwd.getpwuid = nobody
+os.environ.pop("HOME", None)
+os.environ.pop("XDG_CACHE_HOME", None)
+os.environ.pop("NUMBA_CACHE_DIR")
+logging.basicConfig(format="%(message)s")
+"""
+
+
+def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
+    (place / "__pycache__").write_text("in the way")
+    (place / "other").mkdir()
+    (place / "other" / "small.py").write_text(SOURCE)
+    (place / "other" / "__pycache__").write_text("in the way")
+    other = "\nsys.path.append('other')\nimport small\nsmall.allocates(np.arange(3.0), out)"
+    code = WITHOUT_HOME + RUN + other
+    paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
+    env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": "none"}
+    command = [sys.executable, "-c", ALONE + code]
+    done = subprocess.run(command, env=env, cwd=place, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(NUMBERS)
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("the kernels are compiled anew in every run")
+    assert "__pycache__ (Not a directory)" in line
+    assert "Set NUMBA_CACHE_DIR to a folder of your own" in line
 
 
 def test_a_kernel_that_needs_the_interpreter_works_through_numba(place):

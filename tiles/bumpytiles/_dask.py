@@ -11,17 +11,19 @@ of their own that lives as long as they do: no other user of the machine gets in
 # (distributed says that it is typed, and leaves half of its functions out)
 
 import logging
+import os
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
+from multiprocessing import resource_tracker
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, Security, Worker, WorkerPlugin, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker
 
 __all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -138,11 +140,21 @@ class Workers:
         raise ClusterError(f"all workers were lost, and none came within {_LOOK_S * self._looks:.0f} s")
 
 
-class _Calm(WorkerPlugin):
-    """Ctrl-C on a terminal reaches every process of it; the client alone shall answer, and stop the workers."""
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait until the body is done; threads and processes that it starts never hear them.
 
-    def setup(self, worker: Worker) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    They reach every process of a terminal or a batch job: the client alone shall answer, and stop the workers. And a
+    cluster that is half begun, or half closed, ends with tracebacks.
+    """
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -156,27 +168,33 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
     """
     _quiet()
     security = Security.temporary()  # its key stays in memory; a worker is handed it through a pipe
-    with (
-        TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True) as folder,
-        dask.config.set({"temporary-directory": folder, **_NO_PAGES}),
-        LocalCluster(
-            n_workers=number,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            security=security,
-            # It listens for browsers all the same, without pages: on any free port, the usual one may be taken.
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,  # tasks keep to their own budget
-            silence_logs=logging.CRITICAL,
-            local_directory=folder,
-            env=dict(environment),
-        ) as cluster,
-        Client(cluster, security=security, set_as_default=False) as client,
-    ):
-        client.register_plugin(_Calm())
-        yield Workers(client, _LOCAL_LOOKS)
+    with ExitStack() as running:
+        resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
+        with _blocked_signals():
+            folder = TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True)
+            running.enter_context(folder)
+            running.enter_context(dask.config.set({"temporary-directory": folder.name, **_NO_PAGES}))
+            cluster = LocalCluster(
+                n_workers=number,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                security=security,
+                # It listens for browsers all the same, without pages: on any free port, the usual one may be taken.
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                memory_limit=0,  # tasks keep to their own budget
+                silence_logs=logging.CRITICAL,
+                local_directory=folder.name,
+                env=dict(environment),
+            )
+            client = Client(running.enter_context(cluster), security=security, set_as_default=False)
+            workers = Workers(running.enter_context(client), _LOCAL_LOOKS)
+        try:
+            yield workers
+        finally:
+            with _blocked_signals():
+                running.close()
 
 
 @contextmanager

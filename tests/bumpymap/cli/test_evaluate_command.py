@@ -38,7 +38,13 @@ def test_options_of_another_evaluation_are_refused(tmp_path, words, message):
 
 def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
     monkeypatch.setattr(timing.importlib.util, "find_spec", lambda _: object())
-    monkeypatch.setitem(sys.modules, "open3d", None)
+    (tmp_path / "open3d.py").write_text('raise ImportError("libusb-1.0.so.0: cannot open shared object file")')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
     result = evaluate(tmp_path, "--scans")
     assert result.exit_code == 2
-    assert "evaluate --scans without frames needs open3d, which cannot be loaded" in result.stderr
+    assert (
+        "evaluate --scans without frames needs open3d, which is installed but cannot be loaded: libusb-1.0.so.0"
+        in result.stderr
+    )
+    assert "sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6" in result.stderr

@@ -65,7 +65,7 @@ def test_few_files(tmp_path, command, files):
 
 
 @linux
-@pytest.mark.parametrize("command", ["map", "map --workers", "calibrate --workers"])
+@pytest.mark.parametrize("command", ["map", "map --workers"])
 def test_no_shared_memory(tmp_path, command):
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         pytest.skip("only root can mount a small /dev/shm of its own")
@@ -76,9 +76,6 @@ def test_no_shared_memory(tmp_path, command):
     if command == "map --workers":
         pytest.importorskip("distributed")
         words = ["map", QUARRY, "--out", tmp_path / "layers", "--workers", 2]
-    if command == "calibrate --workers":
-        pytest.importorskip("dartpy")
-        words = ["calibrate", "--quick", "--out", tmp_path / "c.json", "--workers", 2]
     line = ["unshare", "-m", "sh", "-c", f'{mount} && exec "$@"', "sh", *COMMAND, *map(str, words)]
     done = subprocess.run(line, capture_output=True, text=True, timeout=300, check=False)
     assert "Traceback" not in done.stderr

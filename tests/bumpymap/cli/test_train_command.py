@@ -177,10 +177,13 @@ def test_a_folder_needs_no_simulator(tmp_path, monkeypatch):
 def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
     require_torch()
     monkeypatch.setattr(train_command, "find_spec", lambda _: object())
-    monkeypatch.setitem(sys.modules, "open3d", None)
+    (tmp_path / "open3d.py").write_text('raise ImportError("libusb-1.0.so.0: cannot open shared object file")')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
     result = train("--scans", "simulated", "--out", tmp_path / "m.onnx")
     assert result.exit_code == 2
-    assert "open3d, which cannot be loaded" in result.stderr
+    assert "open3d, which is installed but cannot be loaded: libusb-1.0.so.0" in result.stderr
+    assert "sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6" in result.stderr
 
 
 def test_the_help_names_the_defaults_of_the_library():

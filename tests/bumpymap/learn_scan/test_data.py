@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("open3d", reason="open3d comes with the extra 'o3d'")
-
 from bumpymap.errors import BadInputError
 from bumpymap.learn_scan import data
 from bumpymap.learn_scan.data import (
@@ -81,6 +79,7 @@ def test_turned_cuts_see_the_same_ground_in_other_sectors():
     assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
 
 
+@pytest.mark.open3d
 def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     learn, unseen = folder_frames(folder)
     assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
@@ -90,6 +89,7 @@ def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     assert not set(learn) & set(unseen)
 
 
+@pytest.mark.open3d
 def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
     monkeypatch.setattr("bumpymap.scan_world.draw_sensor", lambda _rng: SMALL)
     frames = [folder / "00000" / "os1_cloud_node_kitti_bin" / f"00000{k}.bin" for k in range(2)]
@@ -100,6 +100,7 @@ def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
     assert set(read.klass) <= {0, 1, 2}
 
 
+@pytest.mark.open3d
 def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     with pytest.raises(BadInputError, match="does not exist"):
         folder_frames(tmp_path / "nowhere")
@@ -115,6 +116,7 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
         folder_sectors([lonely])
 
 
+@pytest.mark.open3d
 def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.scan_world.draw_sensor", lambda _rng: SMALL)
     first = simulated_sectors(1, [2, 3], 1, tmp_path / "keep")

@@ -148,8 +148,8 @@ def test_scores():
     assert even_accuracy(confusion(np.array([0, 0]), np.array([0, 1]))) == 0.5  # a class that is not there
 
 
+@pytest.mark.open3d
 def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
-    pytest.importorskip("open3d", reason="open3d comes with the extra 'o3d'")
     from bumpymap.scan_world import Sensor, write_folder
 
     with pytest.MonkeyPatch.context() as patch:

@@ -8,15 +8,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.errors import UsageError
 from bumpymap.scan_world import ground
+from bumpymap.scan_world.folder import LABELS, POINTS, write_folder
 from bumpymap.scan_world.labels import Label
+from bumpymap.scan_world.lidar import simulate
 from bumpymap.scan_world.regions import Blob
 from bumpymap.scan_world.scene import Scene, make_scene
 from bumpymap.scan_world.sensor import SENSORS, Sensor, draw_sensor
-
-pytest.importorskip("open3d", reason="open3d comes with the extra 'o3d'")
-
-from bumpymap.scan_world.folder import LABELS, POINTS, write_folder
-from bumpymap.scan_world.lidar import simulate
 
 SMALL = Sensor(lines=16, columns=128, end_m=25.0)
 PERFECT = replace(SMALL, noise_m=0.0, lost=0.0, reach_m=1000.0)
@@ -35,6 +32,7 @@ def level():
     return Scene("level", made, ())
 
 
+@pytest.mark.open3d
 def test_the_seed_decides_every_bit():
     scene = make_scene(2, 4)
     one, two, other = (simulate(scene, SMALL, seed) for seed in (1, 1, 2))
@@ -43,6 +41,7 @@ def test_the_seed_decides_every_bit():
     assert (one.points != other.points).any()
 
 
+@pytest.mark.open3d
 def test_level_ground_is_met_where_the_height_says(level):
     scan = simulate(level, PERFECT, 1)
     seen = scan.label > 0
@@ -54,6 +53,7 @@ def test_level_ground_is_met_where_the_height_says(level):
     assert_array_equal(scan.intensity[~seen], 0.0)
 
 
+@pytest.mark.open3d
 def test_a_tilted_sensor_sees_tilted_ground(level):
     tilted = replace(PERFECT, tilt_deg=(3.0, -5.0))
     scan = simulate(level, tilted, 1)
@@ -64,6 +64,7 @@ def test_a_tilted_sensor_sees_tilted_ground(level):
     assert (ahead[:, 2] < -1.4).all()
 
 
+@pytest.mark.open3d
 def test_range_noise_is_as_large_as_said(level):
     noisy = simulate(level, replace(PERFECT, noise_m=0.03, columns=512), 1)
     clean = simulate(level, replace(PERFECT, columns=512), 1)
@@ -73,6 +74,7 @@ def test_range_noise_is_as_large_as_said(level):
     assert abs(error.mean()) < 0.005
 
 
+@pytest.mark.open3d
 def test_grass_stops_beams_above_the_soil_and_never_above_itself(level):
     meadow = replace(level, ground=replace(level.ground, cover=Label.GRASS))
     scan = simulate(meadow, PERFECT, 1)
@@ -84,6 +86,7 @@ def test_grass_stops_beams_above_the_soil_and_never_above_itself(level):
     assert np.abs(simulate(thin, PERFECT, 1).points[scan.label > 0, 2] + 1.4).max() < 1e-3
 
 
+@pytest.mark.open3d
 def test_herbs_are_labelled_as_grass_and_no_turf_stands_before_them(level):
     """The layer of grass belongs to ground that it covers: on bare dirt nothing stops a beam before a leaf."""
     card = np.array([[[5, -1, -1], [5, 1, -1], [5, 1, 1]], [[5, -1, -1], [5, 1, 1], [5, -1, 1]]], np.float32)
@@ -93,6 +96,7 @@ def test_herbs_are_labelled_as_grass_and_no_turf_stands_before_them(level):
     assert_allclose(scan.points[herb, 0], 5.0, atol=1e-3)
 
 
+@pytest.mark.open3d
 def test_returns_fade_with_distance_and_water_throws_them_away(level):
     sensor = replace(SMALL, lines=64, lowest_deg=-30, highest_deg=-2, reach_m=12.0, lost=0.0)
     scan = simulate(level, sensor, 1)
@@ -104,6 +108,7 @@ def test_returns_fade_with_distance_and_water_throws_them_away(level):
     assert (simulate(wet, sensor, 1).label > 0).sum() < 0.6 * (scan.label > 0).sum()
 
 
+@pytest.mark.open3d
 def test_what_stands_in_the_way_hides_what_lies_behind(level):
     wall = np.array([[[5, -2, -1], [5, 2, -1], [5, 2, 3]], [[5, -2, -1], [5, 2, 3], [5, -2, 3]]], np.float32)
     scan = simulate(replace(level, things=((Label.BARRIER, wall),)), PERFECT, 1)
@@ -127,6 +132,7 @@ def test_drawn_sensors_vary_and_repeat():
     assert_allclose(np.linalg.norm(drawn[0].directions(), axis=1), 1.0, atol=1e-12)
 
 
+@pytest.mark.open3d
 def test_folder_holds_what_was_simulated(tmp_path):
     folder = write_folder(tmp_path, 2, [4, 5], sensor=SMALL)
     assert folder == tmp_path / "Rellis-3D"

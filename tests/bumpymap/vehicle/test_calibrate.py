@@ -2,19 +2,16 @@
 
 import errno
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bumpymap.calibration import Calibration, shipped_calibrations
-from bumpymap.errors import BumpymapError, OutputError, UsageError
+from bumpymap.errors import OutputError, UsageError
 from bumpymap.terrains import KINDS
 from bumpymap.types import TEXTURES
 from bumpymap.vehicle import calibrate as calibrate_module
-from bumpymap.vehicle import pool as pool_module
 from bumpymap.vehicle.calibrate import calibrate
 from bumpymap.vehicle.drive import DriveSettings
 from bumpymap.vehicle.journal import Journal
@@ -240,42 +237,6 @@ def test_progress_file_that_is_none_is_refused(tmp_path):
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(OutputError, match="cannot use the progress file"):
         Journal(path, {}).resume(discard_other=False)
-
-
-def test_dead_worker_is_reported_with_what_to_do(monkeypatch):
-    from concurrent.futures.process import BrokenProcessPool
-
-    class DeadPool:
-        def __init__(self, *_args, **_kwargs):
-            pass
-
-        def map(self, *_args):
-            raise BrokenProcessPool("gone")
-
-        def shutdown(self, **_kwargs):
-            pass
-
-    monkeypatch.setattr(pool_module, "ProcessPoolExecutor", DeadPool)
-    with pytest.raises(BumpymapError, match="run the same command again"):
-        calibrate(SETTINGS, workers=2)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
-def test_workers_end_with_a_main_process_that_was_killed():
-    code = (
-        "import multiprocessing, os, time\n"
-        "from concurrent.futures import ProcessPoolExecutor\n"
-        "from bumpymap.vehicle.pool import _prepare_worker\n"
-        "context = multiprocessing.get_context('spawn')\n"
-        "pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare_worker)\n"
-        "print(pool.submit(os.getpid).result(), flush=True)\n"
-        "time.sleep(60)\n"
-    )
-    main = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert int(main.stdout.readline()) != main.pid
-    main.kill()
-    # The worker holds the pipe too: its end is reached only when both are gone.
-    assert main.communicate(timeout=30)[0] == ""
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())

@@ -1,0 +1,189 @@
+"""Every command that README.md and the pages show, and how each is held to what it says.
+
+``python tests/docs/commands.py`` runs them all, page by page, each page in a folder of its own with the files that its
+commands name, and prints a line for each. What takes hours is shortened by options that are added; what cannot run here
+is named with its reason. The suite runs the quick ones (``test_commands.py``).
+"""
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
+PROGRAMS = ("bumpymap", "dask", "gdal_translate", "gdaldem", "make", "pip", "python", "sudo")
+SHELL = {"", "bash", "console", "sh", "shell"}
+CRS = "EPSG:32614"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What is done with commands that a pattern matches."""
+
+    pattern: str
+    why: str
+    """Why it does not simply run in the suite."""
+    short: str | None = None
+    """Options that the script adds; None: it cannot run there either."""
+
+
+RULES = (
+    Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
+    Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
+    Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
+    Rule(r"^dask |--scheduler ", "takes a cluster: tests/bumpymap/test_cluster.py has one"),
+    Rule(r"^gdal", "takes GDAL's own tools", ""),
+    Rule(r"^python benchmarks/run\.py", "an hour, and PDAL", None),
+    Rule(r"^python benchmarks/kill\.py", "kills runs for an hour", None),
+    Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
+    Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`", ""),
+    Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),
+    Rule(r"^bumpymap calibrate ", "hours of drives", "--patches 1 --starts 1 --terrains 1 --terrain-starts 1"),
+    Rule(r"^bumpymap evaluate --scans ", "made-up scenes, or frames with labels", "--scenes 2"),
+    Rule(r"^bumpymap evaluate ", "an hour of drives", "--patches 10 --starts 2 --skip density,invariance,noise,timing"),
+    Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
+    Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--scenes 2 --epochs 1 --sectors-per-class 10"),
+    Rule(r"^bumpymap train ", "half an hour", "--patches-per-texture 30 --epochs 1"),
+    Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives", None),
+    Rule(r"--workers \d", "processes take seconds to start", "--workers 2"),
+)
+
+
+def shown(page: Path) -> Iterator[str]:
+    """Give the commands of a page in their order: of its blocks, and those in its sentences that name a file."""
+    text = page.read_text(encoding="utf-8")
+    found: list[tuple[int, str]] = []
+    for block in re.finditer(r"(?ms)^( *)```(\S*)[^\n]*\n(.*?)^\1```", text):
+        if block[2] in SHELL:
+            lines = re.sub(r"\\\n\s*", " ", block[3]).splitlines()
+            prompted = any(line.strip().startswith("$ ") for line in lines)
+            lines = [line.strip().removeprefix("$ ") for line in lines if not prompted or line.strip().startswith("$ ")]
+            found += [(block.start(), line) for line in lines if line and not line.startswith("#")]
+    begin = "|".join(PROGRAMS)
+    found += [(line.start(), line[1]) for line in re.finditer(rf"(?m)^    ((?:{begin}) .*)$", text)]
+    found += [(word.start(), word[1]) for word in re.finditer(r"`((?:\S*python \S+/|make |sudo\s)[^`]+)`", text)]
+    for _, line in sorted(found, key=lambda one: one[0]):
+        yield shlex.join(shlex.split(" ".join(line.split()), comments=True)).replace(".venv/bin/bumpymap", "bumpymap")
+
+
+def rule_of(command: str) -> Rule | None:
+    """Give the rule of a command; None: it runs as it stands."""
+    return next((rule for rule in RULES if re.search(rule.pattern, command)), None)
+
+
+def filled(command: str) -> list[str]:
+    """Put files that are there in the place of words in capitals."""
+    words = {"SURVEY": "site.laz", "DIR": "dir", "EPSG:CODE": CRS, "FOLDER": "folder", "YOUR_SURVEY.laz": "site.laz"}
+    return [words.get(word, word) for word in shlex.split(command)]
+
+
+def furnish(folder: Path) -> None:
+    """Put the files there that commands name: small surveys, frames of a drive, a vehicle of one's own."""
+    data = ROOT / "bumpymap" / "data"
+    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
+    x, y = np.asarray(survey.x), np.asarray(survey.y)
+    (folder / "flights").mkdir()
+    (folder / "demo_out").mkdir()
+    for name, east in (("site.laz", 0.0), ("survey.laz", 0.0), ("flights/1.laz", 0.0), ("flights/2.laz", 12.0)):
+        part = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        near = (abs(x - np.median(x) - east) < 6) & (abs(y - np.median(y)) < 9)
+        part.header.offsets, part.header.scales = survey.header.offsets, survey.header.scales
+        part.x, part.y, part.z = x[near], y[near], np.asarray(survey.z)[near]
+        part.classification = survey.classification[near]
+        part.header.add_crs(pyproj.CRS.from_user_input(CRS))
+        part.write(folder / name)
+    _drive(folder)
+    shutil.copy(data / "vehicles" / "small_rover.toml", folder / "my_vehicle.toml")
+    shutil.copy(folder / "my_vehicle.toml", folder / "my_robot.toml")
+    shutil.copy(next((data / "models").glob("scan*.onnx")), folder / "own.onnx")
+    shutil.copy(folder / "own.onnx", folder / "scan.onnx")
+    for name in ("my_vehicle.json", "my_robot.json"):
+        shutil.copy(data / "calibrations" / "small_rover.json", folder / name)
+
+
+def _drive(folder: Path) -> None:
+    """Write frames of a robot that goes ahead, over ground that is smooth on one side, and their poses."""
+    (folder / "drive").mkdir()
+    rng = np.random.default_rng(1)
+    lines = []
+    for frame in range(3):
+        place = rng.uniform(-18, 18, (60_000, 2))
+        z = -1.5 + rng.normal(0, 0.01, len(place)) + np.where(place[:, 1] > 0, 0.3 * rng.uniform(-1, 1, len(place)), 0)
+        np.column_stack([place, z, np.zeros(len(place))]).astype("<f4").tofile(folder / "drive" / f"{frame:06d}.bin")
+        lines.append(f"1 0 0 {frame} 0 1 0 0 0 0 1 0")
+    (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+    head = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+    )
+    points = np.fromfile(folder / "drive" / "000000.bin", "<f4").reshape(-1, 4)[:, :3]
+    head = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA binary\n"
+    )
+    packed = head.encode() + np.ascontiguousarray(points).tobytes()
+    (folder / "frame.pcd").write_bytes(packed)
+
+
+def _run(command: str, rule: Rule | None, folder: Path) -> str:
+    """Run a command; give what became of it."""
+    words = filled(command) + shlex.split((rule and rule.short) or "")
+    if words[0] == "bumpymap":
+        words = [sys.executable, "-m", *words]
+    elif words[0].endswith("python"):
+        words = [sys.executable, *(str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:])]
+    elif shutil.which(words[0]) is None:
+        return f"not run: {words[0]} is not installed"
+    started = time.perf_counter()
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tiles")])}
+    done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=1800, check=False)
+    took = time.perf_counter() - started
+    return (
+        f"{took:.0f} s"
+        if done.returncode == 0
+        else f"FAILED ({done.returncode}): {(done.stderr or done.stdout)[-600:]}"
+    )
+
+
+def main() -> int:
+    """Run the commands; the exit code is 1 where one failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--page", help="only pages with this in their name")
+    given, failed = parser.parse_args(), 0
+    for page in PAGES:
+        if given.page and given.page not in page.name:
+            continue
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            furnish(folder)
+            shown_layers = False
+            for command in shown(page):
+                rule = rule_of(command)
+                if rule and rule.short is None:
+                    print(f"{page.name}: {command}\n    not run: {rule.why}", flush=True)
+                    continue
+                if not shown_layers and ("OUT/" in command or "demo_out" in command):
+                    for out in ("OUT", "demo_out/layers"):
+                        _run(f"bumpymap map site.laz --out {out}", None, folder)
+                    shown_layers = True
+                result = _run(command, rule, folder)
+                failed += result.startswith("FAILED")
+                added = f" [{rule.short}]" if rule and rule.short else ""
+                print(f"{page.name}: {command}{added}\n    {result}", flush=True)
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
