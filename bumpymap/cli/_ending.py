@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import click
 
-from bumpymap.cli._events import emit
+from bumpymap.cli._events import emit, keeping_the_log
 from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
 from bumpymap.errors import BumpymapError, causes, wanting
 
@@ -49,7 +49,8 @@ def end_of(run: Callable[[], object], words: Sequence[str]) -> int:
     if as_json:
         emit("start", arguments=list(words), version=_version())
     try:
-        code = _ran(run)
+        with keeping_the_log():
+            code = _ran(run)
     except Exception as error:
         code, lines = _told(error)
         if code == _FAULT and not as_json:

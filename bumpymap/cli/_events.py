@@ -2,12 +2,14 @@
 
 import json
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
 
 from bumpymap.cli._text import complain
 
-__all__ = ["emit", "set_up_logging"]
+__all__ = ["emit", "keeping_the_log", "set_up_logging"]
 
 
 def emit(event: str, **facts: Any) -> None:
@@ -34,6 +36,18 @@ class _Handler(logging.Handler):
             emit(level, message=message, logger=record.name)
         else:
             complain(f"{level.capitalize()}: {message}")
+
+
+@contextmanager
+def keeping_the_log() -> Iterator[None]:
+    """Leave the log as it was for a caller that goes on after a command."""
+    logger = logging.getLogger("bumpymap")
+    before = logger.handlers, logger.level, logger.propagate
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = before[0], before[2]
+        logger.setLevel(before[1])
 
 
 def set_up_logging(*, as_json: bool) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import subprocess
 import sys
 from datetime import datetime
@@ -286,3 +287,11 @@ def test_a_signal_is_an_event(tmp_path):
     assert done.returncode == 143
     last = events(done.stderr)[-1]
     assert (last["event"], last["exit_code"], last["message"]) == ("error", 143, "Terminated. No file is half-written.")
+
+
+def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
+    log = logging.getLogger("bumpymap")
+    before = list(log.handlers), log.level, log.propagate
+    for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--log-json"], ["info", QUARRY, "--quick"]):
+        run(*words)
+        assert (list(log.handlers), log.level, log.propagate) == before

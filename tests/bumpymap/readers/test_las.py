@@ -227,7 +227,7 @@ def test_degrees_are_refused_with_the_command_that_helps(las, middle, code, how)
     options = ReadOptions(crs="EPSG:4326") if how == "option" else ReadOptions()
     with pytest.raises(BadInputError) as caught:
         open_survey(path, options)
-    command = str(caught.value).splitlines()[-1].strip()
+    command = caught.value.args[-1].strip()
     assert command.startswith(f"pdal translate {path} a_metres.laz reprojection ")
     assert f"--filters.reprojection.out_srs=EPSG:{code}" in command
     assert ("--filters.reprojection.in_srs=EPSG:4326" in command) == (how == "option")
