@@ -123,6 +123,8 @@ def write_cog(
         names = temporary.with_name(f"{temporary.name}.aux.xml")
         if names.exists():
             ET.parse(names)  # noqa: S314 (GDAL has just written it; a full disk may have cut it)
+        elif any(band.categories for band in sheet.layers):  # GDAL says nothing when a disk is full
+            raise OSError("the names of its classes could not be written beside it; the disk may be full")
         if sheet.colours:
             _extra_band_is_no_alpha(temporary)
 

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,6 +7,7 @@ import rasterio
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
+from bumpymap.errors import OutputError
 from bumpymap.products import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products._whole import digest, require_room, require_same
 from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Georeference
@@ -292,3 +294,13 @@ def test_room_is_asked_for(tmp_path):
     require_room(tmp_path, 1)
     with pytest.raises(OSError, match=r"1,?000000000\.0 GB are needed"):
         require_room(tmp_path, 10**18)
+
+
+def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monkeypatch):
+    def lose_the_side_file(source, target):
+        Path(target).touch()
+
+    monkeypatch.setattr("bumpymap.products._cog.rasterio.shutil.copyfiles", lose_the_side_file)
+    with pytest.raises(OutputError, match="names of its classes"):
+        WRITERS["class"](cost_map, tmp_path / "class.tif")
+    assert not list(tmp_path.iterdir())
