@@ -27,6 +27,7 @@ from bumpymap.classify import TextureModel, classify
 from bumpymap.config import FeatureSettings
 from bumpymap.cost import rate
 from bumpymap.features import measure
+from bumpymap.onnx_file import onnx_runtime
 from bumpymap.types import Georeference
 from bumpytiles import Grid, TilePoints
 
@@ -115,11 +116,10 @@ def sklearn_residual(points: Points) -> float:
 
 def paper_parts(tiles: Cut) -> dict[str, list[float]]:
     """Time each step of the paper's way on each tile, s."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
+    runtime = onnx_runtime()
+    options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
-    network = onnxruntime.InferenceSession(TextureModel.shipped().content, options)
+    network = runtime.InferenceSession(TextureModel.shipped().content, options)
     seconds: dict[str, list[float]] = {}
     ways = planes()
 

@@ -2,15 +2,17 @@
 
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
+from os.path import lexists
 from pathlib import Path
 from uuid import uuid4
 
 from bumpymap.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "no_empty_folder", "together"]
+__all__ = ["STAGED", "atomic", "move_together", "no_empty_folder", "take_away", "together"]
 
 STAGED = ".bumpymap-layers-"
 """How the names of folders begin where files wait for each other; one that a killed process left can go."""
@@ -67,6 +69,9 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     last : str
         Name of the file that says that all are there.
 
+    GDAL and Arrow take UTF-8 alone for a path. Where that of the folder has other bytes, the one that is given leads
+    there by way of an open descriptor.
+
     Raises
     ------
     OutputError
@@ -75,10 +80,31 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
         _make_folder(staged)
-        yield staged
-        _move_all(staged, folder, last)
+        with _in_utf8(staged) as path:
+            yield path
+        move_together(staged, folder, last)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
+
+
+def take_away(path: Path, place: int | None = None) -> None:
+    """Remove a file, a folder with all that is in it, or a link: never what it points to.
+
+    Parameters
+    ----------
+    path : Path
+    place : int, optional
+        Descriptor of the folder that ``path`` starts at.
+
+    Raises
+    ------
+    OSError
+        It is not there, or cannot be removed.
+    """
+    if stat.S_ISDIR(os.stat(path, dir_fd=place, follow_symlinks=False).st_mode):
+        shutil.rmtree(path, dir_fd=place)  # it looks again, and follows no link
+    else:
+        os.unlink(path, dir_fd=place)
 
 
 @contextmanager
@@ -94,16 +120,31 @@ def no_empty_folder(folder: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def _in_utf8(folder: Path) -> Iterator[Path]:
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            yield Path(f"/proc/self/fd/{descriptor}")
+        finally:
+            os.close(descriptor)
+    else:
+        yield folder
+
+
 def _make_folder(folder: Path) -> None:
     try:
-        folder.mkdir()
+        folder.mkdir(mode=0o700)
     except OSError as error:
         raise OutputError(f"cannot write to the folder {folder.parent}: {error}. Choose another with --out") from error
 
 
-def _move_all(staged: Path, folder: Path, last: str) -> None:
+def move_together(staged: Path, folder: Path, last: str) -> None:
+    """Move all that ``staged`` holds to ``folder``, or nothing; see `together`. A link is replaced, never followed."""
     names = sorted((path.name for path in staged.iterdir()), key=lambda name: (name == last, name))
-    old = {target: None for name in names for target in (name, name + _SIDE) if (folder / target).exists()}
+    old = {target: None for name in names for target in (name, name + _SIDE) if lexists(folder / target)}
     aside = staged / "old"
     moves = [(folder / name, aside / name) for name in sorted(old, key=lambda name: name != last)]
     moves += [(staged / name, folder / name) for name in names]

@@ -9,10 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.errors import BadInputError, UsageError
-from bumpymap.types import TEXTURES
+from bumpymap.json_text import parse_json
+from bumpymap.types import TEXTURES, CostRule
 
 __all__ = ["Calibration", "DrivenTerrain", "shipped_calibrations"]
 
+_FAIL_WEIGHT = 300.0
+"""m: the detour that one certain failure is worth, where the vehicle profile does not say."""
+_DRIVE_S = 10.0
+"""Seconds that a drive is measured, where the calibration does not say."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
 
@@ -57,7 +62,7 @@ class Calibration:
     """
 
     vehicle: dict[str, Any]
-    """The vehicle profile, as in its TOML file. ``ride_weight`` [m/rad] and ``slope_limit_deg`` are read by ``map``."""
+    """The vehicle profile, as in its TOML file. ``map`` reads what `cost_rule` needs, and its shape."""
     tile_size: float
     """Side of the patches that were driven, m."""
     pixels: int
@@ -108,6 +113,17 @@ class Calibration:
         """Twelve hex digits that change with any number of the calibration."""
         return hashlib.sha256(self._body().encode()).hexdigest()[:12]
 
+    @property
+    def cost_rule(self) -> CostRule:
+        """What is passable for the vehicle, and what its ride costs."""
+        seconds = self.settings.get("drive", {}).get("measure_s", _DRIVE_S)
+        return CostRule(
+            ride_weight=float(self.vehicle["ride_weight"]),
+            fail_weight=float(self.vehicle.get("fail_weight", _FAIL_WEIGHT)),
+            drive_m=float(seconds) * float(self.vehicle["speed_mps"]),
+            slope_limit_deg=float(self.vehicle["slope_limit_deg"]),
+        )
+
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError where tiles of another size [m] or another number of pixels are to be rated."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
@@ -136,8 +152,8 @@ class Calibration:
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
             try:
-                record = json.loads(text)
-            except json.JSONDecodeError:
+                record = parse_json(text)
+            except ValueError:
                 record = None
             if not isinstance(record, dict) or record.get("format") != _FORMAT:
                 raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
@@ -178,7 +194,7 @@ class Calibration:
 def _check_numbers(calibration: Calibration) -> None:
     """Raise ValueError where something is not a finite number that has to be one, or is missing."""
     vehicle = calibration.vehicle
-    named = {key: vehicle[key] for key in ("ride_weight", "slope_limit_deg")}
+    rule = calibration.cost_rule
     if not isinstance(vehicle["name"], str):
         raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a text")  # noqa: TRY004 (of a file)
     if len(calibration.class_limits) != 3 or len(calibration.class_c_r) != 4:
@@ -186,10 +202,13 @@ def _check_numbers(calibration: Calibration) -> None:
     tables = [calibration.p_fail, calibration.drives, calibration.c_r, calibration.c_r_log_sd]
     gaps = [number for table in tables[2:] for line in table for number in line if number is None]
     numbers = [number for table in tables for line in table for number in line]
-    numbers += [*named.values(), *calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
+    numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
+    numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels]
     if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
+    if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
+        raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
 
 
 def _is_number(value: Any) -> bool:

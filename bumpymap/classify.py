@@ -6,7 +6,6 @@ itself.
 """
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError, UsageError
+from bumpymap.json_text import parse_json
 from bumpymap.onnx_file import metadata_of, read_network, session, shipped_network
 from bumpymap.textures import FEATURE_VERSION, normalise
 from bumpymap.types import TEXTURES, PatchStack, Reason, TextureMap
@@ -72,14 +72,14 @@ class TextureModel:
     def _from_bytes(cls, content: bytes, origin: str) -> "TextureModel":
         metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         try:
-            classes, version = tuple(json.loads(metadata["classes"])), int(metadata["feature_version"])
+            classes, version = tuple(parse_json(metadata["classes"])), int(metadata["feature_version"])
             tile_size, pixels = float(metadata["tile_size"]), int(metadata["pixels"])
         except (KeyError, ValueError, TypeError) as error:
             raise BadInputError(f"{origin} is a damaged texture network: {error!r}. {_REMEDY}") from error
         if (classes, version) != (TEXTURES, FEATURE_VERSION):
             raise BadInputError(
-                f"{origin} tells {', '.join(classes)} apart from patches of version {version}; this bumpymap needs "
-                f"{', '.join(TEXTURES)} from patches of version {FEATURE_VERSION}. {_REMEDY}"
+                f"{origin} tells {', '.join(map(str, classes))} apart from patches of version {version}; this bumpymap "
+                f"needs {', '.join(TEXTURES)} from patches of version {FEATURE_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, tile_size, pixels)
 

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from bumpymap.errors import BadInputError, UsageError
 
 __all__ = [
+    "BOTH",
     "Compat",
     "CsfSettings",
     "FeatureSettings",
@@ -23,6 +24,10 @@ Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 
+BOTH = (
+    "--resume goes on with a run that was broken off, --overwrite starts anew: give one of them. A run that was begun "
+    "with --overwrite goes on with --resume alone"
+)
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
 
@@ -123,6 +128,8 @@ class MapConfig:
     """Worker processes on this machine; None: everything in this process."""
     scheduler: str | None = None
     """Address of a dask.distributed scheduler, whose workers are used."""
+    tls_config: Path | None = None
+    """File that names the certificates for a scheduler whose address starts with ``tls://``."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
@@ -137,10 +144,23 @@ class MapConfig:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
+        if self.resume and self.overwrite:
+            raise UsageError(BOTH)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
                 "on this machine, a scheduler has its own"
+            )
+        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
+        if encrypted and self.tls_config is None:
+            raise UsageError(
+                f"scheduler is {self.scheduler!r}, which wants certificates: give --tls-config FILE, a file that names "
+                "them (ca, cert, key)"
+            )
+        if self.tls_config is not None and not encrypted:
+            raise UsageError(
+                f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
+                "scheduler whose address starts with tls://"
             )
 
 

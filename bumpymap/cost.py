@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
-from bumpymap.types import NO_CLASS, TEXTURES, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.types import FAIL_SHARE, NO_CLASS, TEXTURES, CostMap, Georeference, PatchStack, Reason, TextureMap
 
 __all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
 
@@ -20,8 +20,6 @@ _TAIL = 0.1
 _NORMAL_TAIL = -1.2815515655446004
 """That quantile of the standard normal."""
 _MIN_LOG_SD = 0.05
-_FAIL = 0.5
-"""A tile where at least this share of drives failed is class 3 whatever its C_r."""
 _LEAST_COVERAGE = 0.7
 """Compat: with less than this share of the pixels filled a tile is class 3."""
 
@@ -80,7 +78,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
         np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail)),
         np.array(calibration.class_limits),
         float(calibration.vehicle["slope_limit_deg"]),
-        _FAIL,
+        FAIL_SHARE,
         _TAIL,
         _NORMAL_TAIL,
         klass,
@@ -98,7 +96,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
         c_r_high=c_r_high,
         p_fail=p_fail,
         confidence=confidence,
-        ride_weight=float(calibration.vehicle["ride_weight"]),
+        rule=calibration.cost_rule,
     )
 
 
@@ -137,7 +135,7 @@ def rate_as_paper(
         c_r_high=_spread(measured, high[measured]),
         p_fail=_spread(measured, p_fail[measured]),
         confidence=_spread(judged, chance.max(axis=1)[judged]),
-        ride_weight=float(calibration.vehicle["ride_weight"]),
+        rule=calibration.cost_rule,
     )
 
 

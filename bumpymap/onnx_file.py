@@ -1,5 +1,10 @@
-"""ONNX files of our own networks: read, checked, run. The only module that imports ONNX Runtime."""
+"""ONNX files of our own networks: read, checked, run. The only module that imports ONNX Runtime.
 
+Its builds report what they are used for to their maker, from the moment of the import on: an identifier of the machine
+and a database of events in the user's cache, a thread that looks for the network. That is switched off before.
+"""
+
+import os
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -7,19 +12,28 @@ from typing import Any
 
 from bumpymap.errors import BadInputError
 
-__all__ = ["metadata_of", "read_network", "session", "shipped_network"]
+__all__ = ["metadata_of", "onnx_runtime", "read_network", "session", "shipped_network"]
+
+
+def onnx_runtime() -> Any:
+    """Import ONNX Runtime, silent towards the network and on the terminal."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # it looks at this once, when it is loaded
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()  # builds that report to the system they run on know this alone
+    onnxruntime.set_default_logger_severity(3)
+    return onnxruntime
 
 
 @lru_cache(maxsize=4)
 def session(content: bytes) -> Any:
     """Open a network for inference on one thread; the last few stay open."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
+    runtime = onnx_runtime()
+    options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
-    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    return runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
 
 @lru_cache(maxsize=2)

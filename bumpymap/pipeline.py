@@ -1,23 +1,37 @@
 """The main job, step by step: surveys in, rated tiles and their files out. No arithmetic here, only the order."""
 
 import logging
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from bumpymap.asked import as_done, differences, flat_settings, same_content
 from bumpymap.atomic import no_empty_folder
 from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
 from bumpymap.config import Compat, CsfSettings, FeatureSettings, Ground, MapConfig
 from bumpymap.cost import rate, rate_as_paper
-from bumpymap.engine import Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, broken_off, hired, memory_bytes
-from bumpymap.errors import BadInputError, OutputError
+from bumpymap.engine import ADVICE, Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes
+from bumpymap.errors import BadInputError
 from bumpymap.features import measure
 from bumpymap.ground import filter_version, mark_ground, require_filter, rest_filter
-from bumpymap.products import MapSummary, check_extent, check_folder, software_versions, write_products
+from bumpymap.lock import locked
+from bumpymap.products import (
+    MANIFEST_NAME,
+    PRODUCT_NAMES,
+    MapSummary,
+    check_extent,
+    check_folder,
+    complete_record,
+    is_complete,
+    refuse_replacing,
+    software_versions,
+    write_products,
+)
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
 from bumpymap.readers import (
     ReadOptions,
@@ -28,6 +42,7 @@ from bumpymap.readers import (
     open_survey,
 )
 from bumpymap.ride import RideModel
+from bumpymap.run_folder import refuse_broken_off
 from bumpymap.types import CostMosaic, Georeference, tile_columns
 from bumpytiles import Grid, TilePoints, TileWindow
 
@@ -37,7 +52,18 @@ _log = logging.getLogger(__name__)
 
 _NAMED = 5
 """Files that a message names."""
-_NO_SAY = {"surveys", "out", "resume", "overwrite", "threads", "memory", "scratch", "workers", "scheduler"}
+_NO_SAY = {
+    "surveys",
+    "out",
+    "resume",
+    "overwrite",
+    "threads",
+    "memory",
+    "scratch",
+    "workers",
+    "scheduler",
+    "tls_config",
+}
 """Settings without a say in the numbers: a run may go on with others."""
 
 
@@ -57,6 +83,8 @@ class MapResult:
     """Inputs that could not be read, with the message (``skip_bad``)."""
     seconds: dict[str, float]
     """Wall time by stage."""
+    already_done: bool = False
+    """An earlier run made the same of the same inputs; nothing was written, and all of this is what it noted."""
 
 
 @dataclass(slots=True)
@@ -103,7 +131,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
         Anything a user can cause; no file is left half-written.
     """
     try:
-        with no_empty_folder(config.out):
+        with no_empty_folder(config.out), locked(config.out):
             return _map(config, progress or SilentProgress())
     finally:
         rest_filter()
@@ -114,10 +142,7 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
     grid = Grid(config.tile_size, config.pixels)
     budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"):
-        _check_unfinished(config)
-        # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
-        # between moving them to their places and clearing up.
-        may_replace = config.overwrite or (config.resume and broken_off(config.out))
+        is_there = _check_out(config)
         csf = config.csf if config.ground == "csf" else None
         if csf is not None:
             require_filter(csf, grid)
@@ -126,20 +151,21 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
                 "as trees. The layers say how rough the ground is, not whether the way is free",
                 csf.class_threshold,
             )
-        check_folder(config.out, overwrite=may_replace, resume=config.resume)
         calibration = _calibration(config)
         model = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         model.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
         ride = RideModel(calibration) if config.rating == "ride" and config.compat == "none" else None
         inputs = _open(config)
+        asked = _asked(config, inputs, budget, model, calibration)
+    if is_there:
+        return _done_before(config, asked)
     rating = _Rating(config.features, csf, config.compat, model, calibration, ride, inputs.georeference)
     job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
-    asked = _asked(config, inputs, budget, model, calibration)
     # Workers first: a failure to get them must not cost what an earlier run has finished.
     with (
-        hired(config.scheduler, config.workers, config.threads) as crew,
-        Workspace.opened(config.out, config.scratch, asked, resume=config.resume) as space,
+        hired(config.scheduler, config.workers, config.threads, config.tls_config) as crew,
+        Workspace.opened(config.out, config.scratch, asked, resume=config.resume, advice=_advice(config)) as space,
     ):
         engine = _engine(config, job, space, budget, told, crew)
         done = engine.run(
@@ -149,11 +175,10 @@ def _map(config: MapConfig, told: Progress) -> MapResult:
             clock,
             may_skip=config.skip_bad,
         )
-        told.start("writing layers", None)
-        mosaic = CostMosaic(inputs.georeference, float(calibration.vehicle["ride_weight"]), done.mosaic)
-        manifest = _manifest(config, inputs, done, model, calibration, clock)
+        mosaic = CostMosaic(inputs.georeference, calibration.cost_rule, done.mosaic)
+        manifest = _manifest(config, inputs, asked, done, model, calibration, clock)
         with clock.stage("write"):
-            files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest)
+            files, summary = write_products(mosaic, config.out, local=config.local, manifest=manifest, progress=told)
     return MapResult(tuple(files), summary, done.points, done.ground_only, inputs.skipped, clock.seconds)
 
 
@@ -166,34 +191,64 @@ def _engine(
 
 
 def _read_options(config: MapConfig) -> ReadOptions:
-    return ReadOptions(crs=config.crs, z_unit=config.z_unit, trust_points=config.trust_points)
+    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory))
 
 
-def _check_unfinished(config: MapConfig) -> None:
-    if broken_off(config.out) and not (config.resume or config.overwrite):
-        raise OutputError(
-            f"{config.out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, "
-            "or choose another --out"
-        )
+def _check_out(config: MapConfig) -> bool:
+    """Make sure that the products can be written; True where a run has ended there and shall stay."""
+    unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
+    if not (unfinished or config.overwrite) and is_complete(config.out):
+        return True
+    # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
+    # between moving them to their places and clearing up.
+    check_folder(config.out, overwrite=config.overwrite or unfinished, resume=config.resume)
+    return False
+
+
+def _done_before(config: MapConfig, asked: Mapping[str, Any]) -> MapResult:
+    """Give what the run noted that is complete in ``out``; refuse where it was asked something else."""
+    names = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
+    with complete_record(config.out, names) as record:
+        skipped = {str(path): str(why) for path, why in record["skipped"].items()}
+        no_say = _NO_SAY if skipped else {*_NO_SAY, "skip_bad"}
+        before = as_done(record, no_say, {"model": record["model"], "calibration": record["calibration"]["id"]})
+        summary = MapSummary.of(record["counts"])
+        points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
+    now = {**asked, "settings": flat_settings(config, no_say)}
+    refuse_replacing(config.out, differences(before, now, same_content))
+    files = tuple(config.out / name for name in PRODUCT_NAMES)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, already_done=True)
+
+
+def _advice(config: MapConfig) -> str:
+    return ADVICE.replace("to the same command", "in the place of --overwrite") if config.overwrite else ADVICE
 
 
 def _asked(
     config: MapConfig, inputs: _Inputs, budget: Budget, model: TextureModel, calibration: Calibration
 ) -> dict[str, Any]:
     """Everything that a run depends on; one that goes on must have been asked the same."""
-    settings = {name: value for name, value in asdict(config).items() if name not in _NO_SAY}
     paths = [*(reader.info.path for reader in inputs.readers), *inputs.skipped]
     return {
-        "inputs": {str(path): None if str(path) in inputs.skipped else identity(path) for path in paths},
-        "settings": {name: str(value) for name, value in settings.items()},
+        "inputs": {str(path): _identity(path) if str(path) in inputs.skipped else identity(path) for path in paths},
+        "settings": flat_settings(config, _NO_SAY),
         "made with": _versions(config.ground) | {"model": model.id, "calibration": calibration.id},
         "cut": {"piece_points": budget.piece_points},
     }
 
 
+def _identity(path: Path | str) -> dict[str, Any] | None:
+    """Tell a skipped file from another; None where not even that can be read."""
+    try:
+        return identity(path)
+    except BadInputError:
+        return None
+
+
 def _manifest(
     config: MapConfig,
     inputs: _Inputs,
+    asked: Mapping[str, Any],
     done: Done,
     model: TextureModel,
     calibration: Calibration,
@@ -203,6 +258,7 @@ def _manifest(
     return {
         "inputs": [_input_record(reader, dropped) for reader, dropped in read if dropped is not None],
         "skipped": inputs.skipped,
+        "skipped_inputs": [{"path": path, **_noted(asked["inputs"][path])} for path in inputs.skipped],
         "settings": config,
         "versions": _versions(config.ground),
         "ground_only": done.ground_only,
@@ -236,7 +292,7 @@ def _open(config: MapConfig) -> _Inputs:
         except BadInputError as error:
             _note(path, error, skipped, config)
     if not readers:
-        raise BadInputError("none of the inputs could be read:\n" + "\n".join(skipped.values()))
+        raise BadInputError("none of the inputs could be read:", *skipped.values())
     georeference = common_georeference([reader.info for reader in readers])
     if georeference.crs is not None and config.local:
         _log.warning("--local is not needed: the survey has a CRS (%s)", georeference.crs.name)
@@ -270,6 +326,11 @@ def _note(path: Path | str, error: BadInputError, skipped: dict[str, str], confi
     skipped[str(path)] = str(error)
 
 
+def _noted(identity: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Pick what tells a file from its later version without reading it."""
+    return {key: identity[key] for key in ("mtime_ns", "version") if key in identity} if identity else {}
+
+
 def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, Any]:
     info = reader.info
     record = {
@@ -279,5 +340,7 @@ def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, An
         "dropped": dropped,
         "notes": info.notes,
     }
+    version = dict(info.version or {})
+    record |= {"bytes": version.pop("size", info.size_bytes)} | version
     # A file on a server is not read again for its checksum.
-    return record | ({"bytes": info.size_bytes, "sha256": None} if isinstance(info.path, str) else {})
+    return record | ({"sha256": None} if isinstance(info.path, str) else {})

@@ -1,11 +1,13 @@
 """How far a run is, and how long its stages took."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-__all__ = ["Progress", "SilentProgress", "Stopwatch"]
+__all__ = ["Progress", "SilentProgress", "Steps", "Stopwatch", "counted"]
+
+Item = TypeVar("Item")
 
 
 class Progress(Protocol):
@@ -26,6 +28,26 @@ class SilentProgress:
 
     def advance(self, steps: int) -> None:
         """Do nothing."""
+
+
+class Steps:
+    """Turns how far a stage is into steps of it."""
+
+    def __init__(self, told: Progress, each: int = 1) -> None:
+        self._told, self._each, self._told_of = told, each, 0
+
+    def __call__(self, done: int, total: int) -> None:
+        """Take the number of things that are done; ``each`` of them are one step."""
+        steps = done // self._each
+        self._told.advance(steps - self._told_of)
+        self._told_of = steps
+
+
+def counted(items: Iterable[Item], told: Progress) -> Iterator[Item]:
+    """Hand out things; each is a step of the stage, once it is done with."""
+    for item in items:
+        yield item
+        told.advance(1)
 
 
 class Stopwatch:

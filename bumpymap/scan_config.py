@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from bumpymap.config import Compat
+from bumpymap.config import BOTH, Compat
 from bumpymap.errors import UsageError
 from bumpymap.frames import Robot
 from bumpymap.scan import PolarSettings, ScanMethod
@@ -45,6 +45,8 @@ class ScanConfig:
     """Go on without the frames that cannot be read."""
     overwrite: bool = False
     """Replace the products of an earlier run."""
+    resume: bool = False
+    """Go on with a run that was broken off."""
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
 
@@ -54,6 +56,8 @@ class ScanConfig:
             raise UsageError(
                 f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
             )
+        if self.resume and self.overwrite:
+            raise UsageError(BOTH)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
         if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
             raise UsageError(

@@ -2,25 +2,30 @@
 
 import logging
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.atomic import atomic, no_empty_folder, together
+from bumpymap.atomic import atomic, move_together, no_empty_folder, take_away
 from bumpymap.calibration import Calibration
 from bumpymap.config import MapConfig
 from bumpymap.crs import parse_crs
 from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.frames import find_frames, read_poses, read_scan
+from bumpymap.lock import locked
 from bumpymap.pipeline import MapResult, map_surveys
+from bumpymap.products import describe_file, is_complete
 from bumpymap.progress import Progress, SilentProgress, Stopwatch
-from bumpymap.scan import Scan, ScanMethod, SectorStack, StripeModel, fit_stripes, polar_sectors
+from bumpymap.run_folder import Kept, RunFolder, refuse_broken_off, what_is_kept
+from bumpymap.scan import ClassedSectors, Scan, ScanMethod, SectorStack, StripeModel, fit_stripes, polar_sectors
 from bumpymap.scan import save_stripes as write_stripes
+from bumpymap.scan_asked import DoneFrames, done_frames, scan_asked, side_files
 from bumpymap.scan_config import ScanConfig
 from bumpymap.scan_methods import Method, choose_method
 from bumpymap.scan_products import (
@@ -30,15 +35,23 @@ from bumpymap.scan_products import (
     MAP_FOLDER,
     TABLE,
     Frame,
+    FramePart,
     FrameReport,
     Gathered,
     SectorTable,
     check_scan_folder,
     drop_older,
+    finished_parts,
+    ground_points,
+    has_files,
+    load_part,
     name_frames,
     open_gathered,
     open_table,
+    part_path,
     report_frame,
+    save_part,
+    sector_rows,
     spread_out,
     sync,
     why_empty,
@@ -51,6 +64,8 @@ __all__ = ["ScanResult", "fit_frames", "scan_frames"]
 
 _log = logging.getLogger(__name__)
 
+_STAGED = "products"
+"""Folder for the products of a run, in that of its work, until all are there."""
 _NAMED = 5
 """Frames that a message names."""
 _MOST_FITTED = 500
@@ -72,6 +87,8 @@ class ScanResult:
     """Wall time by stage."""
     drive: MapResult | None
     """The map of the gathered frames; None without poses, or without ground to map."""
+    already_done: bool = False
+    """An earlier run made the same of the same frames; nothing was written, and all of this is what it noted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +107,7 @@ def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRes
     BumpymapError
         Anything a user can cause; no file is left half-written.
     """
-    with no_empty_folder(config.out):
+    with no_empty_folder(config.out), locked(config.out):
         return _scan(config, progress or SilentProgress())
 
 
@@ -131,41 +148,121 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
 def _scan(config: ScanConfig, told: Progress) -> ScanResult:
     clock = Stopwatch()
     with clock.stage("prepare"):
+        unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
+        is_there = not (unfinished or config.overwrite) and is_complete(config.out, MANIFEST)
         method = choose_method(config)
         crs = _world(config)
         drive = _drive(config)
         paths = find_frames(config.frames)
         frames = name_frames(paths, None if config.poses is None else read_poses(config.poses, len(paths)))
-        check_scan_folder(config.out, paths, overwrite=config.overwrite)
+        asked = scan_asked(config, frames, method)
+    if is_there:
+        done = done_frames(config, asked, frames)
+    else:
+        check_scan_folder(config.out, paths, overwrite=config.overwrite, unfinished=unfinished)
+        done = _scan_frames(config, frames, method, crs, asked, told, clock)
+    mapped = None
+    if drive is not None and done.gathered is not None:
+        with clock.stage("map"):
+            mapped = _map(drive, done.gathered, told)
+    seconds = {**done.seconds, **({} if is_there else clock.seconds)}
+    already_done = is_there and (mapped is None or mapped.already_done)
+    return ScanResult(done.files, done.method, done.reports, done.skipped, seconds, mapped, already_done)
+
+
+def _scan_frames(
+    config: ScanConfig,
+    frames: list[Frame],
+    method: Method,
+    crs: CRS | None,
+    asked: dict[str, Any],
+    told: Progress,
+    clock: Stopwatch,
+) -> DoneFrames:
+    """Class the frames that are not done yet; put the products in their places when all are."""
     reports: list[FrameReport] = []
     skipped: dict[str, str] = {}
-    with writing(config.out), together(config.out, MANIFEST) as staged:
+    how = "in the place of --overwrite" if config.overwrite else "to the same command"
+    advice = f"Pass --resume {how} to go on from the finished frames."
+    with (
+        RunFolder.opened(
+            config.out, asked, resume=config.resume, finished=finished_parts, advice=advice, judge=lambda _: Kept.ALL
+        ) as run,
+        writing(config.out),
+    ):
+        staged = _staged(run.path, frames)
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
             told.start("scanning", len(frames))
-            for frame in frames:
+            for number, frame in enumerate(frames):
                 with _skipping(frame, config, skipped):
-                    reports.append(_scan_frame(frame, config, method, sinks, staged))
+                    version, place = asked["inputs"][str(frame.path)], part_path(run.path, number)
+                    reports.append(_scan_frame(frame, version, config, method, sinks, staged, place))
                 told.advance(1)
             _refuse_none(len(reports), skipped)
+        gathered = None if sinks.gathered is None else sinks.gathered.record()
         known = {
             "settings": config,
             "method": {"name": method.name, "basis": method.basis},
             "skipped": skipped,
-            "gathered": None if sinks.gathered is None else sinks.gathered.record(),
+            "skipped_inputs": [{"path": path, "mtime_ns": asked["inputs"][path]["mtime_ns"]} for path in skipped],
+            "side_files": [
+                describe_file(path) | {"mtime_ns": asked["inputs"][str(path)]["mtime_ns"]}
+                for path in side_files(config, frames)
+            ],
+            "gathered": gathered,
             "seconds": clock.seconds,
         }
-        write_scan_manifest(staged, known, reports)
+        with suppress(OSError):  # it stays where it holds files
+            (staged / FRAME_FOLDER).rmdir()
+        write_scan_manifest(staged, known, reports, asked["inputs"])
         files = tuple(name for name in (FRAME_FOLDER, TABLE, GATHERED, MANIFEST) if (staged / name).exists())
-    drop_older(config.out, files)
-    mapped = None
-    if drive is not None and sinks.gathered is not None:
-        with clock.stage("map"):
-            mapped = _map(drive, sinks.gathered, told)
-    return ScanResult(files, method.name, tuple(reports), skipped, clock.seconds, mapped)
+        move_together(staged, config.out, MANIFEST)
+        drop_older(config.out, files)
+    return DoneFrames(files, method.name, tuple(reports), skipped, gathered, clock.seconds)
 
 
-def _scan_frame(frame: Frame, config: ScanConfig, method: Method, sinks: _Sinks, folder: Path) -> FrameReport:
-    """Read, cut, class, write one frame."""
+def _staged(folder: Path, frames: list[Frame]) -> Path:
+    """Give the folder in which products wait for each other; files of frames that are finished are in it already."""
+    staged = folder / _STAGED
+    (staged / FRAME_FOLDER).mkdir(parents=True, exist_ok=True)
+    for left in staged.iterdir():
+        if left.name != FRAME_FOLDER:
+            take_away(left)
+    finished = {frame.name for number, frame in enumerate(frames) if part_path(folder, number).exists()}
+    for left in (staged / FRAME_FOLDER).iterdir():
+        if left.stem not in finished:
+            take_away(left)
+    return staged
+
+
+def _scan_frame(
+    frame: Frame,
+    version: Mapping[str, Any],
+    config: ScanConfig,
+    method: Method,
+    sinks: _Sinks,
+    folder: Path,
+    place: Path,
+) -> FrameReport:
+    """Read, cut, class, write one frame; or take up what is kept of it in ``place``."""
+    part = load_part(place, frame) if has_files(frame.name, folder, config.products) else None
+    fresh = None
+    if part is None:
+        fresh = _classed(frame, config, method)
+        report = report_frame(frame, version, *fresh)
+        part = _part(report, *fresh[:2], with_rows=sinks.table is not None, with_points=sinks.gathered is not None)
+    if sinks.gathered is not None and frame.pose is not None:  # first: it may refuse the frame
+        sinks.gathered.add_points(frame.name, part.points, frame.pose, part.is_ground)
+    if fresh is not None:
+        write_frame(frame.name, *fresh[:2], folder, config.products)
+        save_part(part, place)
+    if sinks.table is not None and part.rows is not None:
+        sinks.table.add_rows(part.rows)
+    return part.report
+
+
+def _classed(frame: Frame, config: ScanConfig, method: Method) -> tuple[Scan, ClassedSectors, float]:
+    """Read a frame and class it; the seconds that it took beside."""
     begin = time.perf_counter()
     scan = _read(frame, config)
     with _about(frame):
@@ -173,13 +270,16 @@ def _scan_frame(frame: Frame, config: ScanConfig, method: Method, sinks: _Sinks,
     seconds = time.perf_counter() - begin
     if reason := why_empty(scan, classed):
         _log.warning("%s gives no classed ground: %s", frame.path, reason)
-    report = report_frame(frame, scan, classed, seconds)
-    if sinks.gathered is not None and frame.pose is not None:  # first: it may refuse the frame
-        sinks.gathered.add(scan, frame.pose, classed)
-    write_frame(frame.name, scan, classed, folder, config.products)
-    if sinks.table is not None:
-        sinks.table.add(frame.name, classed)
-    return report
+    return scan, classed, seconds
+
+
+def _part(report: FrameReport, scan: Scan, classed: ClassedSectors, *, with_rows: bool, with_points: bool) -> FramePart:
+    return FramePart(
+        report,
+        sector_rows(report.frame.name, classed) if with_rows else None,
+        scan.points if with_points else np.empty((0, 3), np.float32),
+        ground_points(classed) if with_points else np.empty(0, np.bool_),
+    )
 
 
 def _read(frame: Frame, config: ScanConfig) -> Scan:
@@ -202,6 +302,7 @@ def _skipping(frame: Frame, config: ScanConfig, skipped: dict[str, str]) -> Iter
         yield
     except BadInputError as error:
         if not config.skip_bad:
+            error.add_note("--skip-bad goes on without such frames.")
             raise
         _log.warning("skipped %s: %s", frame.path, error)
         skipped[str(frame.path)] = str(error)
@@ -213,7 +314,7 @@ def _refuse_none(count: int, skipped: dict[str, str]) -> None:
             *list(skipped.values())[:_NAMED],
             *([f"{len(skipped) - _NAMED} more"] if len(skipped) > _NAMED else []),
         ]
-        raise BadInputError("none of the frames could be read:\n" + "\n".join(shown))
+        raise BadInputError("none of the frames could be read:", *shown)
 
 
 @contextmanager
@@ -251,6 +352,7 @@ def _drive(config: ScanConfig) -> MapConfig | None:
         calibration=config.calibration,
         local=config.crs is None,
         overwrite=config.overwrite,
+        resume=config.resume,
         **own,  # type: ignore[arg-type]
     )
     known = Calibration.load(drive.calibration) if drive.calibration else Calibration.shipped(drive.vehicle)
@@ -258,14 +360,17 @@ def _drive(config: ScanConfig) -> MapConfig | None:
     return drive
 
 
-def _map(drive: MapConfig, gathered: Gathered, told: Progress) -> MapResult | None:
-    if not gathered.ground:
-        _log.warning("no map was made: none of the %d gathered points lies in a traversable sector", gathered.points)
+def _map(drive: MapConfig, gathered: dict[str, int], told: Progress) -> MapResult | None:
+    if not gathered["ground"]:
+        _log.warning("no map was made: none of the %d gathered points lies in a traversable sector", gathered["points"])
         return None
+    if drive.out.is_symlink():
+        raise OutputError(f"{drive.out} is a link, and is left alone. Take it away, or pass --overwrite to replace it")
     try:
         return map_surveys(drive, told)
-    except KeyboardInterrupt as end:
-        end.__notes__ = ["The products of the frames are complete; the map of the drive is missing."]
+    except BaseException as end:
+        note = "The products of the frames are complete; the map of the drive is missing."
+        end.__notes__ = [note + (" Pass --resume to make it." if what_is_kept(end) is not Kept.NOTHING else "")]
         raise
 
 

@@ -1,5 +1,6 @@
 """Settings from a TOML file, by the fields of the dataclass that they are for. Unknown keys are refused."""
 
+import os
 import tomllib
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -8,7 +9,10 @@ from typing import Any, Literal, get_args, get_origin
 
 from bumpymap.errors import UsageError
 
-__all__ = ["read_settings_file"]
+__all__ = ["read_settings_file", "why_no_path"]
+
+_LONGEST_NAME = 255
+"""Bytes of one name of a path: the file systems in use take no more."""
 
 _WORDS = {
     bool: ("true or false", "true or false"),
@@ -70,12 +74,26 @@ def _value(value: Any, kind: Any, name: str, origin: str, folder: Path) -> Any:
     if get_origin(kind) is Literal and isinstance(value, str) and value in items:
         return value
     if kind in (Path, Path | str) and isinstance(value, str):
+        if reason := why_no_path(value):
+            raise UsageError(f"{origin}: {name}: {reason}")
         return value if kind is not Path and "://" in value else folder / value
     if type(value) is kind:
         return value
     if kind is float and type(value) is int and abs(value) < 2**1023:
         return float(value)
     raise UsageError(f"{origin}: {name} is {value!r}; it must be {_word(kind, name)}")
+
+
+def why_no_path(text: str) -> str:
+    """Say why no file can have this path; empty where one can."""
+    if "\0" in text:
+        return "a path cannot hold the character NUL"
+    if "://" in text:
+        return ""
+    longest = max((len(os.fsencode(name)) for name in text.split("/")), default=0)
+    if longest > _LONGEST_NAME:
+        return f"the path has a name of {longest} bytes; names have up to {_LONGEST_NAME}"
+    return ""
 
 
 def _word(kind: Any, name: str) -> str:

@@ -4,6 +4,7 @@ Everything inside is metres. ``Georeference`` knows how to go back to the survey
 one tile; arrays of one record have the same length.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,12 +20,15 @@ if TYPE_CHECKING:  # half of this module's time to import
 __all__ = [
     "BANDS",
     "CLASS_NAMES",
+    "FAIL_SHARE",
     "NO_CLASS",
+    "PASSABLE_COLUMNS",
     "REASON_TEXT",
     "TEXTURES",
     "Band",
     "CostMap",
     "CostMosaic",
+    "CostRule",
     "Georeference",
     "PatchStack",
     "PointCloud",
@@ -70,7 +74,8 @@ class Georeference:
     """The survey's CRS and what one of its units is in metres."""
 
     crs: "CRS | None"
-    """The survey's CRS; None where nothing is known (local coordinates)."""
+    """The survey's CRS, with the vertical one where it states that (a compound CRS); None where nothing is known (local
+    coordinates)."""
     metres_per_unit: float = 1.0
     """Horizontal: metres = file units x this."""
     metres_per_unit_z: float = 1.0
@@ -142,6 +147,55 @@ class TextureMap:
     """(n, 4) over ``TEXTURES``, rows sum to 1; NaN where the tile is unknown."""
 
 
+FAIL_SHARE = 0.5
+"""Ground on which at least this share of the drives fails is not passable, and of the last class."""
+
+
+PASSABLE_COLUMNS = ("klass", "c_r", "p_fail", "slope")
+"""What decides whether a tile is passable."""
+
+
+@dataclass(frozen=True, slots=True)
+class CostRule:
+    """How a vehicle's ride becomes the cost of a planner: what is passable, and the factor on distance where it is.
+
+    ``cost = 1 + ride_weight * c_r + fail_weight * hazard``. Integrated along a path it is the path's length, plus a
+    detour for the shaking, plus one for the risk: ``exp(-integral of the hazard)`` is the probability of arriving.
+    """
+
+    ride_weight: float
+    """m/rad: the detour that one radian of pitch motion is worth."""
+    fail_weight: float
+    """m: the detour that one certain failure is worth."""
+    drive_m: float
+    """Length of a drive of the calibration, m: ``p_fail`` is a share of such drives."""
+    slope_limit_deg: float
+    """Steeper ground is not for this vehicle."""
+
+    def hazard(self, p_fail: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Failures per metre, 1/m: ``-ln(1 - p_fail) / drive_m``; infinite where all drives fail, NaN where unknown."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(-np.log1p(-p_fail.astype(np.float64)) / self.drive_m)
+
+    def passable(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+        """Whether tiles may be driven on: known, not too steep, and fewer than ``FAIL_SHARE`` of the drives fail.
+
+        Where the rating knows no ``p_fail`` (NaN: ``--compat paper``) the last class is not passable.
+
+        Parameters
+        ----------
+        columns : mapping
+            Those named in ``PASSABLE_COLUMNS``, (n,) each, as in `tile_columns`.
+        """
+        klass, c_r, p_fail, slope = (columns[name] for name in PASSABLE_COLUMNS)
+        fails = np.where(np.isnan(p_fail), klass == len(CLASS_NAMES) - 1, p_fail >= FAIL_SHARE)
+        return np.asarray((klass != NO_CLASS) & np.isfinite(c_r) & (slope <= self.slope_limit_deg) & ~fails)
+
+    def cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Factor on distance; a hazard that is not known (NaN) counts nothing."""
+        return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * np.where(np.isnan(hazard), 0.0, hazard))
+
+
 @dataclass(frozen=True, slots=True)
 class CostMap:
     """Rated tiles: everything that the products are made of."""
@@ -161,8 +215,8 @@ class CostMap:
     """(n,) share of simulated drives over such ground that rolled over or got stuck, 0..1."""
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
-    ride_weight: float
-    """m/rad: cost = 1 + ride_weight * c_r, the factor on distance that a planner uses."""
+    rule: CostRule
+    """What of it is passable, and at what cost."""
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Values of one of ``BANDS``, (n,)."""
@@ -182,15 +236,15 @@ class CostMosaic:
     """All rated tiles of a run, read by window: what the products are made of."""
 
     georeference: Georeference
-    ride_weight: float
-    """m/rad: cost = 1 + ride_weight * c_r, the factor on distance that a planner uses."""
+    rule: CostRule
+    """What of it is passable, and at what cost."""
     tiles: Mosaic
     """Columns of `tile_columns`."""
 
     @classmethod
     def of(cls, cost_map: CostMap) -> "CostMosaic":
         """Make a mosaic of a map in memory (at least one tile)."""
-        return cls(cost_map.georeference, cost_map.ride_weight, Mosaic.of(cost_map.patches.grid, cost_map.columns()))
+        return cls(cost_map.georeference, cost_map.rule, Mosaic.of(cost_map.patches.grid, cost_map.columns()))
 
 
 def tile_columns(pixels: int) -> tuple[Column, ...]:

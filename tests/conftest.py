@@ -1,5 +1,7 @@
 import os
+import sys
 from functools import cache
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -10,6 +12,8 @@ from bumpymap.scan_world import load_open3d
 # No test may depend on a clock; in CI the same examples are tried every time.
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("bumpymap")
+
+sys.path.append(str(Path(__file__).parent / "helpers"))  # modules that several rooms' tests share
 
 
 @cache

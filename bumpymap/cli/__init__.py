@@ -1,11 +1,15 @@
 """The command line: argv to settings, one call, a printed summary. Commands are loaded when they are asked for."""
 
 import sys
+from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
+from io import TextIOWrapper
+from typing import Any
 
 import click
 
-from bumpymap.errors import BumpymapError
+from bumpymap.cli._ending import Ended, end_of
 from bumpymap.interrupts import Terminated, interruptible
 
 __all__ = ["main"]
@@ -47,18 +51,33 @@ class _LazyGroup(click.Group):
             formatter.write_dl(list(_COMMANDS.items()))
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command; a failure that a user can cause becomes one message and its exit code."""
+        """Run a command; Ctrl-C and SIGTERM become one message and its exit code."""
         try:
             with interruptible():
                 return super().invoke(ctx)
-        except BumpymapError as error:
-            click.echo(f"Error: {error}", err=True)
-            sys.exit(error.exit_code)
         except KeyboardInterrupt as end:
             terminated = isinstance(end, Terminated)
             said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
-            click.echo(" ".join(said + getattr(end, "__notes__", [])), err=True)
-            sys.exit(_TERMINATED if terminated else _INTERRUPTED)
+            message = " ".join(said + getattr(end, "__notes__", []))
+            raise Ended(message, _TERMINATED if terminated else _INTERRUPTED) from None
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`."""
+        for stream in (sys.stdout, sys.stderr):  # help has a user's own words in it
+            if isinstance(stream, TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
+        words = list(sys.argv[1:] if args is None else args)
+        run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
+        if not standalone_mode:
+            return run()
+        sys.exit(end_of(run, words))
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

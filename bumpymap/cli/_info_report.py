@@ -10,7 +10,7 @@ from typing import Any
 from rich.filesize import decimal
 
 from bumpymap.config import FeatureSettings
-from bumpymap.crs import describe_crs, unit_name
+from bumpymap.crs import describe_crs, horizontal_of, unit_name, vertical_of
 from bumpymap.engine import Budget, Estimate, estimate
 from bumpymap.readers import PointSummary, SurveyInfo, enough_points
 from bumpytiles import Bounds, Grid
@@ -112,13 +112,15 @@ def as_record(report: Report) -> dict[str, Any]:
     if info is None:
         return {"path": str(report.path), "error": report.error}
     place = info.georeference
+    horizontal, vertical = (of(place.crs) if place.crs else None for of in (horizontal_of, vertical_of))
     record: dict[str, Any] = {
         "path": str(report.path),
         "format": info.format,
         "size_bytes": info.size_bytes,
         "points_promised": info.point_count,
-        "crs": place.crs.name if place.crs else None,
-        "epsg": place.crs.to_epsg() if place.crs else None,
+        "crs": horizontal.name if horizontal else None,
+        "epsg": horizontal.to_epsg() if horizontal else None,
+        "vertical_crs": vertical.name if vertical else None,
         "metres_per_unit": place.metres_per_unit,
         "metres_per_unit_z": place.metres_per_unit_z,
         "bounds_m": _sides(report.bounds, 1.0),

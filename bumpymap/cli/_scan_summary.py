@@ -1,12 +1,11 @@
 """The summary that ``scan`` prints."""
 
-import json
+from collections.abc import Iterator
 from statistics import median
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
+from bumpymap.cli._summary import ALREADY_DONE
+from bumpymap.cli._text import say, say_json, say_table
 from bumpymap.scan import StripeModel
 from bumpymap.scan_config import ScanConfig
 from bumpymap.scan_pipeline import ScanResult
@@ -18,29 +17,29 @@ def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
     """Print what a run did: as a table, or as one JSON object."""
     record = _record(result, config)
     if as_json:
-        print(json.dumps(record))
+        say_json(record)
         return
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(
+    if result.already_done:
+        say(f"Already done: {config.out} {ALREADY_DONE}")
+    say(
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms from file to classes (median), "
         f"{sum(result.seconds.values()):.1f} s in all"
     )
     dropped = record["dropped"]
-    console.print(
+    say(
         f"left out: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
-    console.print(_table(record["sectors"], record["points_by_class"]))
+    say_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
-        console.print(f"skipped frames: {len(result.skipped)}; scan.json says why")
-    console.print(f"Products in {config.out}: {', '.join(result.files)}", markup=False)
+        say(f"skipped frames: {len(result.skipped)}; scan.json says why")
+    say(f"Products in {config.out}: {', '.join(result.files)}")
     if result.drive is not None:
         tiles = result.drive.summary
-        console.print(
+        say(
             f"Map of the drive in {result.drive.files[0].parent}: {tiles.tiles:,} tiles, {tiles.unknown:,} of them "
-            "unknown",
-            markup=False,
+            "unknown"
         )
 
 
@@ -48,22 +47,18 @@ def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *,
     """Print what a fit found."""
     if as_json:
         found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
-        print(json.dumps(found | {"skipped": skipped}))
+        say_json(found | {"skipped": skipped})
         return
     centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    print(f"class 0 to 2: {centres} stripes, from {model.sectors:,} sectors of {model.scans:,} frames")
-    print(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
+    say(f"class 0 to 2: {centres} stripes, from {model.sectors:,} sectors of {model.scans:,} frames")
+    say(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
 
 
-def _table(sectors: dict[str, int], points: dict[str, int]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("class", "sectors", "share", "points"):
-        table.add_column(title, justify="left" if title == "class" else "right")
+def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
     total = max(sum(sectors.values()), 1)
     for klass, (name, count) in enumerate(sectors.items()):
         shown = f"{klass} {name}" if name in points else name
-        table.add_row(shown, f"{count:,}", f"{count / total:.1%}", f"{points[name]:,}" if name in points else "")
-    return table
+        yield shown, f"{count:,}", f"{count / total:.1%}", f"{points[name]:,}" if name in points else ""
 
 
 def _record(result: ScanResult, config: ScanConfig) -> dict[str, Any]:
@@ -78,6 +73,7 @@ def _record(result: ScanResult, config: ScanConfig) -> dict[str, Any]:
         "skipped": result.skipped,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],
         "seconds": result.seconds,
+        "already_done": result.already_done,
     }
 
 

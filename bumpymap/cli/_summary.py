@@ -1,18 +1,19 @@
 """The summary that ``map`` and ``demo`` print."""
 
-import json
 import math
+from collections.abc import Iterator
 
-from rich.console import Console
-from rich.table import Table
-
+from bumpymap.cli._text import say, say_json, say_table
 from bumpymap.config import MapConfig
 from bumpymap.pipeline import MapResult
 from bumpymap.products import MapSummary
 from bumpymap.types import CLASS_NAMES, REASON_TEXT, Reason
 
-__all__ = ["show"]
+__all__ = ["ALREADY_DONE", "show"]
 
+ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite makes it anew"
+
+_TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 _MOST = 0.5
 """With a larger share of unknown tiles the summary says what to do."""
 _SAID = ("class 2", "found by the cloth")
@@ -22,34 +23,33 @@ _SAID = ("class 2", "found by the cloth")
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     """Print what a run did: as a table, or as one JSON object."""
     if as_json:
-        print(json.dumps(_record(result, config)))
+        say_json(_record(result, config))
         return
-    console = Console(soft_wrap=True, highlight=False)
     summary = result.summary
+    if result.already_done:
+        say(f"Already done: {config.out} {ALREADY_DONE}")
     which = f"ground points ({_SAID[config.ground == 'csf']})" if result.ground_only else "points"
-    console.print(
+    say(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
-    console.print(_table(summary))
+    say_table(_rows(summary), _TITLES)
+    share = summary.passable / summary.tiles
+    say(f"{share:.1%} of the tiles are passable: known, not too steep, and under half of the drives fail")
     if advice := _advice(result, config):
-        console.print(advice, markup=False)
+        say(advice)
     if result.skipped:
-        console.print(f"{len(result.skipped)} inputs were skipped; run.json says why")
-    console.print(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}", markup=False)
+        say(f"{len(result.skipped)} inputs were skipped; run.json says why")
+    say(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
 
 
-def _table(summary: MapSummary) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)"):
-        table.add_column(title, justify="left" if title == "class" else "right")
+def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
     names = [*(f"{klass} {name}" for klass, name in enumerate(CLASS_NAMES)), "unknown"]
     counts = [*summary.by_class, summary.unknown]
     for name, count, c_r, slope in zip(names, counts, summary.median_c_r, summary.median_slope, strict=True):
-        table.add_row(name, f"{count:,}", f"{count / summary.tiles:.1%}", _number(c_r, 3), _number(slope, 1))
+        yield name, f"{count:,}", f"{count / summary.tiles:.1%}", _number(c_r, 3), _number(slope, 1)
     for reason, count in summary.reasons.items():
-        table.add_row(f"  {reason}", f"{count:,}", f"{count / summary.tiles:.1%}", "", "")
-    return table
+        yield f"  {reason}", f"{count:,}", f"{count / summary.tiles:.1%}", "", ""
 
 
 def _number(value: float, decimals: int) -> str:
@@ -87,8 +87,10 @@ def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "tiles": result.summary.tiles,
         "classes": result.summary.classes,
         "unknown": result.summary.reasons,
+        "passable": result.summary.passable,
         "advice": _advice(result, config),
         "ground_only": result.ground_only,
         "skipped": result.skipped,
         "seconds": result.seconds,
+        "already_done": result.already_done,
     }

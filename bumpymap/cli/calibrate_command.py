@@ -4,63 +4,57 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bumpymap.atomic import atomic
-from bumpymap.cli._terminal import DRIVES_KEPT, telling_how_to_go_on
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import option, output_options, typed, workers_option
+from bumpymap.cli._progress import CommandProgress, show_progress
+from bumpymap.cli._terminal import DRIVES_KEPT, FILE, telling_how_to_go_on
+from bumpymap.cli._text import complain, say, say_json
 from bumpymap.errors import OutputError, UsageError
+from bumpymap.lock import locked
+from bumpymap.progress import Steps
 
 if TYPE_CHECKING:
     from bumpymap.calibration import Calibration
     from bumpymap.vehicle.plan import CalibrationSettings
-    from bumpymap.vehicle.pool import Progress
     from bumpymap.vehicle.profile import VehicleProfile
 
 
 @click.command("calibrate")
 @click.option("--vehicle", default="warthog", show_default=True, help="Name of a shipped profile, or a TOML file.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Calibration file to write (JSON).")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Makes every random choice.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
+@click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
+@click.option("--seed", type=int, metavar="N", help="Makes every random choice [default: 1].")
+@workers_option("one for every processor")
+@click.option("--patches", type=int, metavar="N", help="Patches of each texture and z range [default: 8; quick: 4].")
+@click.option("--starts", type=int, metavar="N", help="Drives over each patch [default: 3; quick: 1].")
 @click.option(
-    "--patches", type=click.IntRange(min=2), default=8, show_default=True, help="Patches of each texture and z range."
+    "--terrains", type=int, metavar="N", help="Terrains of each kind of the library [default: 24; quick: 16]."
 )
-@click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Drives over each patch.")
-@click.option(
-    "--terrains",
-    type=click.IntRange(min=1),
-    default=24,
-    show_default=True,
-    help="Terrains of each kind of the library.",
-)
-@click.option(
-    "--terrain-starts", type=click.IntRange(min=2), default=8, show_default=True, help="Drives over each terrain."
-)
-@click.option("--tile-size", type=float, default=3.0, show_default=True, help="Side of a patch, m.")
-@click.option("--pixels", type=click.IntRange(min=4), default=15, show_default=True, help="Pixels along a side.")
-@click.option("--quick", is_flag=True, help="A rough calibration in some minutes: a quarter of the drives.")
+@click.option("--terrain-starts", type=int, metavar="N", help="Drives over each terrain [default: 8; quick: 4].")
+@click.option("--tile-size", type=float, metavar="M", help="Side of a patch [default: 3].")
+@click.option("--pixels", type=int, metavar="N", help="Pixels along a side [default: 15].")
+@click.option("--quick", is_flag=True, help="A rough calibration in some minutes: other defaults, fewer z ranges.")
 @click.option("--overwrite", is_flag=True, help="Replace OUT, and drop the progress of other settings.")
 @click.option("--check", is_flag=True, help="Check the simulation against closed forms instead; writes nothing.")
+@output_options()
 def command(
+    *,
     vehicle: str,
     out: Path | None,
-    seed: int,
     workers: int | None,
-    patches: int,
-    starts: int,
-    terrains: int,
-    terrain_starts: int,
-    tile_size: float,
-    pixels: int,
     quick: bool,
     overwrite: bool,
     check: bool,
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
 ) -> None:
     """Drive a vehicle over simulated terrain: what each kind of ground costs it.
 
@@ -69,50 +63,60 @@ def command(
     from bumpymap.vehicle.plan import CalibrationSettings
     from bumpymap.vehicle.profile import load_profile
 
+    set_up_logging(as_json=log_json)
     profile = load_profile(vehicle)
+    settings = CalibrationSettings(profile)
+    settings = replace(settings.quick() if quick else settings, **typed(given))
     if check:
-        _check(profile, seed)
+        _refuse_beside_check()
+        _check(profile, settings.seed)
         return
     if out is None:
         raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
-    settings = CalibrationSettings(
-        profile=profile,
-        seed=seed,
-        patches=patches,
-        starts=starts,
-        terrains=terrains,
-        terrain_starts=terrain_starts,
-        tile_size=tile_size,
-        pixels=pixels,
-    )
-    if quick:
-        settings = settings.quick()
-    _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, _command_line(settings, vehicle, out, quick))
+    again = _command_line(settings, vehicle, out, quick)
+    with show_progress(quiet=quiet, as_json=log_json) as progress:
+        calibration = _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, again, progress)
+    if quiet:
+        return
+    if log_json:
+        say_json({"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits})
+        return
+    _summary(calibration, out)
 
 
-def _calibrate(settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str) -> None:
+def _refuse_beside_check() -> None:
+    """Refuse what has no effect on a check."""
+    foreign = set(typed(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
+    for name in sorted(foreign):
+        raise UsageError(f"--check drives no calibration and writes nothing: leave {option(name)} out, or --check")
+
+
+def _calibrate(
+    settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str, progress: CommandProgress
+) -> "Calibration":
     from bumpymap.vehicle.calibrate import calibrate
     from bumpymap.vehicle.journal import Journal
     from bumpymap.vehicle.model import require_dart
     from bumpymap.vehicle.ride_fit import fit_ride
 
     require_dart()
-    _check_place(out, overwrite)
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
-    with telling_how_to_go_on(DRIVES_KEPT), _progress(settings.total_drives) as report:
+    with locked(out.parent, f".{out.name}.lock"), telling_how_to_go_on(DRIVES_KEPT):
+        _check_place(out, overwrite)
+        progress.start("driving", settings.total_drives)
         calibration = calibrate(
             settings,
-            report,
+            Steps(progress),
             workers=workers,
             journal=journal,
             discard_other=overwrite,
             command=again,
             fit=fit_ride,
         )
-    with atomic(out) as beside:
-        beside.write_text(calibration.to_json(), encoding="utf-8")
-    journal.remove()
-    _summary(calibration, out)
+        with atomic(out) as beside:
+            beside.write_text(calibration.to_json(), encoding="utf-8")
+        journal.remove()
+    return calibration
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -132,28 +136,8 @@ def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quic
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
     words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
-    words += ["--tile-size", f"{settings.tile_size:g}", "--pixels", str(settings.pixels)]
+    words += ["--tile-size", repr(settings.tile_size).removesuffix(".0"), "--pixels", str(settings.pixels)]
     return shlex.join(words + (["--quick"] if quick else []))
-
-
-@contextmanager
-def _progress(total: int) -> Iterator["Progress | None"]:
-    """Show a bar with the time to go, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn("driving"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("driving", total=total)
-
-        def report(done: int, _total: int) -> None:
-            bar.update(task, completed=done)
-
-        yield report
 
 
 def _summary(calibration: "Calibration", out: Path) -> None:
@@ -162,18 +146,18 @@ def _summary(calibration: "Calibration", out: Path) -> None:
 
     pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
     drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
-    click.echo(f"calibration {calibration.id} of {calibration.vehicle['name']}")
-    click.echo(f"  {drives} drives over textures, {failed:.0f} failed")
+    say(f"calibration {calibration.id} of {calibration.vehicle['name']}")
+    say(f"  {drives} drives over textures, {failed:.0f} failed")
     library = library_terrains(calibration)
     drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
-    click.echo(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
+    say(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
     limits = (0.0, *calibration.class_limits)
     for klass, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
-        click.echo(
+        say(
             f"  class {klass} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
             f"mean {mean:.3f} rad/m ({degrees(mean):4.1f} deg/m)"
         )
-    click.echo(f"wrote {out}")
+    say(f"wrote {out}")
 
 
 def _check(profile: "VehicleProfile", seed: int) -> None:
@@ -181,15 +165,10 @@ def _check(profile: "VehicleProfile", seed: int) -> None:
     from bumpymap.vehicle.checks import all_checks
 
     failed = 0
-    click.echo(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")
+    say(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")
     for result in all_checks(profile, seed):
-        click.echo(
-            f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}"
-        )
+        say(f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}")
         failed += not result.ok
     if failed:
-        click.echo(
-            f"{failed} checks failed: do not trust its calibrations; look for a wrong number in the profile",
-            err=True,
-        )
+        complain(f"{failed} checks failed: do not trust its calibrations; look for a wrong number in the profile")
         sys.exit(1)

@@ -1,23 +1,33 @@
 """``bumpymap evaluate``: can the map be trusted? Its predictions beside drives over the very same ground."""
 
 import os
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
-from click.core import ParameterSource
 
-from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, BarProgress, set_up_logging, telling_how_to_go_on
-from bumpymap.config import Ground, ZUnit
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import ONE_PLACE, joined, option, output_options, typed, workers_option
+from bumpymap.cli._progress import show_progress
+from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
+from bumpymap.cli._text import say, say_json
+from bumpymap.config import Ground, Rating, ZUnit
 from bumpymap.errors import OutputError, UsageError
+from bumpymap.lock import locked
+from bumpymap.progress import Progress
 
 if TYPE_CHECKING:
     from bumpymap.evaluate.findings import Findings
     from bumpymap.evaluate.settings import EvaluateSettings
     from bumpymap.evaluate.subject import Subject
 
-_OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite")
+_OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite", "quiet", "log_json")
 _OF_SCANS = ("scenes", "model", "stripes")
+_OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
+_OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("densities",)}
+"""What a part that is left out was asked with."""
 
 
 @click.command("evaluate")
@@ -34,14 +44,13 @@ _OF_SCANS = ("scenes", "model", "stripes")
 @click.option("--vehicle", multiple=True, metavar="NAME", help="Vehicle whose calibration ships [default: warthog].")
 @click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
 @click.option(
-    "--rating", type=click.Choice(["both", "table"]), default="both", show_default=True, help="table: no ride model."
+    "--rating", type=click.Choice(get_args(Rating)), default="ride", show_default=True, help="table: no ride model."
 )
-@click.option("--patches", type=int, default=300, show_default=True, metavar="N", help="Patches to drive over.")
-@click.option(
-    "--starts", type=int, default=16, show_default=True, metavar="N", help="Drives over a patch, at least; at most 48."
-)
-@click.option("--seed", type=int, default=7, show_default=True, help="Makes every random choice.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; all processors by default.")
+@click.option("--total-patches", type=int, metavar="N", help="Patches to drive over [default: 300].")
+@click.option("--min-starts", type=int, metavar="N", help="Drives over a patch, at least [default: 16].")
+@click.option("--max-starts", type=int, metavar="N", help="Drives over a patch, at most [default: 48].")
+@click.option("--seed", type=int, default=7, show_default=True, metavar="N", help="Makes every random choice.")
+@workers_option("one for every processor")
 @click.option(
     "--densities", default="100,50,20,10,5", show_default=True, metavar="LIST", help="Points per m2 to thin to."
 )
@@ -50,6 +59,7 @@ _OF_SCANS = ("scenes", "model", "stripes")
 @click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: stripe classes of your own.")
 @click.option("--skip", default="", metavar="LIST", help="Of drives, density, invariance, noise, timing: leave out.")
 @click.option("--overwrite", is_flag=True, help="Replace the report, and drop drives of other settings.")
+@output_options()
 def command(
     *,
     surveys: tuple[Any, ...],
@@ -62,6 +72,8 @@ def command(
     ground: Ground,
     workers: int | None,
     overwrite: bool,
+    quiet: bool,
+    log_json: bool,
     **given: Any,
 ) -> None:
     """Hold the map of SURVEY files or folders against drives over the same ground.
@@ -75,16 +87,18 @@ def command(
     bumpymap evaluate --library --out trust
     bumpymap evaluate --scans --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=False)
+    set_up_logging(as_json=log_json)
+    shown = _Shown(quiet, log_json)
     _refuse_foreign(places=bool(surveys), scans=scans)
     if scans:
         if library:
             raise UsageError("--scans and --library are evaluations of their own; give one of them")
-        _evaluate_scans(surveys, out, given, overwrite=overwrite)
+        _evaluate_scans(surveys, out, given, shown, overwrite=overwrite)
         return
     if library == bool(surveys):
         raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans")
     settings = _settings(given)
+    _refuse_idle(settings, library=library)
     subjects = _subjects(given)
     _require(settings)
     from bumpymap.evaluate.report import write_report
@@ -95,8 +109,8 @@ def command(
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
-    _check_place(out, overwrite=overwrite)
-    with telling_how_to_go_on(DRIVES_KEPT), BarProgress() as told:
+    with locked(out), telling_how_to_go_on(DRIVES_KEPT), shown.progress() as told:
+        _check_place(out, overwrite=overwrite)
         crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
         findings = (
             evaluate_library(subjects, settings, crew)
@@ -104,25 +118,58 @@ def command(
             else evaluate_survey(readers, options, ground, subjects, settings, crew)
         )
         files = write_report(findings, out)
-    _summary(findings, files)
+    if shown.summary(out, files):
+        _summary(findings, files)
 
 
 def _refuse_foreign(*, places: bool, scans: bool) -> None:
     """Refuse options of the other evaluation: they would have no effect."""
-    context = click.get_current_context()
-    source = context.get_parameter_source
-    given = [name for name in context.params if source(name) is ParameterSource.COMMANDLINE]
+    given = typed(click.get_current_context().params)
     for name in given:
-        option = f"--{name.replace('_', '-')}"
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
-            raise UsageError(f"{option} is about surveys and vehicles and has no effect with --scans: leave it out")
+            raise UsageError(
+                f"{option(name)} is about surveys and vehicles and has no effect with --scans: leave it out"
+            )
         if not scans and name in _OF_SCANS:
-            raise UsageError(f"{option} is about scans: add --scans, or leave it out")
+            raise UsageError(f"{option(name)} is about scans: add --scans, or leave it out")
     if scans and places and "scenes" in given:
         raise UsageError("--scenes is about made-up scenes: leave it out, or the frames")
 
 
-def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *, overwrite: bool) -> None:
+def _refuse_idle(settings: "EvaluateSettings", *, library: bool) -> None:
+    """Refuse options about what this evaluation does not read or do."""
+    given = typed(click.get_current_context().params)
+    joined({}, given, [ONE_PLACE])
+    for name in _OF_SURVEYS if library else ():
+        if name in given:
+            raise UsageError(f"{option(name)} is about surveys and has no effect with --library: leave it out")
+    for part, names in _OF_PARTS.items():
+        for name in names:
+            if part in settings.skip and name in given:
+                raise UsageError(f"{option(name)} has no effect with --skip {part}: leave one of them out")
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What an evaluation prints beside its report."""
+
+    quiet: bool
+    log_json: bool
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """Show how far it is."""
+        return show_progress(quiet=self.quiet, as_json=self.log_json)
+
+    def summary(self, out: Path, files: list[Path]) -> bool:
+        """Say as JSON what was written, where that is wanted; True where people want a summary."""
+        if self.log_json and not self.quiet:
+            say_json({"out": str(out), "files": [path.name for path in files]})
+        return not (self.quiet or self.log_json)
+
+
+def _evaluate_scans(
+    places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Shown, *, overwrite: bool
+) -> None:
     from bumpymap.evaluate_scan.report import write_scan_report
     from bumpymap.evaluate_scan.run import evaluate_scans, made_up, read_frames
     from bumpymap.evaluate_scan.settings import ScanEvaluateSettings
@@ -139,16 +186,18 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], *
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
-    _check_place(out, overwrite=overwrite)
-    with BarProgress() as told:
+    with locked(out), shown.progress() as told:
+        _check_place(out, overwrite=overwrite)
         scans = read_frames(frames) if frames else made_up(settings)
         findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, told)
-    files = write_scan_report(findings, out)
+        files = write_scan_report(findings, out)
+    if not shown.summary(out, files):
+        return
     for method, found in findings.accuracy.items():
-        click.echo(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
+        say(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
     for cost in findings.costs:
-        click.echo(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
-    click.echo(f"wrote {files[0]}")
+        say(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
+    say(f"wrote {files[0]}")
 
 
 def _settings(given: dict[str, Any]) -> "EvaluateSettings":
@@ -159,8 +208,9 @@ def _settings(given: dict[str, Any]) -> "EvaluateSettings":
     except ValueError as error:
         raise UsageError(f"--densities is '{given['densities']}'; it must be numbers, such as 100,50,20") from error
     skip = frozenset(word.strip() for word in given["skip"].split(",") if word.strip())
-    names = ("patches", "starts", "seed", "rating")
-    return EvaluateSettings(densities=densities, skip=skip, **{name: given[name] for name in names})
+    names = ("total_patches", "min_starts", "max_starts", "seed", "rating")
+    own = {name: value for name, value in typed(given).items() if name in names}
+    return EvaluateSettings(densities=densities, skip=skip, **own)
 
 
 def _subjects(given: dict[str, Any]) -> "list[Subject]":
@@ -188,29 +238,23 @@ def _require(settings: "EvaluateSettings") -> None:
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
-    """Refuse a place that cannot be written before the hours of work, not after."""
+    """Refuse to replace a report before the hours of work, not after."""
     from bumpymap.evaluate.report import REPORT
 
     if (out / REPORT).exists() and not overwrite:
         raise OutputError(
             f"{out} holds a report; give --overwrite to make it anew (drives that still fit are kept), or another --out"
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / ".probe").touch()
-        (out / ".probe").unlink()
-    except OSError as error:
-        raise OutputError(f"cannot write to {out}: {error}; choose an --out that you may write to") from error
 
 
 def _summary(findings: "Findings", files: list[Path]) -> None:
     from bumpymap.evaluate.tables import number, percent
 
     for vehicle, found in findings.comparisons.items():
-        click.echo(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")
+        say(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")
         for name, own in found.agreement.items():
-            click.echo(
+            say(
                 f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
                 f"same class {percent(own.steps.same):>7s}"
             )
-    click.echo(f"wrote {files[0]}")
+    say(f"wrote {files[0]}")

@@ -1,6 +1,5 @@
 """``bumpymap info``: what is in a survey, and what a run would need."""
 
-import json
 import logging
 import os
 import shlex
@@ -9,12 +8,14 @@ from typing import TYPE_CHECKING, get_args
 
 import click
 
-from bumpymap.cli._terminal import LOCATION, BarProgress
-from bumpymap.config import ZUnit
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import output_options
+from bumpymap.cli._progress import CommandProgress, show_progress
+from bumpymap.cli._terminal import LOCATION
+from bumpymap.cli._text import say, say_json, say_labelled, say_table
+from bumpymap.config import MapConfig, ZUnit
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bumpymap.cli._info_report import Report
     from bumpymap.engine import Estimate
     from bumpymap.readers import ReadOptions
@@ -30,14 +31,13 @@ _BAD_INPUT = 3
 @click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
 @click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
-@click.option(
-    "--tile-size", type=click.FloatRange(0.05, 1000), default=3.0, metavar="M", help="Tile side [default: 3]."
-)
-@click.option("--pixels", type=click.IntRange(3, 255), default=15, metavar="N", help="Pixels a side [default: 15].")
+@click.option("--tile-size", type=float, default=3.0, metavar="M", help="Side of a tile [default: 3].")
+@click.option("--pixels", type=int, default=15, metavar="N", help="Pixels along a side of a tile [default: 15].")
 @click.option("--memory", default="1GB", metavar="SIZE", help="As for map: what a run would take [default: 1GB].")
-@click.option("--threads", type=click.IntRange(1), metavar="N", help="As for map [default: every core].")
+@click.option("--threads", type=int, metavar="N", help="As for map [default: every core].")
 @click.option("--quick", is_flag=True, help="Look at headers alone, read no points.")
-@click.option("--json", "as_json", is_flag=True, help="JSON, for machines.")
+@click.option("--json", "as_json", is_flag=True, help="The report as JSON, for machines.")
+@output_options("No progress.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -53,6 +53,8 @@ def command(
     trust_points: bool,
     quick: bool,
     as_json: bool,
+    quiet: bool,
+    log_json: bool,
 ) -> None:
     """Tell what is in SURVEY files or folders, and what `bumpymap map` would need: memory, disk, time.
 
@@ -67,19 +69,22 @@ def command(
     from bumpymap.readers import ReadOptions, find_surveys
     from bumpytiles import Grid
 
-    # What the readers would warn about stands in the report.
-    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
-    options = ReadOptions(crs, z_unit, trust_points)
-    grid = Grid(tile_size, pixels)
-    budget = Budget(memory_bytes(memory), threads or os.cpu_count() or 1)
+    set_up_logging(as_json=log_json)
+    logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
+    count = (os.cpu_count() or 1) if threads is None else threads
+    # Held to the bounds of a run.
+    run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, threads=count)
+    grid = Grid(run.tile_size, run.pixels)
+    budget = Budget(memory_bytes(run.memory), run.threads)
+    options = ReadOptions(crs, z_unit, trust_points, budget.memory)
     paths = find_surveys(surveys)
-    with BarProgress(quiet=as_json) as progress:
+    with show_progress(quiet=quiet, as_json=log_json) as progress:
         reports = [_look(path, options, grid, progress, quick=quick) for path in paths]
     together = _together(reports)
     told = None if together else estimated(reports, budget)
     if as_json:
-        record = {"files": [as_record(report) for report in reports], "together": together}
-        click.echo(json.dumps(record | {"run": told and run_record(told, budget)}, indent=1))
+        record = {"files": [as_record(report) for report in reports], "together": " ".join(together)}
+        say_json(record | {"run": told and run_record(told, budget)}, indent=1)
     else:
         _show(reports, together or _one_map(surveys, reports))
         if told is not None:
@@ -88,7 +93,9 @@ def command(
         ctx.exit(_BAD_INPUT)
 
 
-def _look(path: Path | str, options: "ReadOptions", grid: "Grid", progress: BarProgress, *, quick: bool) -> "Report":
+def _look(
+    path: Path | str, options: "ReadOptions", grid: "Grid", progress: CommandProgress, *, quick: bool
+) -> "Report":
     """Open a file and, unless in a hurry, read it; what is wrong with it becomes part of the report."""
     from bumpymap.cli._info_report import Report
     from bumpymap.config import FeatureSettings
@@ -103,13 +110,14 @@ def _look(path: Path | str, options: "ReadOptions", grid: "Grid", progress: BarP
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
         enough = enough_points(grid, settings.min_points, settings.min_coverage)
         summary = summarise(reader, grid, enough, progress.advance)
+        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
         return Report(path, grid, reader.info, summary, reader.dropped)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
 
 
-def _together(reports: "list[Report]") -> str:
-    """Why the files cannot be mapped in one run; empty where they can."""
+def _together(reports: "list[Report]") -> list[str]:
+    """Why the files cannot be mapped in one run, in lines; empty where they can."""
     from bumpymap.crs import common_georeference
     from bumpymap.errors import BadInputError
 
@@ -118,58 +126,37 @@ def _together(reports: "list[Report]") -> str:
         if infos:
             common_georeference(infos)
     except BadInputError as error:
-        return str(error)
-    return ""
+        return [str(line) for line in error.args]
+    return []
 
 
-def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]") -> str:
+def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]") -> list[str]:
     """Say how several files make one map; empty for one file, or where one is bad."""
     infos = [report.info for report in reports if report.info is not None and not report.error]
     if len(reports) == 1 or len(infos) < len(reports):
-        return ""
+        return []
     named = " ".join(shlex.quote(str(path)) for path in surveys)
     points = sum(info.point_count for info in infos)
-    return f"{len(reports)} files, {points:,} points, one map: bumpymap map {named} --out DIR"
+    return [f"{len(reports)} files, {points:,} points, one map: bumpymap map {named} --out DIR"]
 
 
-def _show(reports: "list[Report]", together: str) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
+def _show(reports: "list[Report]", together: list[str]) -> None:
     from bumpymap.cli._info_report import as_rows
 
-    console = Console(highlight=False)
     for report in reports:
-        console.print(Text(str(report.path), style="bold"), soft_wrap=True)
-        console.print(_table(as_rows(report)))
+        say(str(report.path), "bold")
+        say_table(as_rows(report))
         # Not in the table: commands must come out in one line, to be copied.
         for need in report.needs():
             label = "cannot be read" if report.error else "to map it"
-            console.print(Text(f"  {label}: ", style="yellow").append(need, style="default"), soft_wrap=True)
-        console.print()
-    if together:
-        console.print(Text(f"together: {together}", style="bold"), soft_wrap=True)
+            say_labelled(f"  {label}: ", need, "yellow")
+        say()
+    for number, line in enumerate(together):
+        say(line if number else f"together: {line}", "bold")
 
 
 def _show_run(told: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
     from bumpymap.cli._info_report import run_rows
 
-    console = Console(highlight=False)
-    title = f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else "")
-    console.print(Text(title, style="bold"))
-    console.print(_table(run_rows(told, grid)))
-
-
-def _table(rows: list[tuple[str, str]]) -> "Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in rows:
-        table.add_row(Text(f"  {name}"), Text(value))
-    return table
+    say(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
+    say_table(run_rows(told, grid))

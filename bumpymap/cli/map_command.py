@@ -5,7 +5,10 @@ from typing import Any, get_args
 
 import click
 
-from bumpymap.cli._terminal import LOCATION, PATH, BarProgress, set_up_logging
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import COMPAT_WINS, ONE_PLACE, ONE_VEHICLE, joined, output_options, typed, workers_option
+from bumpymap.cli._progress import show_progress
+from bumpymap.cli._terminal import LOCATION, PATH
 from bumpymap.config import Compat, Ground, MapConfig, Rating, ZUnit
 from bumpymap.errors import UsageError
 from bumpymap.settings_file import read_settings_file
@@ -32,8 +35,9 @@ _PARTLY_DONE = 4
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
 @click.option("--threads", type=int, metavar="N", help="Threads; --workers share them [default: every core].")
 @click.option("--memory", metavar="SIZE", help="Memory over the interpreter's own, of each worker [default: 1GB].")
-@click.option("--workers", type=int, metavar="N", help="Share the work out among N processes of this machine.")
+@workers_option("none: threads share the work")
 @click.option("--scheduler", metavar="ADDRESS", help="Share it out among the workers of a dask scheduler.")
+@click.option("--tls-config", type=PATH, metavar="FILE", help="Certificates for a scheduler at tls://.")
 @click.option(
     "--scratch", type=PATH, metavar="DIR", help="Folder for points that memory cannot hold [default: in --out]."
 )
@@ -41,8 +45,7 @@ _PARTLY_DONE = 4
 @click.option("--skip-bad", is_flag=True, help="Go on without files that cannot be read (exit code 4).")
 @click.option("--resume", is_flag=True, help="Go on with a run that was broken off.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
-@click.option("--quiet", is_flag=True, help="No progress, no summary.")
-@click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")
+@output_options()
 @click.pass_context
 def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log_json: bool, **given: Any) -> None:
     """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
@@ -55,13 +58,13 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     from bumpymap.pipeline import map_surveys
 
     set_up_logging(as_json=log_json)
-    settings = read_settings_file(config_file, MapConfig) if config_file else {}
-    settings |= {name: value for name, value in given.items() if value not in (None, False, ())}
+    from_file = read_settings_file(config_file, MapConfig) if config_file else {}
+    settings = joined(from_file, typed(given), [ONE_VEHICLE, COMPAT_WINS, ONE_PLACE])
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
         if name not in settings:
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
     config = MapConfig(**settings)
-    with BarProgress(quiet=quiet or log_json) as progress:
+    with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = map_surveys(config, progress)
     if not quiet:
         show(result, config, as_json=log_json)

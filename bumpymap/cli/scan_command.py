@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from bumpymap.cli._terminal import PATH, BarProgress, set_up_logging
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import ONE_VEHICLE, joined, option, output_options, typed
+from bumpymap.cli._progress import show_progress
+from bumpymap.cli._terminal import PATH
 from bumpymap.config import Compat
 from bumpymap.errors import UsageError
 
@@ -19,7 +22,19 @@ _PARTLY_DONE = 4
 # The libraries behind these would take --help half a second; a test holds the names to theirs.
 METHODS = ("filter", "learned")
 PRODUCTS = ("polygons", "table", "cloud", "picture")
-_NOT_OF_A_FIT = ("out", "poses", "crs", "method", "model", "stripes", "compat", "products", "vehicle", "calibration")
+_NOT_OF_A_FIT = (
+    "out",
+    "poses",
+    "crs",
+    "method",
+    "model",
+    "stripes",
+    "compat",
+    "products",
+    "vehicle",
+    "calibration",
+    "resume",
+)
 
 
 @click.command("scan")
@@ -45,9 +60,9 @@ _NOT_OF_A_FIT = ("out", "poses", "crs", "method", "model", "stripes", "compat", 
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle, for the map.")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
 @click.option("--skip-bad", is_flag=True, help="Go on without frames that cannot be read (exit code 4).")
+@click.option("--resume", is_flag=True, help="Go on with a run that was broken off.")
 @click.option("--overwrite", is_flag=True, help="Replace the products of an earlier run.")
-@click.option("--quiet", is_flag=True, help="No progress, no summary.")
-@click.option("--log-json", is_flag=True, help="Summary and warnings as JSON, for machines.")
+@output_options()
 @click.pass_context
 def command(
     ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
@@ -64,7 +79,7 @@ def command(
 
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
-    with BarProgress(quiet=quiet or log_json) as progress:
+    with show_progress(quiet=quiet, as_json=log_json) as progress:
         if fit is None:
             result = scan_frames(config, progress)
             skipped = result.skipped
@@ -85,17 +100,17 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     from bumpymap.scan_config import ScanConfig
     from bumpymap.settings_file import read_settings_file
 
-    options = {name: value for name, value in given.items() if value not in (None, False, ())}
+    options = typed(given)
     if fit is not None:
         wrong = [name for name in _NOT_OF_A_FIT if name in options]
         if wrong:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave --{wrong[0].replace('_', '-')} out")
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave {option(wrong[0])} out")
     settings = read_settings_file(config_file, ScanConfig) if config_file else {}
     polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
     radius = options.pop("robot_radius", None)
     if "products" in options:
         options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
-    settings |= options
+    settings = joined(settings, options, [ONE_VEHICLE])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):

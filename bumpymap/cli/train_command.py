@@ -2,18 +2,25 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._terminal import BarProgress, set_up_logging, telling_how_to_go_on
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import option, output_options, typed
+from bumpymap.cli._progress import CommandProgress, show_progress
+from bumpymap.cli._terminal import FILE, telling_how_to_go_on
+from bumpymap.cli._text import say, say_json
 from bumpymap.errors import OutputError, UsageError
 from bumpymap.progress import Progress
 
 if TYPE_CHECKING:
+    from bumpymap.learn.make import MadeModel
     from bumpymap.learn.train import EpochReport
+    from bumpymap.learn_scan.make import MadeScanModel
 
 __all__ = ["command"]
 
@@ -29,24 +36,30 @@ _OF_SCANS = ("scenes", "sectors_per_class")
 @click.option(
     "--out",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
+    metavar="FILE",
     help="ONNX file to write; the model card goes beside it (.md).",
 )
 @click.option(
     "--scans",
-    metavar="simulated|RELLIS_FOLDER",
+    metavar="simulated|DIR",
     help="Train the network of `bumpymap scan` instead: on made-up scenes, or on a folder in the layout of RELLIS-3D.",
 )
-@click.option("--seed", type=int, help="Decides what is learned from and the first weights [default: 1].")
-@click.option("--epochs", type=int, help="Rounds of learning [default: 30; with --scans 20].")
-@click.option("--patches-per-texture", type=int, help="Textures: training patches of each of the four [default: 6534].")
-@click.option("--tile-size", type=float, help="Textures: side of the tiles it is for, m [default: 3].")
-@click.option("--pixels", type=int, help="Textures: pixels along a side of a tile [default: 15].")
-@click.option("--scenes", type=int, help="--scans simulated: scenes to learn from [default: 300].")
-@click.option("--sectors-per-class", type=int, help="--scans: sectors of each class in a round [default: 10000].")
-@click.option("--threads", type=int, help="CPU threads; part of what decides the last bits [default: 1].")
+@click.option("--seed", type=int, metavar="N", help="Decides what is learned from and the first weights [default: 1].")
+@click.option("--epochs", type=int, metavar="N", help="Rounds of learning [default: 30; with --scans 20].")
+@click.option(
+    "--patches-per-texture", type=int, metavar="N", help="Textures: training patches of each [default: 6534]."
+)
+@click.option("--tile-size", type=float, metavar="M", help="Textures: side of the tiles it is for, m [default: 3].")
+@click.option("--pixels", type=int, metavar="N", help="Textures: pixels along a side of a tile [default: 15].")
+@click.option("--scenes", type=int, metavar="N", help="--scans simulated: scenes to learn from [default: 300].")
+@click.option(
+    "--sectors-per-class", type=int, metavar="N", help="--scans: sectors of each class in a round [default: 10000]."
+)
+@click.option("--threads", type=int, metavar="N", help="CPU threads; part of what decides the last bits [default: 1].")
 @click.option("--overwrite", is_flag=True, help="Replace the network of an earlier training.")
-def command(*, out: Path, scans: str | None, overwrite: bool, **given: Any) -> None:
+@output_options()
+def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
     """Train the texture network on made-up terrain and write it as ONNX; needs no survey.
 
     With --scans, train the network for the sectors of LiDAR scans. Interrupted, the same command goes on from its last
@@ -57,30 +70,34 @@ def command(*, out: Path, scans: str | None, overwrite: bool, **given: Any) -> N
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=False)
-    options = {name: value for name, value in given.items() if value is not None}
+    set_up_logging(as_json=log_json)
+    options = typed(given)
     _refuse_foreign(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
-    with telling_how_to_go_on("Give the same command again to go on from the last whole epoch."):
+    note = "Give the same command again to go on from the last whole epoch."
+    with telling_how_to_go_on(note), show_progress(quiet=quiet, as_json=log_json) as progress:
         if scans is None:
-            _train_textures(options, out)
+            lines, made = _train_textures(options, out, progress)
         else:
-            _train_scans(options, out, None if scans == _SIMULATED else Path(scans))
+            lines, made = _train_scans(options, out, None if scans == _SIMULATED else Path(scans), progress)
+    if quiet:
+        return
+    if log_json:
+        say_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
+        return
+    for line in lines:
+        say(line)
 
 
 def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
     """Refuse options of the other network: they would have no effect."""
-    foreign = [
-        f"--{name.replace('_', '-')}" for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options
-    ]
+    foreign = [option(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
     if foreign and scans is None:
-        raise UsageError(
-            f"{foreign[0]} is about scans: add --scans simulated or --scans RELLIS_FOLDER, or leave it out"
-        )
+        raise UsageError(f"{foreign[0]} is about scans: add --scans simulated or --scans DIR, or leave it out")
     if foreign:
         raise UsageError(f"{foreign[0]} is about the texture network and has no effect with --scans: leave it out")
     if scans is not None and not scans.strip():
@@ -89,21 +106,28 @@ def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
         )
 
 
-def _train_textures(options: dict[str, Any], out: Path) -> None:
+def _train_textures(
+    options: dict[str, Any], out: Path, progress: CommandProgress
+) -> "tuple[list[str], MadeModel | MadeScanModel]":
     from bumpymap.learn.make import make_model
     from bumpymap.learn.model import NetworkSettings
     from bumpymap.learn.train import TrainSettings
 
     network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
-    made = make_model(TrainSettings(**options, network=network), out, _print_epoch)
+    made = make_model(TrainSettings(**options, network=network), out, _Epochs(progress))
     scores = made.evaluation
-    click.echo(f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %")
-    click.echo(f"accuracy on altered copies (as in the paper): {100 * scores.altered_copies.accuracy:.2f} %")
-    click.echo(f"{made.model} ({made.parameters:,} trained numbers), {made.card}")
-    click.echo(f"use it with: bumpymap map SURVEY --out DIR --model {made.model}")
+    lines = [
+        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
+        f"accuracy on altered copies (as in the paper): {100 * scores.altered_copies.accuracy:.2f} %",
+        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
+        f"use it with: bumpymap map SURVEY --out DIR --model {made.model}",
+    ]
+    return lines, made
 
 
-def _train_scans(options: dict[str, Any], out: Path, folder: Path | None) -> None:
+def _train_scans(
+    options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
+) -> "tuple[list[str], MadeModel | MadeScanModel]":
     from bumpymap.learn_scan.evaluate import even_accuracy
     from bumpymap.learn_scan.make import make_scan_model
     from bumpymap.learn_scan.train import ScanTrainSettings
@@ -113,15 +137,16 @@ def _train_scans(options: dict[str, Any], out: Path, folder: Path | None) -> Non
         load_open3d("--scans simulated")
     elif "scenes" in options:
         _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
-    with BarProgress() as progress:
-        made = make_scan_model(ScanTrainSettings(**options), out, folder, _print_epoch, _gathering(progress))
+    made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
     scores = made.evaluation
-    click.echo(
-        f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {100 * even_accuracy(scores.every):.2f} %"
-    )
-    click.echo(f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %")
-    click.echo(f"{made.model} ({made.parameters:,} trained numbers), {made.card}")
-    click.echo(f"use it with: bumpymap scan FRAME --out DIR --model {made.model}")
+    even = 100 * even_accuracy(scores.every)
+    lines = [
+        f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
+        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",
+        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
+        f"use it with: bumpymap scan FRAME --out DIR --model {made.model}",
+    ]
+    return lines, made
 
 
 def _gathering(progress: Progress) -> Callable[[int, int], None]:
@@ -135,12 +160,24 @@ def _gathering(progress: Progress) -> Callable[[int, int], None]:
     return gathered
 
 
-def _print_epoch(report: "EpochReport") -> None:
-    click.echo(
-        f"epoch {report.epoch}/{report.epochs}: loss {report.loss:.4f}, "
-        f"accuracy while learning {100 * report.accuracy:.2f} %, {report.seconds:.1f} s",
-        err=True,
-    )
+class _Epochs:
+    """Tells of each epoch that was learned."""
+
+    def __init__(self, progress: CommandProgress) -> None:
+        self._progress, self._begun = progress, False
+
+    def __call__(self, report: "EpochReport") -> None:
+        """Count an epoch and say what came of it."""
+        if not self._begun:
+            self._progress.start("learning epochs", report.epochs)
+            self._progress.advance(report.epoch - 1)
+            self._begun = True
+        self._progress.advance(1)
+        text = (
+            f"epoch {report.epoch}/{report.epochs}: loss {report.loss:.4f}, "
+            f"accuracy while learning {100 * report.accuracy:.2f} %, {report.seconds:.1f} s"
+        )
+        self._progress.note(text, "epoch", **asdict(report))
 
 
 def _require(*, simulates: bool) -> None:

@@ -6,6 +6,7 @@ from bumpymap.crs.settle import (
     common_georeference,
     crs_from_epsg,
     georeference,
+    horizontal_of,
     linear_unit,
     parse_crs,
     same_crs,
@@ -13,6 +14,7 @@ from bumpymap.crs.settle import (
     statement_from_wkt,
     unit_name,
 )
+from bumpymap.crs.vertical import vertical_of, with_vertical
 
 __all__ = [
     "CrsStatement",
@@ -21,6 +23,7 @@ __all__ = [
     "crs_from_epsg",
     "describe_crs",
     "georeference",
+    "horizontal_of",
     "linear_unit",
     "parse_crs",
     "reproject_command",
@@ -29,4 +32,6 @@ __all__ = [
     "statement_from_wkt",
     "unit_name",
     "utm_epsg",
+    "vertical_of",
+    "with_vertical",
 ]

@@ -10,6 +10,7 @@ from bumpymap.errors import BadInputError
 
 __all__ = ["SAY_CRS", "Place", "describe_crs", "refuse_unprojected", "reproject_command", "utm_epsg"]
 
+_ZONE = "where ZZ is the UTM zone, (longitude + 180) / 6 + 1 (327ZZ in the south)"
 SAY_CRS = "Say which CRS the coordinates are in with --crs, such as --crs EPSG:32614"
 
 
@@ -22,8 +23,10 @@ class Place:
 
 
 def describe_crs(crs: CRS) -> str:
-    """Give name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``."""
-    code = crs.to_epsg()
+    """Give name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``; of a compound CRS ``(EPSG:32614+5703)``."""
+    parts = crs.sub_crs_list if crs.is_compound and crs.to_epsg() is None else [crs]
+    codes = [part.to_epsg() for part in parts]
+    code = "" if None in codes else "+".join(map(str, codes))
     return f"{crs.name} (EPSG:{code})" if code else crs.name
 
 
@@ -58,7 +61,9 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
     source = crs.to_string() if from_user else None
     raise BadInputError(
         f"{place.path} is in {what} ({describe_crs(crs)}); bumpymap measures in metres and needs a projected CRS. "
-        f"Reproject it first:\n  {reproject_command(place.path, longitude_latitude, source)}"
+        "Reproject it first:",
+        f"  {reproject_command(place.path, longitude_latitude, source)}",
+        *([] if longitude_latitude else [_ZONE]),
     )
 
 
@@ -105,5 +110,4 @@ def reproject_command(path: Path | str, longitude_latitude: tuple[float, float] 
     words += ["reprojection", f"--filters.reprojection.out_srs={target}"]
     words += [f"--filters.reprojection.in_srs={shlex.quote(source)}"] if source else []
     words += [f"--writers.las.scale_{axis}=0.001 --writers.las.offset_{axis}=auto" for axis in "xyz"]
-    zone = "" if longitude_latitude else "\nwhere ZZ is the UTM zone, (longitude + 180) / 6 + 1 (327ZZ in the south)"
-    return " ".join(words) + zone
+    return " ".join(words)

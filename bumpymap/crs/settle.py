@@ -1,13 +1,14 @@
 """Settle the CRS and units of a file, and of the files of a run.
 
 A file's own statement is a ``CrsStatement``. ``--crs`` wins over it; ``--z-unit`` wins over every unit of height. The
-result keeps only the horizontal CRS, since every height that bumpymap writes is in metres. Degrees and Earth-centred
-coordinates are refused with the command that reprojects the file.
+result keeps the vertical part too, see `bumpymap.crs.vertical`. Degrees and Earth-centred coordinates are refused with
+the command that reprojects the file.
 """
 
+import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from pyproj import CRS, Proj, get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.crs.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
+from bumpymap.crs.vertical import in_metres, same_zero, vertical_of, with_vertical
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.types import Georeference
 
@@ -23,6 +25,7 @@ __all__ = [
     "common_georeference",
     "crs_from_epsg",
     "georeference",
+    "horizontal_of",
     "linear_unit",
     "parse_crs",
     "same_crs",
@@ -30,6 +33,8 @@ __all__ = [
     "statement_from_wkt",
     "unit_name",
 ]
+
+_log = logging.getLogger(__name__)
 
 _US_FOOT = 1200 / 3937
 _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
@@ -119,7 +124,8 @@ def georeference(
     Returns
     -------
     Georeference
-        ``crs`` is the horizontal CRS alone; None where nothing is known or the CRS is a local one.
+        ``crs`` is the horizontal CRS, or a compound one with the vertical CRS that is stated beside it; None where
+        nothing is known or the CRS is a local one.
     tuple of str
         What the user should know.
 
@@ -142,12 +148,27 @@ def georeference(
     unit_z = _Z_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
     if not math.isclose(unit, unit_z, rel_tol=1e-5):
         notes.append(f"heights are in another unit ({unit_name(unit_z)}) than easting and northing ({unit_name(unit)})")
-    horizontal = _horizontal(crs) if crs is not None else None
+    horizontal = horizontal_of(crs) if crs is not None else None
     if horizontal is None and crs is not None:
         notes.append(f"its CRS '{crs.name}' is a local one: bumpymap treats it as no CRS")
     elif horizontal is not None and place.middle is not None:
         notes += scale_note(horizontal, place.middle)
-    return Georeference(horizontal, unit, unit_z), tuple(notes)
+    vertical = None if horizontal is None else _vertical_crs(user, statement.crs)
+    if horizontal is None or vertical is None:
+        return Georeference(horizontal, unit, unit_z), tuple(notes)
+    if not in_metres(vertical):
+        notes.append(f"{describe_crs(vertical)} is not in metres, as heights in the layers are: they do not carry it")
+    return Georeference(with_vertical(horizontal, vertical, crs), unit, unit_z), tuple(notes)
+
+
+def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
+    """Vertical part of ``--crs``; that of the file where ``--crs`` has none and does not contradict the file."""
+    vertical = None if user is None else vertical_of(user)
+    if own is None or vertical is not None:
+        return vertical
+    ours, theirs = None if user is None else horizontal_of(user), horizontal_of(own)
+    agreed = user is None or (ours is not None and theirs is not None and same_crs(ours, theirs))
+    return vertical_of(own) if agreed else None
 
 
 def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
@@ -171,7 +192,7 @@ def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
         return [f"its own CRS was set aside for --crs: {statement.trouble}"]
     if statement.crs is None:
         return []
-    ours, theirs = _horizontal(user), _horizontal(statement.crs)
+    ours, theirs = horizontal_of(user), horizontal_of(statement.crs)
     if ours is not None and theirs is not None and same_crs(ours, theirs):
         return []
     return [f"the file says its CRS is {describe_crs(statement.crs)}; --crs says {describe_crs(user)}, and wins"]
@@ -214,13 +235,13 @@ def _vertical_unit(crs: CRS | None) -> float | None:
     return _exact(crs.axis_info[2].unit_conversion_factor)
 
 
-def _horizontal(crs: CRS) -> CRS | None:
+def horizontal_of(crs: CRS) -> CRS | None:
     """Easting and northing alone; None for a local (engineering) CRS."""
     if crs.is_compound:
-        return _horizontal(crs.sub_crs_list[0])
+        return horizontal_of(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None and _code(crs.source_crs):
         # A TOWGS84 clause around a CRS with a code: PROJ knows better ways to WGS 84.
-        return _horizontal(crs.source_crs)
+        return horizontal_of(crs.source_crs)
     if not crs.is_projected:
         return None
     return crs if len(crs.axis_info) == 2 else crs.to_2d()
@@ -247,29 +268,61 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     """Georeference that all files of a run share.
 
     Units may differ from file to file, since each is converted by its own; the first file's (by path) are returned.
+    Where only some state a vertical CRS, none is returned, with a warning.
 
     Raises
     ------
     BadInputError
-        Files have different CRS, or only some have one; lists which has what.
+        Files have different CRS, or only some have one, or their heights count from different zeros; lists which has
+        what.
     """
     ordered = sorted(infos, key=lambda info: str(info.path))
     if not ordered:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
     first = ordered[0].georeference
-    if all(_agree(first.crs, info.georeference.crs) for info in ordered):
-        return first
     held = [info.georeference.crs for info in ordered]
-    lines = [
-        f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
-    ]
-    shown = lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
+    flat = [None if crs is None else horizontal_of(crs) for crs in held]
+    if all(_agree(flat[0], crs) for crs in flat):
+        crs = _common_crs(ordered, held)
+        return first if crs is held[0] else replace(first, crs=crs)
     advice = (
         f"{SAY_CRS} if that is right for all of them"
         if any(crs is None for crs in held)
         else "Reproject them to one CRS, or map them in separate runs; --crs sets one for all if the files are wrong"
     )
-    raise BadInputError("the files are not in one CRS:\n" + "\n".join(shown) + f"\n{advice}")
+    raise BadInputError("the files are not in one CRS:", *_listed(ordered, held), advice)
+
+
+def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> CRS | None:
+    """CRS of files whose horizontal ones agree: with a vertical part where all of them have that."""
+    vertical = [None if crs is None else vertical_of(crs) for crs in held]
+    stated = [crs for crs in vertical if crs is not None]
+    if not all(same_zero(stated[0], crs) for crs in stated):
+        raise BadInputError(
+            "the heights of the files are not in one vertical CRS:",
+            *_listed(ordered, held),
+            "Reproject them to one, or map them in separate runs; --crs with a vertical part, such as "
+            "EPSG:32614+5703, sets one for all if the files are wrong",
+        )
+    if stated and len(stated) < len(held):
+        _log.warning(
+            "%d of %d files state a vertical CRS (%s), so the layers carry none. --crs with a vertical part, such as "
+            "EPSG:32614+5703, sets one for all",
+            len(stated),
+            len(held),
+            describe_crs(stated[0]),
+        )
+        return None if held[0] is None else horizontal_of(held[0])
+    # Files in metres and in feet from one zero: all heights are metres by now.
+    metric = (crs for crs, own in zip(held, vertical, strict=True) if own is not None and in_metres(own))
+    return next(metric, held[0])
+
+
+def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> list[str]:
+    lines = [
+        f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
+    ]
+    return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
 
 
 def _agree(first: CRS | None, second: CRS | None) -> bool:

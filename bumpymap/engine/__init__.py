@@ -5,9 +5,10 @@ from bumpymap.engine.cluster import ClusterRun, Crew, hired
 from bumpymap.engine.estimate import Estimate, estimate
 from bumpymap.engine.job import Done, Job
 from bumpymap.engine.local import LocalRun
-from bumpymap.engine.workspace import Workspace, broken_off
+from bumpymap.engine.workspace import ADVICE, Workspace
 
 __all__ = [
+    "ADVICE",
     "Budget",
     "ClusterRun",
     "Crew",
@@ -16,7 +17,6 @@ __all__ = [
     "Job",
     "LocalRun",
     "Workspace",
-    "broken_off",
     "estimate",
     "hired",
     "memory_bytes",

@@ -5,10 +5,12 @@ packs in a folder that every worker sees. Then it is decided which points count,
 some neighbours at a time. The client sees counts and names of files alone.
 """
 
+import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -22,8 +24,9 @@ from bumpymap.engine.intake import refuse_nothing
 from bumpymap.engine.job import Done, Job, failures, gathered, reading_record
 from bumpymap.engine.parts import Rivals, cut_parts, part_points
 from bumpymap.engine.tasks import ALIVE, Order, PartTask, busy, count_marks, finish_group, look, read_part
+from bumpymap.engine.tls import plain_note, read_tls_settings
 from bumpymap.engine.workspace import Workspace
-from bumpymap.errors import BadInputError, UsageError
+from bumpymap.errors import BadInputError, UsageError, causes
 from bumpymap.progress import Progress, Stopwatch
 from bumpymap.readers import ReadOptions, SurveyReader
 from bumpytiles import BLOCK_TILES, Pack, TileWindow
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
     from bumpytiles._dask import Workers
 
 __all__ = ["ClusterRun", "Crew", "hired"]
+
+_log = logging.getLogger(__name__)
 
 _PATIENCE_S = 30.0
 """So long a scheduler may take to answer, and tasks of a run that was given up may take to notice."""
@@ -48,32 +53,54 @@ class Crew:
 
 
 @contextmanager
-def hired(scheduler: str | None, workers: int | None, threads: int) -> Iterator[Crew | None]:
+def hired(
+    scheduler: str | None, workers: int | None, threads: int, tls_config: Path | None = None
+) -> Iterator[Crew | None]:
     """Find the workers of a scheduler, or start some here that share out the threads; None where nobody asked for any.
 
     Raises
     ------
     UsageError
-        dask.distributed is not installed, or the scheduler does not answer or has no workers.
+        dask.distributed is not installed, or the scheduler does not answer or has no workers; certificates that cannot
+        be used.
     """
-    if scheduler is None and workers is None:
-        yield None
-        return
-    try:
-        from bumpytiles._dask import local_workers, workers_at
-    except ImportError as error:
-        raise UsageError(
-            f"--scheduler and --workers need dask.distributed ({error}). Install it: pip install 'bumpymap[dask]'"
-        ) from error
-    if scheduler is not None:
-        remedy = "Start them: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's"
-        with _lost(f"{remedy} address, such as tcp://10.0.0.1:8786"), workers_at(scheduler, _PATIENCE_S) as found:
-            yield Crew(found, None)
-    else:
-        each = max(1, threads // (workers or 1))
-        # The LAZ decoder takes every core unless it is told otherwise.
-        with _lost("Try fewer --workers"), local_workers(workers or 1, {"RAYON_NUM_THREADS": str(each)}) as found:
-            yield Crew(found, each)
+    with ExitStack() as stack:
+        try:
+            crew = None
+            if scheduler is not None:
+                crew = _crew_of(scheduler, tls_config, stack)
+            elif workers is not None:
+                crew = _own_crew(workers, threads, stack)
+        except ImportError as error:
+            raise UsageError(
+                f"--scheduler and --workers need dask.distributed and cryptography ({error}). Install them: "
+                "pip install 'bumpymap[dask]'"
+            ) from error
+        yield crew
+
+
+def _crew_of(scheduler: str, tls_config: Path | None, stack: ExitStack) -> Crew:
+    from bumpytiles._dask import TlsFiles, workers_at
+
+    start = "Start it: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address"
+    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// where it uses TLS"
+    if tls_config is not None:
+        settings = read_tls_settings(tls_config)
+        tls = TlsFiles(str(settings.ca), str(settings.cert), str(settings.key))
+        remedy = f"Was it started with TLS and a certificate that the authority in {settings.ca} signed? {start}"
+    elif (note := plain_note(scheduler)) is not None:
+        _log.warning(note)
+    stack.enter_context(_lost(remedy))
+    return Crew(stack.enter_context(workers_at(scheduler, _PATIENCE_S, tls)), None)
+
+
+def _own_crew(workers: int, threads: int, stack: ExitStack) -> Crew:
+    from bumpytiles._dask import local_workers
+
+    each = max(1, threads // workers)
+    # The LAZ decoder takes every core unless it is told otherwise.
+    started = _started(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}))
+    return Crew(stack.enter_context(started), each)
 
 
 class ClusterRun:
@@ -203,7 +230,7 @@ class ClusterRun:
     def _finish(self, order: Order, harvest: Harvest, *, ground_only: bool) -> None:
         kind = "ground" if ground_only else "all"
         finished = {key for path in self._space.tiles(kind) for key in Pack(path).keys}
-        self._told.start("measuring tiles", len(harvest.catalogue.keys()))
+        self._told.start("measuring blocks of tiles", len(harvest.catalogue.keys()))
         self._told.advance(len(finished))
         adoption = Adoption(self._space, [kind])
         tasks = ((order, group, ground_only) for group in harvest.catalogue.groups(finished))
@@ -255,6 +282,22 @@ class ClusterRun:
         with suppress(ClusterError):
             while time.monotonic() < end and any(answer is True for answer in self._crew.workers.each(busy).values()):
                 time.sleep(0.1)
+
+
+@contextmanager
+def _started(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
+    """Start workers here, and stop them in the end."""
+    with ExitStack() as stack:
+        try:
+            found = stack.enter_context(workers)
+        except (RuntimeError, OSError) as error:
+            if any(isinstance(cause, OSError) and cause.errno is not None for cause in causes(error)):
+                raise  # the system says why
+            raise UsageError(
+                f"the workers did not start ({error}); they may have been killed. Try again, or fewer --workers"
+            ) from error
+        with _lost("Try fewer --workers"):
+            yield found
 
 
 @contextmanager

@@ -6,7 +6,7 @@ A sound file is noted on disk, so that a run that goes on does not read it again
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from bumpymap.engine.parts import Part
 from bumpymap.engine.tasks import PartRead
 from bumpymap.engine.workspace import Workspace
 from bumpymap.errors import BadInputError
-from bumpymap.readers import SurveyReader, Tally
+from bumpymap.json_text import parse_json
+from bumpymap.readers import SurveyReader, Tally, Version, changed
 from bumpytiles import Pack
 
 __all__ = ["Adoption", "Harvest"]
@@ -110,6 +111,7 @@ class Harvest:
             for read in reads:
                 if read.error is not None:
                     raise read.error
+            self._refuse_versions(file, reads)
             self._readers[file].judge(tally)
         except BadInputError as error:
             self._bad[file] = error
@@ -126,6 +128,13 @@ class Harvest:
             temporary.write_text(json.dumps(record), encoding="utf-8")
         self._keep(file, record)
 
+    def _refuse_versions(self, file: int, reads: Sequence[PartRead]) -> None:
+        """Refuse parts of several versions; copies on several machines may differ in the time of their writing."""
+        seen: dict[str, Version | None] = {}
+        for host, version in (read.seen for read in reads if read.seen is not None):
+            if seen.setdefault(host, version) != version:
+                raise changed(self._readers[file].info.path, f"workers on {host} saw several versions of it")
+
     def _keep(self, file: int, record: dict[str, Any]) -> None:
         self._sound.add(file)
         self.tallies[file] = Tally.from_record(record["tally"])
@@ -136,7 +145,8 @@ class Harvest:
 
     def _take_up(self) -> None:
         """Take up the files that an earlier run found sound; forget what it had finished of others."""
-        records = {int(path.stem): json.loads(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
+        records = {int(path.stem): parse_json(path.read_text("utf-8")) for path in self._records.glob("[0-9]*.json")}
+        records = {file: record for file, record in records.items() if self._is_whole(record)}
         known = {number for record in records.values() for number in record["early"]}
         for path in self._space.tiles("*-early"):
             if int(path.stem[-6:]) not in known:
@@ -147,6 +157,12 @@ class Harvest:
                 shutil.rmtree(folder, ignore_errors=True)
         for file, record in sorted(records.items()):
             self._keep(file, record)
+
+    def _is_whole(self, record: Mapping[str, Any]) -> bool:
+        early = [
+            _name(self._space, f"{kind}-early", number).exists() for kind in self._kinds for number in record["early"]
+        ]
+        return all(early) and all((self._points / path).exists() for path, _ in record["packs"])
 
 
 class Adoption:

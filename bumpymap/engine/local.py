@@ -116,7 +116,7 @@ class LocalRun:
 
     def _finish_rest(self, buckets: TileBuckets, *, ground_only: bool) -> None:
         keys = [key for key in buckets.keys() if key not in self._rest]  # noqa: SIM118 (a property)
-        self._told.start("measuring tiles", len(keys))
+        self._told.start("measuring blocks of tiles", len(keys))
         kind = "ground" if ground_only else "all"
         sink = TileSink(self._space.folder, kind, self._job.columns, len(self._space.tiles()))
         for key, columns in self._job.finish(buckets, keys, self._budget.threads, ground_only=ground_only):

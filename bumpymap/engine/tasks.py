@@ -26,7 +26,16 @@ from bumpymap.engine.job import Job, failures
 from bumpymap.engine.parts import Part
 from bumpymap.engine.sink import TileSink
 from bumpymap.errors import BadInputError, OutputError, UsageError
-from bumpymap.readers import Location, ReadOptions, SurveyReader, Tally, identity, reopen_survey, rest_decoder
+from bumpymap.readers import (
+    Location,
+    ReadOptions,
+    SurveyReader,
+    Tally,
+    Version,
+    identity,
+    reopen_survey,
+    rest_decoder,
+)
 from bumpytiles import BlockKey, Bounds, Pack, Room, TileBuckets
 
 __all__ = ["Order", "PartRead", "PartTask", "busy", "count_marks", "finish_group", "look", "read_part"]
@@ -93,6 +102,8 @@ class PartRead:
     """Packs of finished tiles; those of each `Job.kinds` together."""
     error: BadInputError | None = None
     """Why the file is bad."""
+    seen: tuple[str, Version | None] | None = None
+    """Which machine read it, and which version of the file is there; None where it could not be read."""
 
 
 def look(order: Order, versions: Callable[[], Mapping[str, str]], wanted: Mapping[str, str]) -> str | None:
@@ -163,6 +174,7 @@ class _Reading:
     def __init__(self, order: Order, task: PartTask, budget: Budget, points: Path, tiles: Path) -> None:
         self._order, self._task, self._budget, self._tiles = order, task, budget, tiles
         reader = _opened(task.path, task.options, task.identity, order.word)
+        self._version = reader.info.version
         pieces = reader.pieces(task.piece_points)[task.part.first : task.part.stop]
         # None is the last of its file: the client judges the file by the tallies of all its parts.
         lots = [Lot(0, piece, last=False) for piece in pieces]
@@ -194,7 +206,7 @@ class _Reading:
             if all(pack.path != path for path, _ in packs):
                 pack.path.unlink()
         tiles = tuple(tuple(sorted(self._tiles.glob(f"tiles-{kind}-early-*.pack"))) for kind in self._sinks)
-        return PartRead(intake.tallies[0], intake.flagged, packs, tiles)
+        return PartRead(intake.tallies[0], intake.flagged, packs, tiles, seen=(gethostname(), self._version))
 
     def _finish(self, keys: list[BlockKey]) -> None:
         self._order.check()

@@ -1,45 +1,31 @@
-"""The folder in which a run keeps what it has done so far: finished tiles, points that wait, what it was asked.
+"""What a run of the engine keeps: finished tiles, points that wait, what is to be said of the reading.
 
-It lies in the folder of the products. A run that is killed leaves it; ``--resume`` goes on from there. Everything in it
-appears whole or not at all, so whatever can be seen can be used.
+It lies in the folder of the run (see `bumpymap.run_folder`). Points may wait in a folder of the run's own on another
+disk, whose name nobody can tell beforehand; the run notes where.
 """
 
-import hashlib
 import json
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 from uuid import uuid4
 
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
-
-from bumpymap.atomic import STAGED, atomic
-from bumpymap.errors import OutputError, UsageError
+from bumpymap.atomic import atomic
+from bumpymap.errors import OutputError
+from bumpymap.run_folder import Kept, RunFolder, is_own_folder, read_record, tidy, what_is_kept
 from bumpytiles import Pack, PackError
 
-__all__ = ["WORK_FOLDER", "Workspace", "broken_off", "work_folder"]
+__all__ = ["ADVICE", "Workspace"]
 
-WORK_FOLDER = ".bumpymap-run"
-"""In the folder of the products, while a run is under way or was broken off."""
-_ASKED, _READ, _SCRATCH, _LOCK = "asked.json", "read.json", "scratch.json", "lock"
+ADVICE = "Pass --resume to the same command to go on from the finished tiles."
+_READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
 _POINTS = "points"
-
-
-def work_folder(out: Path) -> Path:
-    """Where a run with these products keeps its work."""
-    return out / WORK_FOLDER
-
-
-def broken_off(out: Path) -> bool:
-    """Whether a run with these products was broken off (or is under way): it may go on, and replace what it may."""
-    return (work_folder(out) / _ASKED).exists()
+_PREFIX = "bumpymap-"
+"""How the names of folders begin that runs make in ``--scratch``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,50 +36,43 @@ class Workspace:
     scratch: Path
     """Points that wait; may lie on another disk."""
     asked: dict[str, Any]
-    """What the run was asked: groups of names and values. A run that goes on must have been asked the same, but for
-    the group ``cut``, how files are cut into pieces: it keeps to the earlier one."""
+    """What the run was asked, see `RunFolder`. Beside it ``cut``, how files are cut into pieces: a run that goes on
+    keeps to the earlier one."""
 
     @classmethod
     @contextmanager
     def opened(
-        cls, out: Path, scratch: Path | None, asked: Mapping[str, Any], *, resume: bool
+        cls, out: Path, scratch: Path | None, asked: Mapping[str, Any], *, resume: bool, advice: str = ADVICE
     ) -> Iterator["Workspace"]:
-        """Take up the work of an earlier run, or begin anew; hold a lock meanwhile.
+        """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
 
-        The folder goes away where the body succeeds or fails. Where it is interrupted (KeyboardInterrupt) and tiles are
-        finished, these stay for ``--resume``; points that wait go away in any case.
+        All of it goes away where the body succeeds. Where it ends early, it is kept as `what_is_kept` says, if tiles
+        are finished.
 
         Raises
         ------
         UsageError
-            Another process works there, or the earlier run was asked something else.
+            The earlier run was asked something else.
         OutputError
             The place cannot be written.
         """
-        folder = work_folder(out)
-        waiting = scratch / _scratch_name(out) if scratch else folder / _POINTS
-        work = cls(folder, waiting, json.loads(json.dumps(dict(asked))))
-        with _writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
-            work._begin(resume=resume)
+        with RunFolder.opened(
+            out, asked, resume=resume, finished=lambda path: bool(_tiles(path)), advice=advice, spared=(_SCRATCH,)
+        ) as run:
+            _drop_damaged(run.path)
+            with _writing(scratch or run.path):
+                waiting = _waiting(run, out, scratch)
             try:
-                yield work
-            except KeyboardInterrupt as end:
-                shutil.rmtree(work.scratch, ignore_errors=True)
-                if work.tiles():
-                    end.add_note("Pass --resume to the same command to go on from the finished tiles.")
-                else:
-                    work._remove()
+                yield cls(run.path, waiting, run.asked)
+            except BaseException as end:
+                if what_is_kept(end) is not Kept.ALL or not _tiles(run.path):
+                    shutil.rmtree(waiting, ignore_errors=True)
                 raise
-            except BaseException:
-                work._remove()
-                raise
-            work._remove()
+            shutil.rmtree(waiting, ignore_errors=True)
 
     def tiles(self, kind: str = "*") -> list[Path]:
         """Packs of finished tiles of a kind (see `TileSink`), in the order of writing."""
-        return sorted(self.folder.glob(f"tiles-{kind}-[0-9][0-9][0-9][0-9][0-9][0-9].pack"))
+        return _tiles(self.folder, kind)
 
     def points(self) -> list[Pack]:
         """Packs of points that wait, as far as they follow each other from the first lot on."""
@@ -113,60 +92,67 @@ class Workspace:
 
     def remember(self, record: Mapping[str, Any]) -> None:
         """Note that every block is finished, and what is to be said of the reading."""
+        packs = [path.name for path in self.tiles()]
         with atomic(self.folder / _READ) as temporary:
-            temporary.write_text(json.dumps(dict(record)), encoding="utf-8")
+            temporary.write_text(json.dumps({"packs": packs, "record": dict(record)}), encoding="utf-8")
 
     def remembered(self) -> dict[str, Any] | None:
-        """Give what was noted; None where blocks are not all finished."""
-        return _record(self.folder / _READ)
+        """Give what was noted; None where blocks are not all finished, or are not all there any more."""
+        noted = read_record(self.folder / _READ) or {}
+        there = noted.get("packs") == [path.name for path in self.tiles()]
+        return noted["record"] if there else None
 
-    def _begin(self, *, resume: bool) -> None:
-        before = _record(self.folder / _ASKED)
-        if resume and before is not None:
-            self.asked["cut"] = before.get("cut")
-            _refuse_other(before, self.asked)
-        else:
-            for left in self.folder.iterdir():
-                if left.name not in (_LOCK, _SCRATCH) and left != self.scratch:
-                    left.unlink(missing_ok=True) if left.is_file() else shutil.rmtree(left, ignore_errors=True)
-            shutil.rmtree(self.scratch, ignore_errors=True)
-        with _writing(self.scratch):
-            self._note_scratch()
-            self.scratch.mkdir(parents=True, exist_ok=True)
-        for half_written in (*self.folder.glob(".*"), *self.scratch.glob(".*")):
-            half_written.unlink(missing_ok=True)
-        if not (resume and before is not None):
-            with atomic(self.folder / _ASKED) as temporary:
-                temporary.write_text(json.dumps(self.asked), encoding="utf-8")
 
-    def _note_scratch(self) -> None:
-        """Remember where points wait; those that an earlier run left elsewhere go away: nobody would find them."""
-        here = self.scratch.resolve()
-        earlier = Path((_record(self.folder / _SCRATCH) or {}).get("path", here))
-        inside = self.folder.resolve() / _POINTS
-        # A folder of another name belongs to another run: this output may be a copy.
-        if earlier != here and (earlier == inside or earlier.name == _scratch_name(self.folder.parent)):
-            shutil.rmtree(earlier, ignore_errors=True)
-        with atomic(self.folder / _SCRATCH) as temporary:
-            temporary.write_text(json.dumps({"path": str(here)}), encoding="utf-8")
+def _tiles(folder: Path, kind: str = "*") -> list[Path]:
+    return sorted(folder.glob(f"tiles-{kind}-[0-9][0-9][0-9][0-9][0-9][0-9].pack"))
 
-    def _remove(self) -> None:
-        """Remove everything, the folder at one stroke: a kill leaves nothing that looks like a run to go on with.
 
-        Folders of that name are cleared away by the next run with the same output.
-        """
-        shutil.rmtree(self.scratch, ignore_errors=True)
-        gone = self.folder.with_name(f"{STAGED}{uuid4().hex}")
+def _drop_damaged(folder: Path) -> None:
+    """Take away packs that a power cut has spoilt; their blocks are finished anew."""
+    for path in _tiles(folder):
         try:
-            self.folder.rename(gone)
-        except OSError:  # Windows keeps folders in place that hold an open file
-            gone = self.folder
-        shutil.rmtree(gone, ignore_errors=True)
+            Pack(path)
+        except PackError:
+            path.unlink()
 
 
-def _scratch_name(out: Path) -> str:
-    """One name for one output, so that a run that goes on finds its points."""
-    return f"bumpymap-{hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:12]}"
+def _waiting(run: RunFolder, out: Path, scratch: Path | None) -> Path:
+    """Give the folder in which points wait: that of the earlier run where it lies in the same place, else a new one.
+
+    Points that an earlier run left elsewhere go away: nobody would find them.
+    """
+    inside, earlier = run.path / _POINTS, _earlier(run.path, out)
+    if scratch is None:
+        waiting = inside
+        waiting.mkdir(mode=0o700, exist_ok=True)
+    elif earlier is not None and run.goes_on and earlier.parent.resolve() == scratch.resolve():
+        waiting = earlier
+    else:
+        scratch.mkdir(parents=True, exist_ok=True)
+        waiting = Path(mkdtemp(prefix=_PREFIX, dir=scratch.absolute()))
+        owner = {"out": str(out.resolve()), "word": uuid4().hex}
+        for path, record in ((run.path / _SCRATCH, {**owner, "path": str(waiting)}), (waiting / _OWNER, owner)):
+            with atomic(path) as temporary:
+                temporary.write_text(json.dumps(record), encoding="utf-8")
+    for left in (inside, earlier):
+        if left is not None and left != waiting:
+            shutil.rmtree(left, ignore_errors=True)
+    tidy(waiting)
+    return waiting
+
+
+def _earlier(folder: Path, out: Path) -> Path | None:
+    """Give the folder in which the points of an earlier run wait; None unless it says that it is of this output.
+
+    This output may be a copy, and what is noted in it may name any folder.
+    """
+    noted = read_record(folder / _SCRATCH) or {}
+    path = Path(str(noted.get("path")))
+    owner = {"out": str(out.resolve()), "word": noted.get("word")}
+    try:
+        return path if is_own_folder(path, folder) and read_record(path / _OWNER) == owner else None
+    except OSError:
+        return None
 
 
 @contextmanager
@@ -177,50 +163,3 @@ def _writing(folder: Path) -> Iterator[None]:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with --out or --scratch"
         ) from error
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    with _writing(folder):
-        descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT)
-    try:
-        try:
-            if fcntl is not None:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise UsageError(
-                f"another run is writing to {folder.parent}. Wait until it has ended, or choose another --out"
-            ) from error
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _record(path: Path) -> dict[str, Any] | None:
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return record if isinstance(record, dict) else None
-
-
-def _refuse_other(before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raise where a run was asked something else than the one that wants to go on."""
-    differences = [
-        f"{group}: {name} was {_short(old.get(name))} and is {_short(new.get(name))}"
-        for group in sorted({*before, *now})
-        for old, new in [(before.get(group) or {}, now.get(group) or {})]
-        for name in sorted({*old, *new})
-        if old.get(name) != new.get(name)
-    ]
-    if differences:
-        shown = differences if len(differences) <= 8 else [*differences[:8], f"and {len(differences) - 8} more"]
-        raise UsageError(
-            "the run cannot go on, since it was begun with something else:\n  " + "\n  ".join(shown) + "\nRun it with "
-            "the same inputs and settings, or pass --overwrite to start anew"
-        )
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 80 else f"{text[:77]}..."

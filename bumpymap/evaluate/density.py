@@ -91,7 +91,7 @@ def density_sweep(
     shares = {density: density / mean_density for density in densities if density < mean_density}
     names = [name for name in MAPPED if name in subject.ratings]
     seen = {(name, density): _Seen([], []) for density in shares for name in names}
-    told.start("thinning", survey.blocks)
+    told.start("thinning blocks of tiles", survey.blocks)
     for points in survey.points() if shares else ():
         patches = survey.measured(points)
         judged = patches.reason == 0

@@ -25,6 +25,7 @@ from bumpymap.evaluate.survey import Survey, gather, take
 from bumpymap.evaluate.timing import step_costs
 from bumpymap.evaluate.trial import Crew, Trial
 from bumpymap.features import measure
+from bumpymap.progress import counted
 from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpymap.terrains import KINDS, ScanEffects, Terrain
 from bumpymap.types import REASON_TEXT, Reason
@@ -99,11 +100,10 @@ def evaluate_survey(
         if "density" not in settings.skip:
             findings.densities = density_sweep(survey, subject, density, settings.densities, settings.seed, crew.told)
         if "invariance" not in settings.skip:
-            crew.told.start("moving tiles", None)
-            findings.moves = invariance(survey.points(), survey.measured, subject, settings.seed)
+            crew.told.start("moving blocks of tiles", survey.blocks)
+            findings.moves = invariance(counted(survey.points(), crew.told), survey.measured, subject, settings.seed)
         if "timing" not in settings.skip:
-            crew.told.start("timing", None)
-            findings.timing = step_costs(survey, subject)
+            findings.timing = step_costs(survey, subject, crew.told)
     return findings
 
 
@@ -111,7 +111,7 @@ def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, cr
     """Evaluate ratings on terrain of the library that no calibration of them has seen."""
     subject = subjects[0]
     _grid(subjects)
-    each = -(-settings.patches // len(KINDS))
+    each = -(-settings.total_patches // len(KINDS))
     for one in subjects:
         require_unseen(one.calibration, settings.seed)
     terrains = library_terrains(subject.calibration, subject.profile, settings.seed, each)
@@ -129,8 +129,9 @@ def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, cr
             terrains, subject, subject.ride, driven_c_r, settings.features, settings.seed, crew.told
         )
     if "invariance" not in settings.skip:
-        crew.told.start("moving tiles", None)
-        blocks = surveyed(terrains, _MOVED, settings.seed).blocks()
+        ground = surveyed(terrains, _MOVED, settings.seed)
+        crew.told.start("moving blocks of tiles", len(ground.keys()))
+        blocks = counted(ground.blocks(), crew.told)
         findings.moves = invariance(
             blocks, lambda points: measure(points, settings.features, ground_only=False), subject, settings.seed
         )
@@ -162,7 +163,7 @@ def _findings(title: str, subjects: Sequence[Subject], settings: EvaluateSetting
 
 def _rate(survey: Survey, subject: Subject, crew: Crew) -> _Tiles:
     """Rate every tile; keep a few numbers of each."""
-    crew.told.start("rating tiles", survey.blocks)
+    crew.told.start("rating blocks of tiles", survey.blocks)
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _KEPT}
     verdicts: list[dict[str, Verdict]] = []
     reasons = np.zeros(len(Reason), np.int64)
@@ -219,7 +220,7 @@ def _trial(
     """Choose patches of every roughness."""
     verdict = tiles.verdicts[subject.main]
     priority = chance(settings.seed, tiles.col, tiles.row)
-    rows = choose(strata(verdict.c_r, verdict.p_fail), priority, settings.patches)
+    rows = choose(strata(verdict.c_r, verdict.p_fail), priority, settings.total_patches)
     col, row = tiles.col[rows], tiles.row[rows]
     patches = survey.patches(col, row)
     names: list[Key] = [(int(c), int(r)) for c, r in zip(col, row, strict=True)]

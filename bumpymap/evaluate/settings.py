@@ -4,31 +4,30 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from bumpymap.config import FeatureSettings
+from bumpymap.config import FeatureSettings, Rating
 from bumpymap.errors import UsageError
 from bumpymap.vehicle.drive import DriveSettings
 from bumpymap.vehicle.patch import Effort
 
-__all__ = ["EvaluateSettings", "Part", "Rating"]
+__all__ = ["EvaluateSettings", "Part"]
 
 Part = Literal["drives", "density", "invariance", "noise", "timing"]
 """What can be left out."""
-Rating = Literal["both", "table"]
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluateSettings:
     """Everything beside the survey and the vehicles that decides the numbers."""
 
-    patches: int = 300
+    total_patches: int = 300
     """Patches to drive over."""
-    starts: int = 16
+    min_starts: int = 16
     """Drives over one patch, at least."""
-    most_starts: int = 48
+    max_starts: int = 48
     """More drives follow until the standard error of the mean C_r is below 5 % of it, or there are so many."""
     seed: int = 7
-    rating: Rating = "both"
-    """``table`` leaves the ride model out."""
+    rating: Rating = "ride"
+    """As `map` rates; ``table`` alone leaves the ride model out, which it stands beside else."""
     densities: tuple[float, ...] = (100.0, 50.0, 20.0, 10.0, 5.0)
     """Points per m2 that the survey is thinned to."""
     skip: frozenset[Part] = frozenset()
@@ -36,9 +35,14 @@ class EvaluateSettings:
     features: FeatureSettings = field(default_factory=FeatureSettings)
 
     def __post_init__(self) -> None:
-        for name, least in (("patches", 10), ("starts", 2), ("seed", 0)):
+        for name, least in (("total_patches", 10), ("min_starts", 2), ("seed", 0)):
             if getattr(self, name) < least:
                 raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+        if self.min_starts > self.max_starts:
+            raise UsageError(
+                f"min_starts is {self.min_starts}, more than max_starts, which is {self.max_starts}: give fewer, or "
+                "raise --max-starts"
+            )
         if not all(math.isfinite(density) and density > 0 for density in self.densities):
             raise UsageError(f"densities are {self.densities}; they must be positive numbers of points per m2")
         unknown = sorted(set(self.skip) - set(get_args(Part)))
@@ -48,4 +52,4 @@ class EvaluateSettings:
     @property
     def effort(self) -> Effort:
         """Drives of one patch."""
-        return Effort(self.starts, max(self.most_starts, self.starts))
+        return Effort(self.min_starts, self.max_starts)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bumpymap.calibration import Calibration
 from bumpymap.classify import TextureModel, classify
+from bumpymap.config import Rating
 from bumpymap.cost import rate
-from bumpymap.evaluate.settings import Rating
 from bumpymap.ride import Prediction, RideModel, roll_over
 from bumpymap.types import CostMap, Georeference, PatchStack, TextureMap
 from bumpymap.vehicle.profile import VehicleProfile

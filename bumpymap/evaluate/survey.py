@@ -4,11 +4,13 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from os.path import lexists
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.atomic import take_away
 from bumpymap.config import FeatureSettings, Ground, decide_ground
 from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.features import join_stacks, measure
@@ -144,8 +146,9 @@ def gather(
 def _scratch(folder: Path) -> Iterator[Path]:
     """Give an empty folder; what a killed run left in it goes away too."""
     scratch = folder / ".points"
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir()
+    if lexists(scratch):
+        take_away(scratch)
+    scratch.mkdir(mode=0o700)
     try:
         yield scratch
     finally:

@@ -11,6 +11,7 @@ import numpy as np
 from bumpymap.classify import classify
 from bumpymap.evaluate.subject import MAPPED, Subject
 from bumpymap.evaluate.survey import Survey
+from bumpymap.progress import Progress, counted
 from bumpymap.types import Georeference, PatchStack
 
 __all__ = ["PAPER", "StepCost", "step_costs"]
@@ -40,7 +41,7 @@ class StepCost:
     """Size of the result, a tile."""
 
 
-def step_costs(survey: Survey, subject: Subject) -> list[StepCost]:
+def step_costs(survey: Survey, subject: Subject, told: Progress) -> list[StepCost]:
     """Time the steps on one batch of tiles: the first block that holds enough of them, or the fullest one.
 
     Processor time, not the clock's: another program on the machine takes nothing from it.
@@ -62,7 +63,9 @@ def step_costs(survey: Survey, subject: Subject) -> list[StepCost]:
             rating = subject.ratings[name]
             steps[name] = lambda rating=rating: rating(patches, textures, Georeference(None))  # type: ignore[misc]
     tiles, count = len(points.col), int(patches.count.sum())
-    return [StepCost(name, tiles, count, *_cost(step, patches, tiles)) for name, step in steps.items()]
+    told.start("timing steps", len(steps))
+    timed = counted(steps.items(), told)
+    return [StepCost(name, tiles, count, *_cost(step, patches, tiles)) for name, step in timed]
 
 
 def _cost(step: Callable[[], Any], patches: PatchStack, tiles: int) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from bumpymap.evaluate.drives import Driven, journal_settings
 from bumpymap.evaluate.findings import DrivenPatches, Findings
 from bumpymap.evaluate.settings import EvaluateSettings
 from bumpymap.evaluate.subject import MAPPED, Subject
-from bumpymap.progress import Progress
+from bumpymap.progress import Progress, Steps
 from bumpymap.types import PatchStack
 from bumpymap.vehicle.journal import Journal, Key
 from bumpymap.vehicle.validate import drive_patches
@@ -66,7 +66,7 @@ class Trial:
     def _drive(self, subject: Subject, settings: EvaluateSettings, crew: Crew) -> Driven:
         size, pixels = self.patches.grid.tile_size, self.patches.grid.pixels
         recorded = journal_settings(subject.profile, settings, size, pixels, self.origin)
-        crew.told.start(f"driving {subject.name}", len(self.names) * settings.starts)
+        crew.told.start(f"driving {subject.name} over patches", len(self.names))
         results = drive_patches(
             subject.profile,
             dict(zip(self.names, self.ground, strict=True)),
@@ -74,23 +74,12 @@ class Trial:
             settings.seed,
             settings.effort,
             settings.drive,
-            _Steps(crew.told),
+            Steps(crew.told, settings.min_starts),
             workers=crew.workers,
             journal=Journal(crew.out / f"drives-{subject.key}.jsonl", recorded),
             discard_other=crew.overwrite,
         )
         return Driven.of(list(results.values()))
-
-
-class _Steps:
-    """Turns how far a run is into steps of a bar."""
-
-    def __init__(self, told: Progress) -> None:
-        self._told, self._done = told, 0
-
-    def __call__(self, done: int, total: int) -> None:
-        self._told.advance(done - self._done)
-        self._done = done
 
 
 def _label(subject: Subject, subjects: Sequence[Subject]) -> str:

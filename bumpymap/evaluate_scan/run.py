@@ -15,7 +15,7 @@ from bumpymap.evaluate_scan.timing import MethodCost, PlainCost, method_costs, p
 from bumpymap.evaluate_scan.turning import kept_share
 from bumpymap.frames import read_scan
 from bumpymap.learn_scan.data import UNSEEN, scene_scan
-from bumpymap.progress import Progress
+from bumpymap.progress import Progress, counted
 from bumpymap.scan import ClassedSectors, Scan, SectorStack, StripeModel, classify_filter, polar_sectors
 from bumpymap.scan.learned import ScanModel, classify_learned
 
@@ -97,7 +97,7 @@ def evaluate_scans(
     table = join_sectors(classed)
     if fullest is None or not len(table.truth):
         raise BadInputError("no scan has a sector that can be classed, so there is nothing to evaluate")
-    told.start("timing", None)
+    told.start("timing rounds of both methods", settings.repeats)
     facts = {"scans": count, "sectors": len(table.truth), "labelled": int((table.truth >= 0).sum())}
     return ScanFindings(
         facts=facts | {"filter": asdict(stripes), "network": network.id},
@@ -105,7 +105,7 @@ def evaluate_scans(
         classes={name: class_rows(table, name) for name in methods},
         accuracy={name: accuracy_of(table, name) for name in methods} if facts["labelled"] else {},
         kept={name: (float(np.nanmean(shares)), float(np.nanmin(shares))) for name, shares in kept.items()},
-        costs=method_costs(_full_turn(fullest, settings.seed), methods, settings.repeats),
+        costs=method_costs(_full_turn(fullest, settings.seed), methods, counted(range(settings.repeats), told)),
         plain=plain_cost(fullest, stripes),
     )
 

@@ -3,7 +3,7 @@
 import importlib.util
 import time
 import tracemalloc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,14 +61,16 @@ class PlainCost:
         return self.processor_ms / self.sectors if self.sectors else float("nan")
 
 
-def method_costs(scan: Scan, methods: Mapping[str, Callable[[Scan], ClassedSectors]], repeats: int) -> list[MethodCost]:
-    """Time every method, by turns, so that what else the machine does falls on all alike."""
+def method_costs(
+    scan: Scan, methods: Mapping[str, Callable[[Scan], ClassedSectors]], repeats: Iterable[int]
+) -> list[MethodCost]:
+    """Time every method in every repeat, by turns, so that what else the machine does falls on all alike."""
     for classify in methods.values():
         classify(scan)
     clock: dict[str, list[int]] = {name: [] for name in methods}
     processor: dict[str, list[int]] = {name: [] for name in methods}
     sectors = 0
-    for _ in range(repeats):
+    for _ in repeats:
         for name, classify in methods.items():
             begin, spent = time.perf_counter_ns(), time.process_time_ns()
             sectors = len(classify(scan).klass)

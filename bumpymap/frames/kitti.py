@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError
 from bumpymap.frames.raw import RawScan
-from bumpymap.readers.source import read_range, size_of
+from bumpymap.readers.checks import refuse_count
+from bumpymap.readers.source import held_to, read_range, require_same, size_of, version_of
 
 __all__ = ["LABEL_FOLDERS", "POINT_FOLDERS", "label_file", "read_kitti"]
 
@@ -40,10 +41,16 @@ def read_kitti(path: Path) -> RawScan:
             f"{path} has {size:,} bytes; points of x, y, z and intensity take {_POINT_BYTES} each, so it is truncated "
             "or no KITTI-style scan. Copy it again, or convert it to PLY"
         )
-    table = read_range(path, 0, size).view("<f4").reshape(-1, 4)
+    table = _whole(path, size).view("<f4").reshape(-1, 4)
     _refuse_nonsense(path, table)
     labels = label_file(path)
     return RawScan(table[:, :3], table[:, 3], None if labels is None else _read_labels(labels, path, len(table)))
+
+
+def _whole(path: Path, size: int) -> NDArray[np.uint8]:
+    data = read_range(path, 0, size)
+    refuse_count(path, size, data.size, "bytes")
+    return data
 
 
 def label_file(path: Path) -> Path | None:
@@ -54,13 +61,17 @@ def label_file(path: Path) -> Path | None:
 
 
 def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
-    size = size_of(labels)
+    version = version_of(labels)
+    size = version["size"]
     if size != _LABEL_BYTES * count:
         raise BadInputError(
             f"{labels} has {size:,} bytes; {path} has {count:,} points, whose labels take {_LABEL_BYTES * count:,}. "
             "They do not belong together: copy both again, or take the label file away"
         )
-    return (read_range(labels, 0, size).view("<u4") & 0xFFFF).astype(np.uint16)
+    with held_to(labels, version):
+        ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
+    require_same(labels, version)
+    return ids
 
 
 def _refuse_nonsense(path: Path, table: NDArray[np.float32]) -> None:

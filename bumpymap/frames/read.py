@@ -8,6 +8,7 @@ import numpy as np
 from bumpymap.errors import BadInputError, UsageError
 from bumpymap.frames.raw import RawScan
 from bumpymap.readers.detect import detect_format
+from bumpymap.readers.source import held_to, require_same, version_of
 from bumpymap.scan.types import Dropped, Scan
 
 __all__ = ["Robot", "read_scan"]
@@ -49,9 +50,14 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
     Raises
     ------
     BadInputError
-        The file cannot be read, is empty, truncated or of another kind, or its labels do not belong to it.
+        The file cannot be read, is empty, truncated or of another kind, is changed meanwhile, or its labels do not
+        belong to it.
     """
-    return _keep_points(_read(path), robot or Robot(), path.stem)
+    version = version_of(path)
+    with held_to(path, version):
+        raw = _read(path)
+    require_same(path, version)
+    return _keep_points(raw, robot or Robot(), path.stem)
 
 
 def _read(path: Path) -> RawScan:

@@ -26,13 +26,11 @@ def read_ply(path: Location) -> RawScan:
     """Read a PLY scan; a property ``label`` gives the semantic ids."""
     survey = PlySurvey(path, ReadOptions())
     header = read_ply_header(path)
-    if header.text and not header.vertex.has_lists:
-        names = [prop.name for prop in header.vertex.element.properties]
-        skipped = sum(head.count for head in header.before)
-        rows = _text_rows(path, header.data_at, skipped, names, header.vertex.count)
-    else:
-        rows = _all_rows(survey)
-    return _from_rows(path, rows)
+    if not header.text:
+        return _from_rows(path, _all_rows(survey))
+    vertex = header.vertex
+    table = _text_table(path, header.data_at, header.lines_before, vertex.scalars, vertex.lists)
+    return _from_rows(path, _rows_of(table, vertex.count))
 
 
 def read_pcd(path: Location) -> RawScan:
@@ -41,11 +39,13 @@ def read_pcd(path: Location) -> RawScan:
     if not survey.info.format.endswith("ascii"):
         return _from_rows(path, _all_rows(survey))
     names, data_at = _pcd_columns(path)
-    return _from_rows(path, _text_rows(path, data_at, 0, names, survey.info.point_count))
+    return _from_rows(path, _rows_of(_text_table(path, data_at, 0, names), survey.info.point_count))
 
 
 def _all_rows(survey: PlySurvey | PcdSurvey) -> Any:
-    return np.concatenate([survey.fetch(piece) for piece in survey.pieces()])
+    rows = np.concatenate([survey.fetch(piece) for piece in survey.pieces()])
+    refuse_count(survey.info.path, survey.info.point_count, len(rows))
+    return rows
 
 
 def _pcd_columns(path: Location) -> tuple[list[str], int]:
@@ -64,15 +64,17 @@ def _pcd_columns(path: Location) -> tuple[list[str], int]:
         return names, stream.tell()
 
 
-def _text_rows(path: Location, data_at: int, skipped: int, names: list[str], count: int) -> Any:
+def _text_table(path: Location, data_at: int, skipped: int, names: list[str], lists: tuple[bool, ...] = ()) -> TextRows:
     lower = [name.lower() for name in names]
     wanted = ["x", "y", "z", *(name for kind in (_LABELS, _INTENSITIES) for name in kind if name in lower)]
-    table = TextRows(
-        path, data_at, skipped, np.dtype([(name, np.float64) for name in wanted]), [lower.index(n) for n in wanted]
-    )
+    dtype = np.dtype([(name, np.float64) for name in wanted])
+    return TextRows(path, data_at, skipped, dtype, [lower.index(name) for name in wanted], lists)
+
+
+def _rows_of(table: TextRows, count: int) -> Any:
     rows = table.read(0, count)
     table.close()
-    refuse_count(path, count, len(rows))
+    refuse_count(table.path, count, len(rows))
     return rows
 
 

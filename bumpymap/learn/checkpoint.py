@@ -7,7 +7,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from bumpymap.errors import OutputError, UsageError
+from bumpymap.atomic import atomic
+from bumpymap.errors import UsageError
 
 __all__ = ["restore", "save"]
 
@@ -35,12 +36,8 @@ def save(
         The file cannot be written.
     """
     state = {"record": record, "epochs_done": epochs_done}
-    part = checkpoint.with_name(checkpoint.name + ".part")
-    try:
+    with atomic(checkpoint, (RuntimeError,)) as part:
         torch.save({**state, "network": net.state_dict(), "optimizer": optimizer.state_dict()}, part)
-        part.replace(checkpoint)
-    except (OSError, RuntimeError) as error:
-        raise OutputError(f"cannot write the checkpoint {checkpoint}: {error}. Choose another --out") from error
 
 
 def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer) -> int:

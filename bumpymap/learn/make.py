@@ -14,6 +14,7 @@ from bumpymap.learn.card import model_card
 from bumpymap.learn.evaluate import Evaluation, evaluate
 from bumpymap.learn.export import to_onnx
 from bumpymap.learn.train import EpochReport, TrainSettings, train
+from bumpymap.lock import locked
 from bumpymap.textures import FEATURE_VERSION
 
 __all__ = ["UNSEEN_PER_TEXTURE", "MadeModel", "make_model"]
@@ -55,6 +56,11 @@ def make_model(settings: TrainSettings, out: Path, told: Callable[[EpochReport],
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(f"cannot write {out}: {out.parent} is no folder that you may write to. Choose another --out")
+    with locked(out.parent, f".{out.name}.lock"):
+        return _make(settings, out, told)
+
+
+def _make(settings: TrainSettings, out: Path, told: Callable[[EpochReport], None] | None) -> MadeModel:
     checkpoint = out.with_name(out.name + ".checkpoint")
     net = train(settings, checkpoint, told)
     evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.atomic import atomic
-from bumpymap.errors import BadInputError
+from bumpymap.errors import BadInputError, OutputError
 from bumpymap.frames import find_frames, read_scan
 from bumpymap.scan.learned import MEASURES, classes_of_labels, network_input
 from bumpymap.scan.polar import polar_sectors
@@ -150,6 +150,8 @@ def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
 
 
 def _keep(file: Path, sectors: Sectors) -> None:
+    if file.parent.is_symlink():
+        raise OutputError(f"{file.parent} is a link, and is left alone. Take it away, or choose another --out")
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic(file) as beside:
         np.savez(beside, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})

@@ -27,6 +27,7 @@ from bumpymap.learn_scan.data import (
 from bumpymap.learn_scan.evaluate import ScanEvaluation, evaluate, even_accuracy
 from bumpymap.learn_scan.export import to_onnx
 from bumpymap.learn_scan.train import ScanTrainSettings, train
+from bumpymap.lock import locked
 from bumpymap.scan.learned import SECTOR_VERSION, grid_record
 from bumpymap.scan.types import PolarSettings
 
@@ -81,6 +82,17 @@ def make_scan_model(
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(f"cannot write {out}: {out.parent} is no folder that you may write to. Choose another --out")
+    with locked(out.parent, f".{out.name}.lock"):
+        return _make(settings, out, scans, told, gathered)
+
+
+def _make(
+    settings: ScanTrainSettings,
+    out: Path,
+    scans: Path | None,
+    told: Callable[[EpochReport], None] | None,
+    gathered: Told | None,
+) -> MadeScanModel:
     keep = out.with_name(out.name + ".sectors")
     checkpoint = out.with_name(out.name + ".checkpoint")
     learn, unseen, unseen_scans = _gather(settings, scans, keep, gathered)

@@ -1,8 +1,10 @@
 """The files of a run: rasters, regions, table and manifest. ``CostMosaic`` in, files out."""
 
+from bumpymap.products.complete import complete_record, is_complete, refuse_replacing
 from bumpymap.products.folder import PRODUCT_NAMES, check_folder, write_products
-from bumpymap.products.geotiff import CLASS_COLOURS, write_classes, write_heightmap, write_roughness
+from bumpymap.products.geotiff import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products.manifest import (
+    MANIFEST_NAME,
     complete_manifest,
     describe_file,
     describe_input,
@@ -17,6 +19,7 @@ from bumpymap.products.vector import GeoJsonPlace, flatgeobuf_writer, geojson_wr
 
 __all__ = [
     "CLASS_COLOURS",
+    "MANIFEST_NAME",
     "MAX_PIXELS",
     "MAX_TILES",
     "PRODUCT_NAMES",
@@ -27,14 +30,18 @@ __all__ = [
     "check_extent",
     "check_folder",
     "complete_manifest",
+    "complete_record",
     "describe_file",
     "describe_input",
     "dissolve",
     "flatgeobuf_writer",
     "geojson_writer",
+    "is_complete",
+    "refuse_replacing",
     "software_versions",
     "summarise",
     "write_classes",
+    "write_cost",
     "write_heightmap",
     "write_manifest",
     "write_products",

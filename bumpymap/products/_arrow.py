@@ -15,11 +15,12 @@ __all__ = ["lists", "numbers", "texts", "values"]
 
 
 def numbers(given: NDArray[Any], kind: pa.DataType, known: NDArray[np.bool_] | None = None) -> pa.Array:
-    """Give numbers (n,) as an array of a kind; those that are not known are null, by default NaN."""
+    """Give numbers or truth values (n,) as an array of a kind; those that are not known are null, by default NaN."""
     data = np.ascontiguousarray(given, kind.to_pandas_dtype())
     if known is None:
         known = ~np.isnan(data)
-    return pa.Array.from_buffers(kind, len(data), [*_nulls(known), pa.py_buffer(data)])
+    stored = np.packbits(data, bitorder="little") if kind == pa.bool_() else data
+    return pa.Array.from_buffers(kind, len(data), [*_nulls(known), pa.py_buffer(stored)])
 
 
 def texts(given: Sequence[str | bytes | None], kind: pa.DataType) -> pa.Array:

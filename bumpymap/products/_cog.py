@@ -4,7 +4,9 @@ The scratch raster is filled chunk by chunk, so that neither a large survey nor 
 stays in memory.
 """
 
+import os
 import struct
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +20,11 @@ from pyproj import CRS
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None  # type: ignore[assignment]
 
 from bumpymap.atomic import atomic
 from bumpymap.products._whole import digest, require_room, require_same
@@ -34,8 +41,6 @@ _SMALL = 16 << 20
 _SCRATCH_BLOCK = 256
 """Side of a scratch block, pixels. 11 bands of 2560 x 2560 pixels become a COG in 13 s of CPU time; with scratch blocks
 of 512, or bands mixed pixel by pixel, it was measured to take up to 3 times as long."""
-_THREADS = "ALL_CPUS"
-"""Blocks are packed in parallel and written in order: the bytes do not depend on it."""
 _EXTRA_SAMPLES = 338
 """TIFF tag: what samples beyond the photometric ones mean; 0 is "unspecified", 2 is "unassociated alpha"."""
 
@@ -126,9 +131,34 @@ def _convert(scratch: str, layer: str, temporary: Path, sheet: Sheet) -> None:
     """Make the COG ``layer``; a virtual raster that may be needed on the way lies beside ``temporary``."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
-    options |= {"NUM_THREADS": _THREADS, "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
+    options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
     named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), sheet.layers)
     rasterio.shutil.copy(named, layer, driver="COG", **options)
+
+
+def _threads() -> str:
+    """Give how many threads GDAL may pack blocks with; they are written in order, so the bytes do not depend on it.
+
+    GDAL waits for ever for a thread that could not be started (seen in 3.10). So it gets one where memory has a limit
+    (``ulimit -v``: what GDAL takes may leave no room for a thread's stack), or where as many as there are cores cannot
+    be started at this moment.
+    """
+    if resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+        return "1"
+    end = threading.Event()
+    started: list[threading.Thread] = []
+    try:
+        for _ in range(os.cpu_count() or 1):
+            thread = threading.Thread(target=end.wait)
+            thread.start()
+            started.append(thread)
+    except RuntimeError:
+        return "1"
+    finally:
+        end.set()
+        for thread in started:
+            thread.join()
+    return "ALL_CPUS"
 
 
 def _write_scratch(

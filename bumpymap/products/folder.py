@@ -1,19 +1,19 @@
 """The folder of a run: checked before the long work, filled after it, the manifest last."""
 
 import logging
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
+from os.path import lexists
 from pathlib import Path
 from threading import Event
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.atomic import STAGED, together
+from bumpymap.atomic import STAGED, take_away, together
 from bumpymap.errors import OutputError
-from bumpymap.products.geotiff import write_classes, write_heightmap, write_roughness
+from bumpymap.products.geotiff import write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products.manifest import (
     MANIFEST_NAME,
     complete_manifest,
@@ -34,6 +34,7 @@ __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
+    "cost.tif",
     "heightmap.tif",
     "tiles.parquet",
     "cost.geojson",
@@ -48,7 +49,8 @@ _log = logging.getLogger(__name__)
 def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
     """Make sure that the products of a run can be written to a folder; create it where it is missing.
 
-    What a killed run left half-written there goes away.
+    What a killed run left half-written there goes away; the caller holds the lock of the folder, so no other run is
+    at it. A product that is a link is replaced itself, what it points to stays.
 
     Parameters
     ----------
@@ -72,14 +74,14 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.touch()
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
-            shutil.rmtree(left)
-        present = [name for name in PRODUCT_NAMES if (folder / name).exists()]
+            take_away(left)
+        present = [name for name in PRODUCT_NAMES if lexists(folder / name)]
     except OSError as error:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. "
             "Choose one that can be written, with --out"
         ) from error
-    blocked = [name for name in present if not (folder / name).is_file()]
+    blocked = [name for name in present if not (folder / name).is_symlink() and not (folder / name).is_file()]
     if blocked:
         raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another --out")
     finished = MANIFEST_NAME in present
@@ -161,6 +163,7 @@ def _layers(
             ("heightmap.tif",): partial(write_heightmap, mosaic, folder / "heightmap.tif", tags),
             ("roughness.tif",): partial(write_roughness, mosaic, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, mosaic, folder / "class.tif", tags),
+            ("cost.tif",): partial(write_cost, mosaic, folder / "cost.tif", tags),
         },
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, mosaic, globe, folder, facts),

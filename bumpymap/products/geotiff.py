@@ -1,18 +1,17 @@
-"""The raster layers: roughness.tif, class.tif, heightmap.tif."""
+"""The raster layers: roughness.tif, class.tif, cost.tif, heightmap.tif."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from bumpymap.products._cog import Layer, Sheet, write_cog
 from bumpymap.products.placement import Chunk, Placement
-from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostMosaic, Reason
 from bumpytiles import BLOCK_TILES, Mosaic
 
-__all__ = ["CLASS_COLOURS", "write_classes", "write_heightmap", "write_roughness"]
+__all__ = ["CLASS_COLOURS", "write_classes", "write_cost", "write_heightmap", "write_roughness"]
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (44, 123, 182, 255),
@@ -91,6 +90,41 @@ def write_classes(mosaic: CostMosaic, path: Path, about: dict[str, str] | None =
     write_cog(path, place, sheet, _painter(mosaic.tiles, gaps, "uint8", everywhere=True), _TILE_CHUNK)
 
 
+def write_cost(mosaic: CostMosaic, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write cost.tif: a COG, float32, one pixel a tile: the factor on distance, NaN where a tile is not passable.
+
+    Overviews are averages of the passable tiles below them. Parameters and failures: see `write_roughness`.
+    """
+    place = Placement.of(mosaic)
+    rule = mosaic.rule
+    own = {
+        "fail_weight_m": f"{rule.fail_weight:g}",
+        "drive_m": f"{rule.drive_m:g}",
+        "slope_limit_deg": f"{rule.slope_limit_deg:g}",
+    }
+    sheet = Sheet(
+        layers=[Layer("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
+        dtype="float32",
+        nodata=float("nan"),
+        pixels=1,
+        crs=place.horizontal_crs,
+        overviews="AVERAGE",
+        block=_TILE_BLOCK,
+        about=_about(mosaic, "cost of driving over each tile", own | (about or {})),
+    )
+
+    def paint(chunk: Chunk) -> NDArray[np.float32] | None:
+        if not mosaic.tiles.holds(chunk.window):
+            return None
+        found = mosaic.tiles.read(PASSABLE_COLUMNS, chunk.window)
+        cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
+        canvas = np.full((1, chunk.window.rows, chunk.window.cols), np.nan, dtype=np.float32)
+        canvas[0][chunk.places(found)] = np.where(rule.passable(found), cost, np.nan)
+        return canvas
+
+    write_cog(path, place, sheet, paint, _TILE_CHUNK)
+
+
 def write_heightmap(mosaic: CostMosaic, path: Path, about: dict[str, str] | None = None) -> None:
     """Write heightmap.tif: a COG, float32, the heightmaps of all tiles side by side, NaN where no point fell.
 
@@ -103,7 +137,7 @@ def write_heightmap(mosaic: CostMosaic, path: Path, about: dict[str, str] | None
         dtype="float32",
         nodata=float("nan"),
         pixels=pixels,
-        crs=_crs_of_heights(place),
+        crs=place.crs_of_heights,
         overviews="AVERAGE",
         block=_HEIGHT_BLOCK,
         about=_about(mosaic, "height map", about),
@@ -143,13 +177,11 @@ def _painter(
     return paint
 
 
-def _crs_of_heights(place: Placement) -> CRS | None:
-    """Keep the vertical part of the survey's CRS where it is in metres, as the heights are."""
-    metres = place.georeference.metres_per_unit_z == 1.0
-    return place.georeference.crs if metres else place.horizontal_crs
-
-
 def _about(mosaic: CostMosaic, title: str, about: dict[str, str] | None) -> dict[str, str]:
     grid = mosaic.tiles.grid
-    own = {"title": title, "tile_size_m": f"{grid.tile_size:g}", "ride_weight_m_per_rad": f"{mosaic.ride_weight:g}"}
+    own = {
+        "title": title,
+        "tile_size_m": f"{grid.tile_size:g}",
+        "ride_weight_m_per_rad": f"{mosaic.rule.ride_weight:g}",
+    }
     return own | (about or {})

@@ -83,6 +83,13 @@ class Placement:
         crs = self.georeference.crs
         return None if crs is None else crs.to_2d()
 
+    @property
+    def crs_of_heights(self) -> CRS | None:
+        """The survey's CRS with its vertical part, where that is in metres, as every height in the files is."""
+        crs = self.georeference.crs
+        in_metres = crs is not None and crs.is_compound and crs.axis_info[-1].unit_conversion_factor == 1.0
+        return crs if in_metres else self.horizontal_crs
+
     def to_crs(self, tiles: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
         """Turn grid coordinates (1 = one tile, 0 = the CRS origin) into units of the CRS."""
         return np.asarray(tiles * self.grid.tile_size / self.georeference.metres_per_unit, dtype=np.float64)

@@ -1,4 +1,7 @@
-"""Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles."""
+"""Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles.
+
+Passable tiles and tiles that are not never share a region.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -12,7 +15,7 @@ from rasterio.transform import Affine
 
 from bumpymap.products._label import add_up, label
 from bumpymap.products.placement import Chunk, Placement
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpymap.types import CLASS_NAMES, FAIL_SHARE, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostMosaic, Reason
 from bumpytiles import BLOCK_TILES, TileWindow
 
 __all__ = ["CELL", "Regions", "dissolve"]
@@ -25,8 +28,10 @@ _STRIP = CELL * BLOCK_TILES
 """Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a cell."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
+_BARRED = 10
+"""Added to the key of a class where a tile is not passable. A class's key is the class plus one; 0: no points."""
 _UNKNOWN = 100
-"""Key of an unknown tile: this plus its reason. A class's key is the class plus one; 0 is a tile without points."""
+"""Key of an unknown tile: this plus its reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +47,17 @@ class Regions:
     """(m,) a ``Reason``."""
     tiles: NDArray[np.int64]
     """(m,) number of tiles."""
+    passable: NDArray[np.bool_]
+    """(m,) every tile may be driven on; where False, none may."""
     c_r: NDArray[np.float64]
-    """(m,) mean over the tiles, rad/m; NaN where unknown (so are the next four)."""
+    """(m,) mean over the tiles, rad/m; NaN where unknown (so are the next three)."""
     c_r_low: NDArray[np.float64]
     c_r_high: NDArray[np.float64]
     p_fail: NDArray[np.float64]
+    hazard: NDArray[np.float64]
+    """(m,) mean over the tiles, 1/m; NaN where not passable, or where the rating knows no ``p_fail``."""
     cost: NDArray[np.float64]
-    """(m,) factor on distance: 1 + ride_weight * c_r."""
+    """(m,) factor on distance, mean over the tiles; NaN where not passable."""
 
     @property
     def class_name(self) -> NDArray[np.object_]:
@@ -56,6 +65,13 @@ class Regions:
         names = np.array([*CLASS_NAMES, "unknown"], dtype=object)
         picked: NDArray[np.object_] = names[np.minimum(self.klass, len(CLASS_NAMES))]
         return picked
+
+    @property
+    def c_r_basis(self) -> NDArray[np.object_]:
+        """(m,) ``drives``: C_r is that of all; ``survivors``: at least ``FAIL_SHARE`` of them fail; None if unknown."""
+        basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
+        basis[np.isnan(self.c_r)] = None
+        return basis
 
     @property
     def reason_text(self) -> NDArray[np.object_]:
@@ -71,7 +87,7 @@ class Regions:
 
 
 def dissolve(mosaic: CostMosaic, placement: Placement | None = None) -> Iterator[Regions]:
-    """Join neighbouring tiles of one class, or unknown for one reason, into regions.
+    """Join neighbouring tiles of one class, all passable or none, or unknown for one reason, into regions.
 
     Tiles are neighbours when they share a side. Outlines run along tile sides; vertices are whole numbers of tiles.
     A large map is dissolved cell by cell, `CELL` x `CELL` tiles counted from its north-west corner: a region that
@@ -107,23 +123,27 @@ def _dissolve_cell(mosaic: CostMosaic, place: Placement, chunk: Chunk) -> Iterat
     key = keys.ravel()[first]
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
     means = _add_up(mosaic, chunk, labels, len(first)) / tiles
-    klass = np.where(key >= _UNKNOWN, NO_CLASS, key - 1).astype(np.uint8)
+    passable = key < _BARRED
+    klass = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _BARRED).astype(np.uint8)
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
     for start in range(0, len(first), _BATCH):
         some = slice(start, start + _BATCH)
         rows = slice(int(first[start]) // chunk.window.cols, int(last[some].max()) // chunk.window.cols + 1)
-        c_r, c_r_low, c_r_high, p_fail = means[:, some]
+        c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
+        free = passable[some]
         yield Regions(
             placement=place,
             outlines=_outlines(labels, chunk.window, rows, range(start + 1, start + len(first[some]) + 1)),
             klass=klass[some],
             reason=reason[some],
             tiles=tiles[some],
+            passable=free,
             c_r=c_r,
             c_r_low=c_r_low,
             c_r_high=c_r_high,
             p_fail=p_fail,
-            cost=1.0 + mosaic.ride_weight * c_r,
+            hazard=np.where(free, hazard, np.nan),
+            cost=np.where(free, mosaic.rule.cost(c_r, hazard), np.nan),
         )
 
 
@@ -131,20 +151,25 @@ def _lay_out(mosaic: CostMosaic, chunk: Chunk) -> NDArray[np.uint8]:
     """Keys (rows, cols) of a cell, 0 where there is no tile, north row first."""
     keys = np.zeros((chunk.window.rows, chunk.window.cols), dtype=np.uint8)
     for strip in mosaic.tiles.strips(_STRIP, chunk.window):
-        found = mosaic.tiles.read(("klass", "reason"), strip)
-        key = np.where(found["klass"] == NO_CLASS, _UNKNOWN + found["reason"], found["klass"] + 1)
+        found = mosaic.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
+        known = found["klass"] + 1 + np.where(mosaic.rule.passable(found), 0, _BARRED)
+        key = np.where(found["klass"] == NO_CLASS, _UNKNOWN + found["reason"], known)
         keys[chunk.places(found)] = key
     return keys
 
 
 def _add_up(mosaic: CostMosaic, chunk: Chunk, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Give sums (4, count) over the tiles of each label; reading twice takes less memory than values laid out."""
-    totals = np.zeros((len(_VALUES), count))
+    """Give sums (5, count) over the tiles of each label, of ``_VALUES`` and the hazard.
+
+    Reading twice takes less memory than values laid out.
+    """
+    totals = np.zeros((len(_VALUES) + 1, count))
     for strip in mosaic.tiles.strips(_STRIP, chunk.window):
         found = mosaic.tiles.read(_VALUES, strip)
         area = labels[chunk.places(found)] - 1
-        for total, name in zip(totals, _VALUES, strict=True):
+        for total, name in zip(totals, _VALUES, strict=False):
             add_up(area, found[name], total)
+        add_up(area, mosaic.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
     return totals
 
 

@@ -1,11 +1,14 @@
 """What a map holds in a few numbers, counted in one pass over its tiles."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Reason
+from bumpymap.types import CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostMosaic, Reason
 
 __all__ = ["MapSummary", "summarise"]
 
@@ -31,12 +34,32 @@ class MapSummary:
     """(4,) tiles of each class."""
     by_reason: tuple[int, ...]
     """(6,) tiles without a class for each ``Reason``."""
+    passable: int
+    """Tiles that the vehicle may drive on."""
     median_c_r: tuple[float, ...]
     """(5,) of each class, then of the tiles without one, rad/m; NaN where no tile has a number (so is the next)."""
     median_slope: tuple[float, ...]
     """(5,) the same, degrees."""
     median_count: float
     """Points a tile."""
+
+    @classmethod
+    def of(cls, counts: Mapping[str, Any]) -> Self:
+        """Take up what run.json says under ``counts``; medians that it lacks are NaN."""
+        medians = {
+            name: tuple(math.nan if value is None else value for value in counts.get(name, [None] * 5))
+            for name in ("median_c_r", "median_slope")
+        }
+        count = counts.get("median_count")
+        return cls(
+            tiles=counts["tiles"],
+            points=counts["points"],
+            by_class=tuple(counts["by_class"][name] for name in CLASS_NAMES),
+            by_reason=tuple(counts["by_reason"].get(REASON_TEXT[code], 0) for code in Reason),
+            passable=counts["passable"],
+            median_count=math.nan if count is None else count,
+            **medians,
+        )
 
     @property
     def unknown(self) -> int:
@@ -61,9 +84,10 @@ def summarise(mosaic: CostMosaic) -> MapSummary:
     counts = np.zeros((1, _BINS), dtype=np.int64)
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
-    points = 0
+    points = passable = 0
     for strip in mosaic.tiles.strips(_STRIP):
-        found = mosaic.tiles.read(("klass", "reason", "count", *_STEPS), strip)
+        found = mosaic.tiles.read((*PASSABLE_COLUMNS, "reason", "count", *_STEPS), strip)
+        passable += int(mosaic.rule.passable(found).sum())
         group = np.where(found["klass"] == NO_CLASS, groups - 1, found["klass"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
@@ -77,6 +101,7 @@ def summarise(mosaic: CostMosaic) -> MapSummary:
         points=points,
         by_class=tuple(classes[:-1].tolist()),
         by_reason=tuple(reasons.tolist()),
+        passable=passable,
         median_c_r=c_r,
         median_slope=slope,
         median_count=_median(counts[0]),

@@ -102,7 +102,7 @@ def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable:
 
 def _geo(place: Placement) -> dict[str, Any]:
     """Metadata of GeoParquet 1.1.0."""
-    crs = place.horizontal_crs
+    crs = place.crs_of_heights
     window = place.window
     corners = np.array([window.col, window.row, window.col + window.cols, window.row + window.rows])
     geometry = {

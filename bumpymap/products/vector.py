@@ -34,8 +34,13 @@ _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
     "known. This file is therefore not RFC 7946 GeoJSON"
 )
-_KINDS = {"class": pa.int32(), "tiles": pa.int64(), "class_name": pa.string(), "reason": pa.string()}
+_KINDS = {"class": pa.int32(), "tiles": pa.int64(), "passable": pa.bool_()}
+_KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), pa.string())
 """Types of columns of cost.fgb; the others are float64."""
+_PROPERTIES = (
+    *("class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
+    *("p_fail", "hazard", "cost", "area_m2", "tiles"),
+)
 _GEOMETRY = "geometry"
 _IN_MEMORY = 16 << 20
 """Most bytes of regions that become FlatGeobuf in memory."""
@@ -186,8 +191,8 @@ def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Re
 
 
 def _schema() -> pa.Schema:
-    names = ("class", "class_name", "reason", "c_r", "c_r_low", "c_r_high", "p_fail", "cost", "area_m2", "tiles")
-    return pa.schema([*((name, _KINDS.get(name, pa.float64())) for name in names), (_GEOMETRY, pa.binary())])
+    kinds = ((name, _KINDS.get(name, pa.float64())) for name in _PROPERTIES)
+    return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
 
 
 def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
@@ -234,10 +239,13 @@ def _columns(regions: Regions) -> dict[str, list[Any]]:
         "class": [int(value) if is_known else None for value, is_known in zip(regions.klass, known, strict=True)],
         "class_name": list(regions.class_name),
         "reason": [None if is_known else text for text, is_known in zip(regions.reason_text, known, strict=True)],
+        "passable": regions.passable.tolist(),
         "c_r": _numbers(regions.c_r, 6),
         "c_r_low": _numbers(regions.c_r_low, 6),
         "c_r_high": _numbers(regions.c_r_high, 6),
+        "c_r_basis": list(regions.c_r_basis),
         "p_fail": _numbers(regions.p_fail, 6),
+        "hazard": _numbers(regions.hazard, 9),
         "cost": _numbers(regions.cost, 6),
         "area_m2": _numbers(regions.area_m2, 3),
         "tiles": regions.tiles.tolist(),

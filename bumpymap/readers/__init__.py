@@ -5,7 +5,7 @@ from bumpymap.readers.decoder import rest as rest_decoder
 from bumpymap.readers.detect import open_survey, reopen_survey
 from bumpymap.readers.find import find_surveys
 from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo, SurveyReader
-from bumpymap.readers.source import Location, identity, is_url
+from bumpymap.readers.source import Location, Version, changed, identity, is_url, version_of
 from bumpymap.readers.summary import PointSummary, enough_points, summarise
 from bumpymap.readers.tally import Tally
 
@@ -19,6 +19,8 @@ __all__ = [
     "SurveyInfo",
     "SurveyReader",
     "Tally",
+    "Version",
+    "changed",
     "common_georeference",
     "enough_points",
     "find_surveys",
@@ -28,4 +30,5 @@ __all__ = [
     "reopen_survey",
     "rest_decoder",
     "summarise",
+    "version_of",
 ]

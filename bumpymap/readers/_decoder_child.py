@@ -88,6 +88,10 @@ class Source(io.RawIOBase):
         self._at += got
         return got
 
+    def readall(self) -> bytes:
+        """Read the rest, at once."""
+        return self.read(max(self._size - self._at, 0)) or b""
+
 
 def _fields() -> Any:
     """Choose what is decoded of point formats 6 to 10; earlier ones are decoded whole."""

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from bumpymap.errors import BadInputError, BumpymapError
+from bumpymap.errors import BadInputError, BumpymapError, wanting
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
@@ -25,6 +25,8 @@ def decoding(path: Location, what: str) -> Iterator[None]:
     except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:
+        if wanting(error):  # nothing is wrong with the file
+            raise
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise BadInputError(
             f"cannot read {what} of {path}: {reason}. The file is damaged or truncated; copy or download it again"

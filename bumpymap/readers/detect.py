@@ -2,11 +2,13 @@
 
 import logging
 from codecs import getincrementaldecoder
+from functools import partial
 from typing import Literal
 
 from bumpymap.errors import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import Location, open_source
+from bumpymap.readers.watched import WatchedSurvey
 
 __all__ = ["detect_format", "open_survey", "reopen_survey"]
 
@@ -56,7 +58,7 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
     UsageError
         ``options.crs`` is no CRS.
     """
-    reader = _reader(path, options)
+    reader = reopen_survey(path, options)
     for note in reader.info.notes:
         _log.warning("%s: %s", path, note)
     return reader
@@ -64,7 +66,7 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud again, in a worker; its notes were logged already. As ``open_survey`` otherwise."""
-    return _reader(path, options)
+    return WatchedSurvey(path, partial(_reader, path, options))
 
 
 def _reader(path: Location, options: ReadOptions) -> SurveyReader:

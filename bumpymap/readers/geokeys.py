@@ -6,7 +6,19 @@ projected CRS, 3076 unit of easting and northing, 4096 vertical CRS, 4099 unit o
 
 from dataclasses import replace
 
-from bumpymap.crs import CrsStatement, crs_from_epsg, linear_unit, same_crs, statement_from_wkt
+from pyproj import CRS
+
+from bumpymap.crs import (
+    CrsStatement,
+    crs_from_epsg,
+    describe_crs,
+    horizontal_of,
+    linear_unit,
+    same_crs,
+    statement_from_wkt,
+    vertical_of,
+    with_vertical,
+)
 
 __all__ = ["statement_from_geokeys", "statement_of_las"]
 
@@ -45,13 +57,25 @@ def statement_of_las(wkt: str | None, geokeys: dict[int, int] | None, citation: 
         return CrsStatement(from_wkt.crs, notes=(note,))
     chosen, other = (from_wkt, from_keys) if wkt_bit else (from_keys, from_wkt)
     chosen = _with_height_unit(chosen, other)
-    if chosen.crs is None or other.crs is None or same_crs(chosen.crs, other.crs):
+    if chosen.crs is None or other.crs is None:
         return chosen
+    ours, theirs = (horizontal_of(crs) or crs for crs in (chosen.crs, other.crs))
+    if same_crs(ours, theirs):
+        return _with_vertical_crs(chosen, ours, other.crs)
     names = ("WKT record", "GeoTIFF keys") if wkt_bit else ("GeoTIFF keys", "WKT record")
     note = f"its {names[0]} ({chosen.crs.name}) counts; its {names[1]} ({other.crs.name}) is spelled differently"
     return CrsStatement(
         chosen.crs, chosen.metres_per_unit, chosen.metres_per_unit_z, chosen.trouble, (*chosen.notes, note)
     )
+
+
+def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> CrsStatement:
+    """Take the vertical CRS from the record that does not count, where only that one states it."""
+    vertical = vertical_of(other)
+    if vertical is None or chosen.crs is None or chosen.crs.is_compound:
+        return chosen
+    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is believed"
+    return replace(chosen, crs=with_vertical(horizontal, vertical), notes=(*chosen.notes, note))
 
 
 def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
@@ -71,12 +95,14 @@ def _height_unit(statement: CrsStatement) -> float | None:
 def statement_from_geokeys(keys: dict[int, int], citation: str) -> CrsStatement:
     """Work GeoTIFF keys out: coded CRS and units; a user-defined projection gives its units and a note."""
     unit, trouble = _unit(keys, _LINEAR, "easting and northing")
-    unit_z = linear_unit(keys.get(_VERTICAL_UNIT, 0)) or _vertical_crs_unit(keys)
+    vertical = _vertical_crs(keys)
+    own = None if vertical is None else vertical.axis_info[0].unit_conversion_factor
+    unit_z = linear_unit(keys.get(_VERTICAL_UNIT, 0)) or own
     if trouble:
         return CrsStatement(trouble=trouble)
     code = keys.get(_PROJECTED, 0)
     if 0 < code < _USER_DEFINED:
-        return _coded(code, unit, unit_z)
+        return _coded(code, unit, unit_z, vertical)
     if keys.get(_MODEL) in {2, 3}:
         coded = keys.get(_GEODETIC, 0)
         known = crs_from_epsg(coded) if 0 < coded < _USER_DEFINED else None
@@ -88,7 +114,7 @@ def statement_from_geokeys(keys: dict[int, int], citation: str) -> CrsStatement:
     return CrsStatement(None, unit, unit_z, notes=notes)
 
 
-def _coded(code: int, unit: float | None, unit_z: float | None) -> CrsStatement:
+def _coded(code: int, unit: float | None, unit_z: float | None, vertical: CRS | None) -> CrsStatement:
     crs = crs_from_epsg(code)
     if crs is None:
         return CrsStatement(trouble=f"its GeoTIFF keys name EPSG:{code}, which PROJ does not know")
@@ -97,6 +123,8 @@ def _coded(code: int, unit: float | None, unit_z: float | None) -> CrsStatement:
         return CrsStatement(
             trouble=f"its GeoTIFF keys name EPSG:{code}, whose unit is {own:g} m, and a unit of {unit:g} m"
         )
+    if vertical is not None and crs.is_projected:
+        crs = with_vertical(crs, vertical)
     return CrsStatement(crs, metres_per_unit_z=unit_z)
 
 
@@ -108,7 +136,7 @@ def _unit(keys: dict[int, int], key: int, what: str) -> tuple[float | None, str]
     return unit, "" if unit else f"its GeoTIFF keys give {code} as the unit of {what}, which is no unit of length"
 
 
-def _vertical_crs_unit(keys: dict[int, int]) -> float | None:
+def _vertical_crs(keys: dict[int, int]) -> CRS | None:
     code = keys.get(_VERTICAL, 0)
     crs = crs_from_epsg(code) if 0 < code < _USER_DEFINED else None
-    return crs.axis_info[0].unit_conversion_factor if crs is not None and crs.is_vertical else None
+    return crs if crs is not None and crs.is_vertical else None

@@ -29,6 +29,8 @@ _DENSEST = 100
 """LZF packs 264 bytes into 3 at best."""
 _MOST_VALUES = 10_000
 """No descriptor of a point is longer."""
+_UNPACKED_COPIES, _PACKED_COPIES = 2, 3
+"""How often a compressed file is held while it is unpacked."""
 _LOOKED_AT = 100_000
 """Rows that are searched for a first point."""
 
@@ -44,6 +46,7 @@ class PcdSurvey(Survey):
             self._data_at = stream.tell()
             self._columns = _columns(head, path)
             _refuse_size(stream, path, head, size - self._data_at)
+            _refuse_unpacking(stream, path, self._data_at, head, options.memory)
         names = {name.lower(): name for name in reversed(self._dtype.names or ())}
         self._class_column = next((names[name] for name in CLASS_COLUMNS if name in names), None)
         self._text = self._text_rows() if head.data is Encoding.ASCII else None
@@ -162,3 +165,23 @@ def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None
         refuse_count(path, packed, max(room - 8, 0), "bytes of packed points")
         refuse_count(path, unpacked, _DENSEST * packed, "bytes of unpacked points")
         refuse_count(path, head.points, unpacked // row)
+        if unpacked != head.points * row:
+            raise BadInputError(
+                f"{path} promises {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
+                "The file is damaged: copy or download it again"
+            )
+
+
+def _refuse_unpacking(stream: BinaryIO, path: Location, data_at: int, head: Any, memory: int) -> None:
+    """Refuse a compressed file that memory cannot hold unpacked, before anything is unpacked."""
+    if head.data is not Encoding.BINARY_COMPRESSED:
+        return
+    stream.seek(data_at)
+    packed, unpacked = struct.unpack("<II", stream.read(8))
+    wanted = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
+    if wanted > memory:
+        raise BadInputError(
+            f"{path} is compressed, so it must be unpacked whole, which takes {wanted / 1e6:,.0f} MB; "
+            f"{memory / 1e6:,.0f} MB are given. Write it uncompressed (DATA binary), which is read in pieces: "
+            "pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1; or raise --memory"
+        )

@@ -1,14 +1,10 @@
-"""PLY: binary and text are read piece by piece, rows of changing length are left to plyfile."""
+"""PLY: text, binary, and rows with lists, all read piece by piece."""
 
-import io
-import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from plyfile import PlyData
 
 from bumpymap.crs import CrsStatement, georeference
 from bumpymap.readers.base import Survey
@@ -16,9 +12,11 @@ from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.columns import metres, precision_note, read_rows
 from bumpymap.readers.cut import cut_rows
+from bumpymap.readers.listed_rows import ListedRows, data_start
 from bumpymap.readers.ply_header import PlyHeader, read_ply_header
 from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
-from bumpymap.readers.source import Location, open_source, place_of, size_of
+from bumpymap.readers.serial_rows import SerialRows
+from bumpymap.readers.source import Location, place_of, size_of
 from bumpymap.readers.text_rows import TextRows
 
 __all__ = ["PlySurvey"]
@@ -38,10 +36,11 @@ class PlySurvey(Survey):
             self._header = header = read_ply_header(path)
         size = size_of(path)
         self._refuse_size(size)
-        self._text = _text_rows(path, header) if header.text and not header.vertex.has_lists else None
+        self._serial = _serial_rows(path, header)
         first = self._first()
         place, notes = georeference(place_of(path, first), CrsStatement(), options.crs, options.z_unit)
-        types = [header.vertex.element.ply_property(name).val_dtype for name in header.columns]
+        codes = {prop.name: prop.code for prop in header.vertex.properties}
+        types = [codes[name] for name in header.columns]
         if not header.text:
             notes += precision_note(first, types)
         kind = f"PLY, {_ENDIAN[header.byte_order]}, {' '.join(dict.fromkeys(np.dtype(t).name for t in types))}"
@@ -51,7 +50,7 @@ class PlySurvey(Survey):
     def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
         """Cut anywhere."""
         vertex = self._header.vertex
-        row_bytes = 8 * len(self._header.columns) if self._header.text or vertex.has_lists else self._dtype.itemsize
+        row_bytes = 8 * len(self._header.columns) if self._header.text else self._dtype.itemsize
         return cut_rows(vertex.count, points, row_bytes)
 
     def fetch(self, piece: Piece) -> Any:
@@ -64,29 +63,22 @@ class PlySurvey(Survey):
         return batch_of_points(raw, Watch(piece.first, self.info.bounds))
 
     def _rows(self, first: int, count: int) -> Any:
-        header = self._header
-        if self._text is not None:
-            return self._text.read(first, count)
-        if header.vertex.has_lists or any(head.has_lists for head in header.before):
-            return self._listed[first : first + count]
-        skipped = sum(head.count * head.element.dtype(header.byte_order).itemsize for head in header.before)
-        return read_rows(self._path, header.data_at + skipped, self._dtype, first, count)
+        if self._serial is not None:
+            return self._serial.read(first, count)
+        return read_rows(self._path, self._vertices_at, self._dtype, first, count)
 
     @property
     def _dtype(self) -> np.dtype[np.void]:
-        dtype: np.dtype[np.void] = self._header.vertex.element.dtype(self._header.byte_order)
-        return dtype
+        return self._header.vertex.dtype(self._header.byte_order)
 
     @cached_property
-    def _listed(self) -> NDArray[np.void]:
-        """All vertices, where rows differ in length; kept, since plyfile takes them one by one."""
-        with decoding(self._path, "the vertices"):
-            return _read_with_plyfile(self._path, self._header)
+    def _vertices_at(self) -> int:
+        return data_start(self._path, self._header)
 
     def _first(self) -> tuple[float, float, float] | None:
         rows = self._rows(0, 1)
-        if self._text is not None:
-            self._text.close()
+        if self._serial is not None:
+            self._serial.close()
         if len(rows) == 0:
             return None
         x, y, z = (float(rows[name][0]) for name in self._header.columns)
@@ -97,7 +89,7 @@ class PlySurvey(Survey):
         header = self._header
         room = size - header.data_at
         for head in (*header.before, header.vertex):
-            least = _least_bytes(header, head.element)
+            least = head.least_bytes(text=header.text)
             held = room // least
             if held < head.count:
                 refuse_count(
@@ -106,31 +98,14 @@ class PlySurvey(Survey):
             room -= head.count * least
 
 
-def _least_bytes(header: PlyHeader, element: Any) -> int:
-    """Bytes that one row takes at least."""
-    properties = element.properties
+def _serial_rows(path: Location, header: PlyHeader) -> SerialRows | None:
+    """Rows that can be read in order alone: text, and those with lists; None where each has its place."""
     if header.text:
-        return max(2 * len(properties) - 1, 1)
-    # A list takes at least the word that says how long it is.
-    words = [getattr(prop, "len_dtype", prop.val_dtype) for prop in properties]
-    return max(sum(int(np.dtype(word).itemsize) for word in words), 1)
-
-
-def _read_with_plyfile(path: Location, header: PlyHeader) -> NDArray[np.void]:
-    """Read rows of changing length; the elements behind the vertices are not looked at."""
-    with open_source(path) as stream:
-        stream.seek(header.data_at)
-        data = io.BytesIO(b"\n".join(header.lines) + b"\n" + stream.read())
-    with warnings.catch_warnings():
-        # plyfile has an empty list of a text file warned about.
-        warnings.simplefilter("ignore", UserWarning)
-        rows: NDArray[np.void] = PlyData.read(data, mmap=False)[header.vertex.name].data
-    return rows
-
-
-def _text_rows(path: Location, header: PlyHeader) -> TextRows:
-    names = [prop.name for prop in header.vertex.element.properties]
-    wanted = [*header.columns, *([header.class_column] if header.class_column else [])]
-    dtype = np.dtype([(name, np.float64) for name in wanted])
-    skipped = sum(head.count for head in header.before)
-    return TextRows(path, header.data_at, skipped, dtype, [names.index(name) for name in wanted])
+        names = header.vertex.scalars
+        wanted = [*header.columns, *([header.class_column] if header.class_column else [])]
+        dtype = np.dtype([(name, np.float64) for name in wanted])
+        places = [names.index(name) for name in wanted]
+        return TextRows(path, header.data_at, header.lines_before, dtype, places, header.vertex.lists)
+    if header.vertex.has_lists:
+        return ListedRows(path, data_start(path, header), header.vertex, header.byte_order)
+    return None

@@ -1,58 +1,90 @@
-"""The header of a PLY file: its elements, where its data starts, which columns are coordinates.
+"""The header of a PLY file: its elements, where its data starts, which columns are coordinates."""
 
-plyfile parses the header; the counts are set to 0 for it, so that it reads no data and a lie costs nothing.
-"""
+from dataclasses import dataclass, field
 
-import io
-import re
-from dataclasses import dataclass
-from typing import Any
-
-from plyfile import PlyData, PlyListProperty
+import numpy as np
 
 from bumpymap.errors import BadInputError
+from bumpymap.ply_file import PLY_TYPES
 from bumpymap.readers.checks import decoding
 from bumpymap.readers.columns import CLASS_COLUMNS
 from bumpymap.readers.source import Location, open_source
 
-__all__ = ["PlyElementHead", "PlyHeader", "read_ply_header"]
+__all__ = ["PlyElement", "PlyHeader", "PlyProperty", "read_ply_header"]
 
 _LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
-_ELEMENT = re.compile(rb"^element\s+(\S+)\s+(\d+)$")
+_BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 @dataclass(frozen=True, slots=True)
-class PlyElementHead:
+class PlyProperty:
+    """One property as the header declares it."""
+
+    name: str
+    code: str
+    """NumPy's code of its numbers, without byte order."""
+    length_code: str | None = None
+    """Of a list: the code of the number that says how long it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlyElement:
     """One element as the header declares it."""
 
     name: str
     count: int
-    element: Any
-    """plyfile's description, without data."""
+    properties: list[PlyProperty] = field(default_factory=list)
+
+    @property
+    def lists(self) -> tuple[bool, ...]:
+        """Of each property whether it is a list."""
+        return tuple(prop.length_code is not None for prop in self.properties)
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows differ in length."""
-        return any(isinstance(prop, PlyListProperty) for prop in self.element.properties)
+        """Whether rows may differ in length."""
+        return any(self.lists)
+
+    @property
+    def scalars(self) -> list[str]:
+        """Names of the properties that are no lists."""
+        return [prop.name for prop in self.properties if prop.length_code is None]
+
+    def dtype(self, byte_order: str) -> np.dtype[np.void]:
+        """Columns of its rows, lists left out."""
+        return np.dtype([(p.name, byte_order + p.code) for p in self.properties if p.length_code is None])
+
+    def least_bytes(self, *, text: bool) -> int:
+        """Bytes that one row takes at least: a list has at least the number that says how long it is."""
+        if text:
+            return max(2 * len(self.properties) - 1, 1)
+        return max(sum(np.dtype(prop.length_code or prop.code).itemsize for prop in self.properties), 1)
 
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
     """What the readers of PLY data need."""
 
-    text: bool
     byte_order: str
     """``<`` or ``>``; ``=`` where the file is text."""
     data_at: int
     """Byte where the data starts."""
-    vertex: PlyElementHead
-    before: tuple[PlyElementHead, ...]
+    vertex: PlyElement
+    before: tuple[PlyElement, ...]
     """Elements whose data comes first."""
     columns: tuple[str, str, str]
     """Names of the x, y and z properties."""
     class_column: str | None
-    lines: tuple[bytes, ...]
-    """The header up to the vertex element and its properties, ``end_header`` added; comments left out."""
+
+    @property
+    def text(self) -> bool:
+        """Whether the data is text."""
+        return self.byte_order == "="
+
+    @property
+    def lines_before(self) -> int:
+        """Of a text: lines between the header and the vertices."""
+        return sum(element.count for element in self.before)
 
 
 def read_ply_header(path: Location) -> PlyHeader:
@@ -64,40 +96,31 @@ def read_ply_header(path: Location) -> PlyHeader:
         Not a PLY header, no vertex element, no x, y and z.
     """
     lines, data_at = _lines(path)
-    counts = [(found[1].decode("ascii", "replace"), int(found[2])) for found in map(_ELEMENT.match, lines) if found]
-    empty = [_ELEMENT.sub(rb"element \1 0", line) for line in lines]
     with decoding(path, "the header"):
-        parsed = PlyData.read(io.BytesIO(b"\n".join(empty) + b"\n"))
-    heads = [PlyElementHead(name, count, parsed[name]) for name, count in counts]
-    place = next((i for i, head in enumerate(heads) if head.name.lower() in {"vertex", "vertices"}), None)
+        byte_order, elements = _parse([line.decode("ascii") for line in lines])
+    place = next((i for i, head in enumerate(elements) if head.name.lower() in {"vertex", "vertices"}), None)
     if place is None:
-        held = ", ".join(head.name for head in heads) or "nothing"
+        held = ", ".join(head.name for head in elements) or "nothing"
         raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
-    vertex = heads[place]
-    names = {prop.name.lower(): prop for prop in reversed(vertex.element.properties)}
-    missing = [axis for axis in "xyz" if axis not in names or isinstance(names[axis], PlyListProperty)]
+    vertex = elements[place]
+    names = {prop.name.lower(): prop for prop in reversed(vertex.properties)}
+    missing = [axis for axis in "xyz" if axis not in names or names[axis].length_code is not None]
     if missing:
-        held = ", ".join(prop.name for prop in vertex.element.properties) or "no properties"
+        held = ", ".join(prop.name for prop in vertex.properties) or "no properties"
         raise BadInputError(
             f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
             "x, y and z"
         )
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
-    klass = next((names[name].name for name in CLASS_COLUMNS if name in names), None)
-    return PlyHeader(
-        parsed.text,
-        parsed.byte_order,
-        data_at,
-        vertex,
-        tuple(heads[:place]),
-        (names["x"].name, names["y"].name, names["z"].name),
-        klass,
-        _up_to(lines, place),
-    )
+    classes = (names[name] for name in CLASS_COLUMNS if name in names)
+    klass = next((prop.name for prop in classes if prop.length_code is None), None)
+    columns = (names["x"].name, names["y"].name, names["z"].name)
+    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns, klass)
 
 
 def _lines(path: Location) -> tuple[list[bytes], int]:
+    """Lines of the header that say something, and the byte where it ends."""
     lines: list[bytes] = []
     with open_source(path) as stream:
         while len(lines) < _HEADER_LIMIT:
@@ -112,7 +135,42 @@ def _lines(path: Location) -> tuple[list[bytes], int]:
     raise BadInputError(f"the header of {path} has no end (no line 'end_header'): truncated? Copy or download it again")
 
 
-def _up_to(lines: list[bytes], place: int) -> tuple[bytes, ...]:
-    starts = [i for i, line in enumerate(lines) if _ELEMENT.match(line)]
-    end = starts[place + 1] if place + 1 < len(starts) else len(lines) - 1
-    return (*lines[:end], b"end_header")
+def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
+    """Byte order and elements; raises ValueError where the lines are no header."""
+    if len(lines) < 2 or lines[0] != "ply":
+        raise ValueError("its first line is not 'ply'")
+    match lines[1].split():
+        case ["format", name, "1.0"] if name in _BYTE_ORDERS:
+            byte_order = _BYTE_ORDERS[name]
+        case _:
+            raise ValueError(f"{lines[1]!r} is no format of PLY; there are: {', '.join(_BYTE_ORDERS)}, each 1.0")
+    elements: list[PlyElement] = []
+    for line in lines[2:-1]:
+        match line.split():
+            case ["element", name, count] if count.isdecimal():
+                _refuse_twice(name, elements, line)
+                elements.append(PlyElement(name, int(count)))
+            case ["property", *words] if elements:
+                prop = _property(words, line)
+                _refuse_twice(prop.name, elements[-1].properties, line)
+                elements[-1].properties.append(prop)
+            case _:
+                raise ValueError(f"{line!r} is neither an element with a count nor a property of one")
+    return byte_order, elements
+
+
+def _property(words: list[str], line: str) -> PlyProperty:
+    match words:
+        case [kind, name] if kind in PLY_TYPES:
+            return PlyProperty(name, PLY_TYPES[kind])
+        case ["list", length, kind, name] if kind in PLY_TYPES and PLY_TYPES.get(length, "f")[0] != "f":
+            return PlyProperty(name, PLY_TYPES[kind], PLY_TYPES[length])
+    raise ValueError(
+        f"{line!r} is neither 'property TYPE NAME' nor 'property list WHOLE_TYPE TYPE NAME'; the types are "
+        f"{', '.join(PLY_TYPES)}"
+    )
+
+
+def _refuse_twice(name: str, known: list[PlyElement] | list[PlyProperty], line: str) -> None:
+    if any(other.name == name for other in known):
+        raise ValueError(f"{line!r} gives the name {name} a second time")

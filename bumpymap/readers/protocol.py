@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.config import ZUnit
-from bumpymap.readers.source import Location
+from bumpymap.readers.source import Location, Version
 from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
@@ -31,6 +31,8 @@ class ReadOptions:
     """Unit of the heights; None: believe the file."""
     trust_points: bool = False
     """Ignore the extent that a header claims; the points' own counts."""
+    memory: int = 1 << 30
+    """What unpacking a file may take that cannot be read in pieces (compressed PCD), bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,8 @@ class SurveyInfo:
     """Whether points carry a class; None: the format has the field, only the points tell whether it is used."""
     notes: tuple[str, ...]
     """What a user should know, one sentence each."""
+    version: Version | None = None
+    """Which version of the file is read, see `bumpymap.readers.source.version_of`; None where nobody watches it."""
 
 
 @dataclass(frozen=True, slots=True)

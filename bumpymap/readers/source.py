@@ -5,9 +5,13 @@ URLs alone.
 """
 
 import hashlib
+import io
+import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,9 +20,14 @@ from numpy.typing import NDArray
 
 from bumpymap.crs import Place
 from bumpymap.errors import BadInputError, BumpymapError, UsageError
+from bumpymap.readers._decoder_child import Source
+from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
     "Location",
+    "Version",
+    "changed",
+    "held_to",
     "identity",
     "is_folder",
     "is_url",
@@ -27,18 +36,29 @@ __all__ = [
     "place_of",
     "read_into",
     "read_range",
+    "require_same",
     "size_of",
+    "version_of",
 ]
 
 Location = Path | str
 """A path, or the text of a URL."""
+Version = dict[str, Any]
+"""What tells a file from its own earlier version without reading it: ``size`` in bytes; ``mtime_ns`` of a local file,
+``version`` as the server of a URL gives it (empty where it gives none), both as text."""
 
 _HEAD_BYTES = 65_536
 """So many bytes at each end of a file tell it from another."""
 _BLOCK = 1 << 18
 """Bytes that a header is read in, from a server."""
-_VERSIONS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "updated", "created")
+_LARGEST_PAGE = 1 << 24
+"""Bytes of a page that lists files."""
+_VERSIONS = (
+    "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
+)  # fmt: skip
 """Names under which servers tell one version of a file from the next."""
+_HELD: ContextVar[tuple[Location, Version] | None] = ContextVar("_HELD", default=None)
+"""See `held_to`."""
 
 
 def is_url(location: object) -> bool:
@@ -59,8 +79,8 @@ def open_source(location: Location) -> BinaryIO:
     stream: BinaryIO
     with _reading(location):
         if isinstance(location, str):
-            files, name = _remote(location)
-            stream = files.open(name, "rb", block_size=_BLOCK)
+            size = size_of(location)
+            stream = io.BufferedReader(Source(partial(_read_remote, location), size), _BLOCK)
         else:
             _refuse_special(location)
             stream = location.open("rb")
@@ -77,14 +97,7 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
     """Fill an array with the bytes from ``start`` on; gives how many there were."""
     with _reading(location):
         if isinstance(location, str):
-            files, name = _remote(location)
-            found = files.cat_file(name, start=start, end=start + data.size)
-            if len(found) > data.size:
-                raise BadInputError(
-                    f"the server of {location} gives whole files alone, no ranges of bytes. Download the file first"
-                )
-            data[: len(found)] = np.frombuffer(found, np.uint8)
-            return len(found)
+            return _from_server(location, start, data)
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
             return _fill(stream, data)
@@ -92,41 +105,113 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
 
 def size_of(location: Location) -> int:
     """Bytes of a file."""
+    size: int = version_of(location)["size"]
+    return size
+
+
+def version_of(location: Location) -> Version:
+    """Ask how long a file is and when it was written, at this moment."""
     with _reading(location):
         if not isinstance(location, str):
-            return location.stat().st_size
-        files, name = _remote(location)
-        size = files.info(name).get("size")
-    if size is None:
+            # Opened, not only looked up: a network file system then asks its server.
+            descriptor = os.open(location, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+            try:
+                found = os.fstat(descriptor)
+            finally:
+                os.close(descriptor)
+            return {"size": found.st_size, "mtime_ns": str(found.st_mtime_ns)}
+        said = _said_of(location)
+    if said.get("size") is None:
         raise BadInputError(f"the server of {location} does not say how long the file is. Download the file first")
-    return int(size)
+    return {"size": int(said["size"]), "version": _version_text(said)}
+
+
+@contextmanager
+def held_to(location: Location, version: Version) -> Iterator[None]:
+    """Hold what is read of a file in the body, in this thread, to one version of it.
+
+    Every answer of a web server is held to it. Where anything else in the body finds the file bad, and it is of another
+    version by then, the message says so instead: two halves of two files look damaged.
+
+    Raises
+    ------
+    BadInputError
+        See `require_same`.
+    """
+    token = _HELD.set((location, version))
+    try:
+        yield
+    except StalledServerError:
+        raise  # it would not answer the next question either
+    except BadInputError as error:
+        require_same(location, version, error)
+        raise
+    finally:
+        _HELD.reset(token)
+
+
+def require_same(location: Location, version: Version, cause: Exception | None = None) -> None:
+    """Make sure that a file is still of a version.
+
+    A change that leaves size and time as they were goes unnoticed: one within a tick of the file system's clock (some
+    milliseconds; 2 s on FAT), or one after which somebody sets the time back.
+
+    Raises
+    ------
+    BadInputError
+        It was changed, or is gone.
+    """
+    try:
+        now = version_of(location)
+    except BadInputError as error:
+        if is_url(location):
+            raise cause or error from error  # a server that does not answer says nothing about the file
+        raise changed(location, f"it is gone ({error})") from cause or error
+    if now != version:
+        raise changed(location, _difference(version, now)) from cause
+
+
+def changed(location: Location, how: str) -> BadInputError:
+    """Give what to raise where a file does not stay the same while it is read."""
+    return BadInputError(
+        f"{location} changed while it was read: {how}. What was read may be a mixture, so nothing was made of it. Run "
+        "again once nothing writes to it any more, or on a copy"
+    )
+
+
+def _difference(before: Version, now: Version) -> str:
+    if before["size"] != now["size"]:
+        return f"it had {before['size']:,} bytes and has {now['size']:,}"
+    if "mtime_ns" in before:
+        return "it has as many bytes as before, and was written again"
+    return f"the server gives it as {now['version'] or 'of no version'}, and gave it as {before['version']}"
 
 
 def identity(location: Location) -> dict[str, Any]:
-    """Tell a file from another, and from its own earlier version.
+    """Tell a file from another, and from its own earlier version. Of one that is being read, see `require_same`.
 
     Returns
     -------
     dict
-        ``size`` in bytes; ``mtime_ns`` of a local file, ``version`` as the server of a URL gives it, both as text;
-        ``digest``, SHA-256 of the first and the last 64 KiB.
+        That of `version_of` (``size`` in bytes; ``mtime_ns`` of a local file, ``version`` as the server of a URL gives
+        it, both as text), and ``digest``, SHA-256 of the first and the last 64 KiB.
     """
-    size = size_of(location)
-    with _reading(location):
-        if isinstance(location, str):
-            files, name = _remote(location)
-            said = files.info(name)
-            version = {"version": next((str(said[key]) for key in _VERSIONS if said.get(key) is not None), "")}
-        else:
-            version = {"mtime_ns": str(location.stat().st_mtime_ns)}
-    ends = (read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0)))
-    return {"size": size, **version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
+    version = version_of(location)
+    size = version["size"]
+    with held_to(location, version):
+        ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
+    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def is_folder(url: str) -> bool:
     """Whether a URL names a folder."""
     with _reading(url):
         files, name = _remote(url)
+        if is_web(url):
+            # fsspec would read whatever is there as a list of links.
+            page = web_info(files, name)
+            if "html" not in page.get("content-type", "") or not 0 < (page["size"] or 1) <= _LARGEST_PAGE:
+                return False
         return bool(files.isdir(name))
 
 
@@ -142,6 +227,49 @@ def list_folder(url: str) -> list[str]:
 def place_of(location: Location, middle: tuple[float, float, float] | None = None) -> Place:
     """Say whose coordinates a message is about."""
     return Place(location, middle)
+
+
+def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
+    files, name = _remote(url)
+    if is_web(url):
+        got, said = read_web(files, name, start, data)
+        _require_held(url, said)
+        return got
+    found = files.cat_file(name, start=start, end=start + data.size)
+    if len(found) > data.size:
+        raise BadInputError(f"the server of {url} gives whole files alone, no ranges of bytes. Download the file first")
+    data[: len(found)] = np.frombuffer(found, np.uint8)
+    return len(found)
+
+
+def _require_held(url: str, said: Mapping[str, Any]) -> None:
+    """Hold an answer of a web server to the version that is being read; servers may leave out what they said before."""
+    held = _HELD.get()
+    if held is None or held[0] != url:
+        return
+    before = held[1]
+    now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
+    key, _, value = before["version"].partition(" ")
+    if now["size"] != before["size"] or (key and said.get(key, value) != value):
+        raise changed(url, _difference(before, now))
+
+
+def _said_of(url: str) -> Mapping[str, Any]:
+    """Ask a server what it says of a file at this moment."""
+    files, name = _remote(url)
+    if is_web(url):
+        return web_info(files, name)
+    files.invalidate_cache(name)
+    said: Mapping[str, Any] = files.info(name)
+    return said
+
+
+def _version_text(said: Mapping[str, Any]) -> str:
+    return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
+
+
+def _read_remote(url: str, start: int, buffer: memoryview) -> int:
+    return read_into(url, start, np.frombuffer(buffer, np.uint8))
 
 
 def _fill(stream: Any, data: NDArray[np.uint8]) -> int:

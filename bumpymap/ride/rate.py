@@ -10,13 +10,11 @@ from bumpymap.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.ride.geometry import roll_over
 from bumpymap.ride.noise import take_noise_off
 from bumpymap.ride.operator import RideOperator
-from bumpymap.types import NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.types import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
 
 __all__ = ["RideModel"]
 
 Floats = NDArray[np.float64]
-_FAIL = 0.5
-"""A tile where at least this share of drives failed is of the last class whatever its C_r."""
 
 
 class RideModel:
@@ -77,7 +75,7 @@ class RideModel:
         p_fail = np.where(too_steep, 1.0, found.p_fail)
         klass, chance = _classes(found, calibration.class_limits)
         last = len(calibration.class_limits)
-        lost = p_fail >= _FAIL
+        lost = p_fail >= FAIL_SHARE
         klass, chance = np.where(lost, last, klass), np.where(lost, np.maximum(p_fail, chance), chance)
         return CostMap(
             georeference=georeference,
@@ -90,7 +88,7 @@ class RideModel:
             p_fail=_where(known, p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
-            ride_weight=float(calibration.vehicle["ride_weight"]),
+            rule=calibration.cost_rule,
         )
 
 

@@ -7,11 +7,11 @@ from typing import BinaryIO
 
 import laspy
 import numpy as np
-from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
 from bumpymap.atomic import atomic
 from bumpymap.errors import OutputError
+from bumpymap.ply_file import write_vertices
 from bumpymap.sample.site import EPSG, QuarrySite
 from bumpymap.sample.survey import SCALE, SurveyPoints, sample_survey
 from bumpytiles import Bounds
@@ -110,6 +110,4 @@ def write_ply(points: SurveyPoints, stream: BinaryIO) -> None:
     columns = (points.easting, points.northing, points.upward, points.classification)
     for (name, _), column in zip(kind, columns, strict=True):
         vertex[name] = column
-    PlyData(
-        [PlyElement.describe(vertex, "vertex")], text=False, byte_order="<", comments=[f"EPSG:{EPSG}, metres"]
-    ).write(stream)
+    write_vertices(vertex, [f"EPSG:{EPSG}, metres"], stream)

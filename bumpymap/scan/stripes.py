@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.errors import BadInputError, UsageError
+from bumpymap.json_text import parse_json
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
 from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, SectorStack
 
@@ -267,7 +268,7 @@ def _text(path: Path) -> str:
 def _parse(text: str, name: str) -> StripeModel:
     advice = "make such a file with: bumpymap scan --fit"
     try:
-        record: dict[str, Any] = json.loads(text)
+        record: dict[str, Any] = parse_json(text)
         kind = record.pop("format")
         settings = StripeFilter(**record.pop("filter"))
         smooth, middle, rough = (float(centre) for centre in record.pop("centres"))

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
+from bumpymap.ply_file import write_vertices
 from bumpymap.scan import ClassedSectors, Scan, point_classes
 from bumpymap.scan_products.looks import COLOURS, looks_of
 
@@ -30,6 +30,5 @@ def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
     vertex["class"] = point_classes(scan, classed)
     for name, values in beside.items():
         vertex[name] = values
-    element = PlyElement.describe(vertex, "vertex")
     with path.open("wb") as stream:
-        PlyData([element], text=False, byte_order="<", comments=_ABOUT).write(stream)
+        write_vertices(vertex, _ABOUT, stream)

@@ -1,15 +1,16 @@
 """The folder of a scan run: checked before the long work; what an earlier run left and this one does not write goes."""
 
 import os
-import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from os.path import lexists
 from pathlib import Path
 
 import lazrs
 import pyarrow as pa
 from rasterio.errors import RasterioError
 
+from bumpymap.atomic import take_away
 from bumpymap.errors import OutputError
 from bumpymap.products import PRODUCT_NAMES, check_folder
 from bumpymap.scan_products.names import FRAME_FILES, FRAME_FOLDER
@@ -21,8 +22,11 @@ _NAMES = (FRAME_FOLDER, TABLE, GATHERED, MAP_FOLDER, MANIFEST)
 _SIDE = ("class.tif.aux.xml",)
 
 
-def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool) -> None:
+def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
     """Make sure that the products of a scan run can be written to a folder; create it where it is missing.
+
+    With ``unfinished``, products of the run that goes on there may be replaced: it was killed between moving them to
+    their places and clearing up. A product that is a link is replaced itself, what it points to stays.
 
     Raises
     ------
@@ -35,15 +39,16 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     if inside is not None:
         raise OutputError(f"{inside} is read by this run, and lies where it would write. Choose another --out")
     check_folder(folder, overwrite=True)
-    present = [name for name in _NAMES if (folder / name).exists()]
-    if present and not overwrite:
+    present = [name for name in _NAMES if lexists(folder / name)]
+    if present and not (overwrite or unfinished):
         raise OutputError(
             f"{folder} already holds {', '.join(present)}. Choose another --out, or pass --overwrite to replace them"
         )
     for name in present:
-        if (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
+        is_link = (folder / name).is_symlink()
+        if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another --out")
-    strange = _strange(folder)
+    strange = _strange(folder, unfinished=unfinished)
     if strange:
         raise OutputError(
             f"{strange} was not written by a scan run that ended, and would go with --overwrite. Move it away, or "
@@ -54,17 +59,15 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
 def drop_older(folder: Path, kept: Sequence[str]) -> None:
     """Take away the products of an earlier run that this one, which wrote ``kept``, did not replace."""
     for name in _NAMES:
-        if name in kept or not (folder / name).exists():
+        if name in kept or not lexists(folder / name):
             continue
-        if name == FRAME_FOLDER:
-            shutil.rmtree(folder / name)
-        elif name == MAP_FOLDER:
+        if name == MAP_FOLDER and not (folder / name).is_symlink():
             for layer in (*PRODUCT_NAMES, *_SIDE):
                 (folder / name / layer).unlink(missing_ok=True)
             with suppress(OSError):  # it stays where it holds anything else
                 (folder / name).rmdir()
         else:
-            (folder / name).unlink()
+            take_away(folder / name)
 
 
 @contextmanager
@@ -85,11 +88,11 @@ def sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _strange(folder: Path) -> Path | None:
+def _strange(folder: Path, *, unfinished: bool) -> Path | None:
     """Return a file among the frames that no run wrote; their folder itself where no run ended here."""
     frames = folder / FRAME_FOLDER
-    if not frames.is_dir():
+    if frames.is_symlink() or not frames.is_dir():
         return None
-    if not (folder / MANIFEST).exists():
+    if not (unfinished or (folder / MANIFEST).exists()):
         return frames
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)

@@ -10,7 +10,13 @@ from bumpymap.scan_products.names import FRAME_FILES, FRAME_FOLDER
 from bumpymap.scan_products.picture import write_picture
 from bumpymap.scan_products.polygons import write_polygons
 
-__all__ = ["write_frame"]
+__all__ = ["has_files", "write_frame"]
+
+
+def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
+    """Whether everything is there that `write_frame` would write."""
+    wanted = [ending for product, ending in FRAME_FILES.items() if product in products]
+    return all((folder / FRAME_FOLDER / f"{name}{ending}").is_file() for ending in wanted)
 
 
 def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:

@@ -12,7 +12,7 @@ from pyproj import CRS
 from bumpymap.errors import BadInputError
 from bumpymap.scan import ClassedSectors, Scan
 
-__all__ = ["Gathered", "open_gathered"]
+__all__ = ["Gathered", "ground_points", "open_gathered"]
 
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
@@ -48,22 +48,32 @@ class Gathered:
         BadInputError
             The frame lies too far from the first one.
         """
-        if not len(scan.points):
+        self.add_points(scan.name, scan.points, pose, ground_points(classed))
+
+    def add_points(
+        self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
+    ) -> None:
+        """Append points (n, 3), m, in the frame of the sensor, of which ``is_ground`` (n,) tells the ground."""
+        if not len(points):
             return
-        world = scan.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        is_ground = np.append(classed.sectors.traversable, False)[classed.sectors.point_sector]
+        world = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
         record = laspy.ScaleAwarePointRecord.zeros(len(world), header=self._writer.header)
         try:
             record.x, record.y, record.z = world.T
         except OverflowError as error:
             raise BadInputError(
-                f"the frame {scan.name} lies more than 2,000 km from the first one, by its pose. Are they of one drive?"
+                f"the frame {name} lies more than 2,000 km from the first one, by its pose. Are they of one drive?"
             ) from error
         record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
         record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
         self._writer.write_points(record)
         self.points += len(world)
         self.ground += int(is_ground.sum())
+
+
+def ground_points(classed: ClassedSectors) -> NDArray[np.bool_]:
+    """Say which points (n,) of a scan lie in traversable sectors."""
+    return np.append(classed.sectors.traversable, False)[classed.sectors.point_sector]
 
 
 @contextmanager

@@ -14,7 +14,9 @@ _FORMAT = "bumpymap-scan-run"
 _VERSION = 1
 
 
-def write_scan_manifest(folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport]) -> None:
+def write_scan_manifest(
+    folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport], identities: Mapping[str, Mapping[str, Any]]
+) -> None:
     """Write scan.json beside the products in ``folder``.
 
     Parameters
@@ -23,6 +25,8 @@ def write_scan_manifest(folder: Path, known: Mapping[str, Any], frames: Iterable
     known : mapping
         What the run knows: settings, method, skipped frames, seconds. Its entries are kept.
     frames : iterable of FrameReport
+    identities : mapping
+        Path of each input to what tells the file from another, see `bumpymap.readers.identity`.
     """
     files = [describe_file(folder / name) | {"path": name} for name in (TABLE, GATHERED) if (folder / name).exists()]
     record = {
@@ -31,6 +35,6 @@ def write_scan_manifest(folder: Path, known: Mapping[str, Any], frames: Iterable
         **known,
         "versions": software_versions(),
         "files": files,
-        "frames": [frame.record() for frame in frames],
+        "frames": [{**frame.record(), "mtime_ns": identities[str(frame.frame.path)]["mtime_ns"]} for frame in frames],
     }
     write_manifest(record, folder / MANIFEST)

@@ -1,5 +1,6 @@
 """The frames of a run and what they are called."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,14 +32,24 @@ def name_frames(paths: Sequence[Path], poses: NDArray[np.float64] | None = None)
     Returns
     -------
     list of Frame
-        Named by the stems of their files. Where two stems are equal (on some disks ``a`` and ``A`` are), every name
-        starts with the frame's number in the run: ``000000_STEM``, ``000001_STEM``.
+        Named by the stems of their files; of one that is no text in the encoding of file names, every byte beyond ASCII
+        becomes ``%`` and two digits (``caf%E9``), since names stand in Parquet and in the names of products. Where two
+        stems are equal (on some disks ``a`` and ``A`` are), every name starts with the frame's number in the run:
+        ``000000_STEM``, ``000001_STEM``.
     """
-    names = [path.stem for path in paths]
+    names = [_as_text(path.stem) for path in paths]
     if len({name.casefold() for name in names}) < len(names):
         names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
     places = [None] * len(names) if poses is None else list(poses)
     return [Frame(*known) for known in zip(names, paths, places, strict=True)]
+
+
+def _as_text(stem: str) -> str:
+    try:
+        stem.encode()
+    except UnicodeEncodeError:
+        return "".join(chr(byte) if byte < 128 else f"%{byte:02X}" for byte in os.fsencode(stem))
+    return stem
 
 
 def spread_out(frames: Sequence[Frame], most: int) -> list[Frame]:

@@ -1,11 +1,12 @@
 """What is known of a frame after it was classed: for scan.json, and for whoever reads the summary."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from bumpymap.products import describe_file
+from bumpymap.products import describe_input
 from bumpymap.scan import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.scan_products.looks import NAMES
 from bumpymap.scan_products.names import Frame
@@ -34,6 +35,21 @@ class FrameReport:
     seconds: float
     """From the file to classed sectors."""
 
+    @classmethod
+    def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
+        """Take up what `record` said."""
+        return cls(
+            frame,
+            record["bytes"],
+            record["sha256"],
+            record["points"],
+            Dropped(**record["dropped"]),
+            record["azimuth_start_rad"],
+            tuple(record["sectors"].values()),
+            tuple(record["points_by_class"].values()),
+            record["seconds"],
+        )
+
     def record(self) -> dict[str, Any]:
         """Say it as scan.json does."""
         names = [*NAMES[:CLASSES], "not traversable"]
@@ -52,13 +68,31 @@ class FrameReport:
         }
 
 
-def report_frame(frame: Frame, scan: Scan, classed: ClassedSectors, seconds: float) -> FrameReport:
-    """Count the points and sectors of a frame. Raises BadInputError where its file is gone."""
+def report_frame(
+    frame: Frame, version: Mapping[str, Any], scan: Scan, classed: ClassedSectors, seconds: float
+) -> FrameReport:
+    """Count the points and sectors of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    version : mapping
+        ``size`` and ``mtime_ns`` of its file before it was read.
+    scan : Scan
+    classed : ClassedSectors
+    seconds : float
+
+    Raises
+    ------
+    BadInputError
+        Its file is gone, or is another one by now.
+    """
     sectors, points = (
         tuple(np.bincount(np.where(klass == NOT_TRAVERSABLE, CLASSES, klass), minlength=CLASSES + 1).tolist())
         for klass in (classed.klass, point_classes(scan, classed))
     )
-    file = describe_file(frame.path)
+    known = {"path": frame.path, "bytes": version["size"], "mtime_ns": version["mtime_ns"]}
+    file = describe_input(known)
     return FrameReport(
         frame,
         file["bytes"],

@@ -13,7 +13,7 @@ from bumpymap.products._arrow import numbers, texts
 from bumpymap.scan import NOT_TRAVERSABLE, ClassedSectors
 from bumpymap.scan_products.geometry import sector_bounds
 
-__all__ = ["COLUMNS", "SectorTable", "open_table"]
+__all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 
 _ROW_GROUP = 65_536
 """Rows that wait in memory until they are written."""
@@ -50,7 +50,11 @@ class SectorTable:
 
     def add(self, name: str, classed: ClassedSectors) -> None:
         """Append the sectors of a frame."""
-        self._waiting.append(_rows(name, classed))
+        self.add_rows(sector_rows(name, classed))
+
+    def add_rows(self, rows: pa.Table) -> None:
+        """Append what `sector_rows` gave."""
+        self._waiting.append(rows)
         if sum(part.num_rows for part in self._waiting) >= _ROW_GROUP:
             self.flush()
 
@@ -85,7 +89,8 @@ def _schema() -> pa.Schema:
     )
 
 
-def _rows(name: str, classed: ClassedSectors) -> pa.Table:
+def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
+    """Give the rows of a frame."""
     stack, bounds = classed.sectors, sector_bounds(classed.sectors)
     count = len(stack.zone)
     unknown = {"class": classed.klass == NOT_TRAVERSABLE, "label": stack.label < 0}

@@ -122,7 +122,7 @@ def here(monkeypatch):
     workers = Here()
 
     @contextmanager
-    def hired(scheduler, number, threads):
+    def hired(scheduler, number, threads, tls_config):
         yield Crew(workers, 2) if number else None
 
     monkeypatch.setattr("bumpymap.pipeline.hired", hired)
@@ -437,6 +437,7 @@ def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, sched
 
 def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_path):
     pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
     result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2, "--ground", "all", "--memory", "200MB")
     assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
@@ -534,6 +535,68 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
+
+
+def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
+    pytest.importorskip("distributed")
+    from bumpytiles._dask import ClusterError, Workers
+
+    client = Mock()
+    client.run.return_value = {"a": OSError("Connection refused"), "b": None, "c": ValueError("mine")}
+    assert list(Workers(client).each(len)) == ["b", "c"]
+    client.run.return_value = {"a": OSError("Connection refused"), "b": OSError("Timed out")}
+    with pytest.raises(ClusterError, match="all 2 workers were lost"):
+        Workers(client).each(len)
+    client.run.return_value = {}
+    with pytest.raises(ClusterError, match="the last worker was lost"):
+        Workers(client).each(len)
+
+
+def test_workers_that_do_not_start_are_told_of(surveys, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+
+    def failed(*_, **__):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("bumpytiles._dask.LocalCluster", failed)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
+    assert result.exit_code == 2, result.output
+    assert "the workers did not start (Nanny failed to start.)" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+@pytest.mark.parametrize("when", ["look", "finish"])
+def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
+    surveys, plain, tmp_path, here, monkeypatch, when
+):
+    pytest.importorskip("distributed")
+    from bumpytiles._dask import ClusterError
+
+    monkeypatch.setattr("bumpymap.engine.parts._LEAST", 10_000_000)
+    out = tmp_path / "layers"
+    arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
+
+    def lost(*_, **__):
+        raise ClusterError("all 2 workers were lost")
+
+    with monkeypatch.context() as patch:
+        if when == "look":
+            patch.setattr(here, "each", lost)
+        else:
+            patch.setattr("bumpymap.engine.cluster.ClusterRun._finish", lost)
+        result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "all 2 workers were lost. Look at their logs" in result.output
+    assert "nstall" not in result.output
+    if when == "look":
+        assert not out.exists()
+        return
+    assert "Pass --resume to the same command" in result.output
+    here.done.clear()
+    assert run(*arguments, "--resume").exit_code == 0
+    assert read_part not in here.done  # files that were read are not read again
+    assert layers_of(out) == layers_of(plain / "auto")
+    assert list((tmp_path / "scratch").iterdir()) == []
 
 
 def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):

@@ -107,6 +107,38 @@ def test_given_crs_that_agrees_makes_no_noise():
     assert notes == ()
 
 
+def settled(statement=SILENT, crs=None, z_unit=None):
+    return settle(statement, crs, z_unit)[0].crs
+
+
+def test_the_vertical_part_stays():
+    compound = CRS("EPSG:32614+5703")
+    assert settled(CrsStatement(compound)) == compound
+    assert settled(crs="EPSG:32614+5703") == compound
+    assert settled(statement_from_wkt(compound.to_wkt("WKT1_GDAL"))) == compound
+    # Heights that are said to be feet are metres in the layers, from the same zero.
+    assert settled(CrsStatement(compound), z_unit="us-ft") == compound
+    # One that has a code of its own keeps it.
+    assert settled(CrsStatement(CRS(7405))).to_epsg() == 7405
+
+
+def test_the_files_vertical_part_goes_with_a_given_crs_that_agrees():
+    file = CrsStatement(CRS("EPSG:32614+5703"))
+    assert settled(file, "EPSG:32614") == CRS("EPSG:32614+5703")
+    assert settled(file, "EPSG:32613") == CRS("EPSG:32613")
+    assert settled(file, "EPSG:32614+5773") == CRS("EPSG:32614+5773")
+
+
+def test_heights_in_feet_are_written_without_their_crs_and_that_is_said():
+    place, notes = settle(CrsStatement(CRS("EPSG:2276+6360")))
+    assert (place.metres_per_unit_z, place.crs.is_compound) == (US_FOOT, True)
+    assert [note for note in notes if "NAVD88 height (ftUS) (EPSG:6360) is not in metres" in note]
+
+
+def test_depths_are_no_heights():
+    assert settled(CrsStatement(CRS("EPSG:32614+5715"))) == CRS("EPSG:32614")
+
+
 def test_trouble_is_refused_or_set_aside():
     trouble = CrsStatement(trouble="it is a riddle")
     with pytest.raises(BadInputError, match=r"site\.laz.*riddle.*--crs"):
@@ -147,7 +179,7 @@ def test_degrees_are_refused(crs):
 def test_earth_centred_coordinates_are_refused_with_their_zone():
     # 99.1 W, 19.4 N at 2240 m, by the closed formula on the WGS 84 ellipsoid.
     place = Place(Path("a.laz"), (-952_258.6, -5_944_768.1, 2_106_146.8))
-    with pytest.raises(BadInputError, match=r"Earth-centred.*\n.*out_srs=EPSG:32614"):
+    with pytest.raises(BadInputError, match=r"Earth-centred.*out_srs=EPSG:32614"):
         settle(CrsStatement(CRS(4978)), place=place)
 
 
@@ -232,6 +264,31 @@ def test_files_of_several_crs_are_listed(crs, says):
     assert "0.laz: WGS 84 / UTM zone 14N (EPSG:32614)" in message
     assert says in message
     assert "--crs" in message
+
+
+def test_files_of_several_vertical_crs_are_listed():
+    with pytest.raises(BadInputError) as caught:
+        common_georeference(infos("EPSG:32614+5703", "EPSG:32614+5773"))
+    message = str(caught.value)
+    assert "heights of the files are not in one vertical CRS" in message
+    assert "0.laz: WGS 84 / UTM zone 14N + NAVD88 height (EPSG:32614+5703)" in message
+    assert "1.laz: WGS 84 / UTM zone 14N + EGM96 height (EPSG:32614+5773)" in message
+    assert "--crs" in message
+
+
+def test_files_with_and_without_a_vertical_crs_share_the_horizontal_one(caplog):
+    assert common_georeference(infos("EPSG:32614+5703", "EPSG:32614")).crs == CRS("EPSG:32614")
+    assert "1 of 2 files state a vertical CRS (NAVD88 height (EPSG:5703)), so the layers carry none" in caplog.text
+
+
+def test_files_in_metres_and_in_feet_from_one_zero_share_it_in_metres(caplog):
+    assert common_georeference(infos("EPSG:32614+6360", "EPSG:32614+5703")).crs == CRS("EPSG:32614+5703")
+    assert common_georeference(infos("EPSG:32614+5703", "EPSG:32614+5703")).crs == CRS("EPSG:32614+5703")
+    spelled = (
+        CRS("EPSG:32614+5703").to_wkt("WKT1_GDAL").replace("Datum 1988", "Datum_1988").replace(",AUTHORITY[", ",X[")
+    )
+    assert common_georeference(infos("EPSG:32614+5703", spelled)).crs == CRS("EPSG:32614+5703")
+    assert not caplog.text
 
 
 def test_a_long_list_is_cut():

@@ -118,6 +118,7 @@ def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_p
 @needs_filter
 def test_workers_give_the_same_bytes(mapped, tmp_path):
     pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
     result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--workers", 2)
     assert result.exit_code == 0, result.output
     assert layers(tmp_path / "csf") == layers(mapped / "csf")

@@ -1,6 +1,7 @@
 """The main job as a user meets it: the command line on files, good and bad."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.lock import locked
 from bumpymap.products import PRODUCT_NAMES
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
@@ -149,12 +151,128 @@ def test_the_papers_rules_can_be_asked_for(survey, tmp_path):
 
 def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):
     before = product_bytes(layers)
-    refused = run("map", survey, "--out", layers)
+    refused = run("map", survey, "--out", layers, "--ground", "all", "--tile-size", 3.0)
     assert refused.exit_code == 3
+    assert "ground was auto, is all\n" in refused.output
+    assert "tile_size" not in refused.output
     assert "--overwrite" in refused.output
     assert product_bytes(layers) == before
     assert run("map", survey, "--out", layers, "--overwrite").exit_code == 0
     assert product_bytes(layers) == before
+
+
+def inodes(folder):
+    return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("extra", [(), ("--resume",), ("--skip-bad", "--threads", 1, "--memory", "300MB")])
+def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
+    before = inodes(layers)
+    again = run("map", survey, "--out", layers, *extra)
+    assert again.exit_code == 0, again.output
+    assert "Already done" in again.output
+    assert "60,000 points, 100 tiles" in again.output
+    assert inodes(layers) == before
+    first, second = (json.loads(run("map", survey, "--out", layers, *extra, "--log-json").stdout) for _ in range(2))
+    assert first["already_done"] is True
+    assert first == second
+    assert inodes(layers) == before
+
+
+def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
+    """An input that was touched or copied is the same; its bytes decide."""
+    out = tmp_path / "out"
+    moved = tmp_path / "site.laz"
+    shutil.copy(survey, moved)
+    assert run("map", moved, "--out", out).exit_code == 0
+    os.utime(moved)
+    assert "Already done" in run("map", moved, "--out", out).output
+    content = bytearray(moved.read_bytes())
+    content[40] ^= 1  # of the project id: as long as it was, and of no matter to the map
+    moved.write_bytes(content)
+    more = write_las(tmp_path / "more.laz", *site)
+    for given, words in (
+        ((moved,), [f"{moved} has changed since"]),
+        ((more,), [f"{moved} was read, and is not given", f"{more} is given, and was not read"]),
+        ((survey, "--vehicle", "car", "--crs", "EPSG:32614"), ["vehicle was warthog, is car", "crs was not given, is"]),
+    ):
+        refused = run("map", *given, "--out", out)
+        assert refused.exit_code == 3
+        for word in words:
+            assert word in refused.output
+        assert "calibration" not in refused.output
+        assert "{" not in refused.output
+    shutil.copy(survey, moved)
+    (out / "tiles.parquet").write_bytes(b"mine")
+    refused = run("map", moved, "--out", out)
+    assert (refused.exit_code, "tiles.parquet has changed since" in refused.output) == (3, True)
+    (out / "tiles.parquet").unlink()
+    assert "tiles.parquet is missing" in run("map", moved, "--out", out).output
+    for damaged in ("{", "[]", "{}", '{"files": [{}]}'):
+        (out / "run.json").write_text(damaged)
+        refused = run("map", moved, "--out", out)
+        assert (refused.exit_code, "run.json that cannot be read" in refused.output) == (3, True)
+
+
+def test_going_on_and_starting_anew_are_not_asked_for_together(survey, tmp_path):
+    refused = run("map", survey, "--out", tmp_path / "out", "--resume", "--overwrite")
+    assert refused.exit_code == 2
+    assert "give one of them" in refused.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(survey, layers, tmp_path, option):
+    out = tmp_path / "out"
+    shutil.copytree(layers, out)
+    work, staged = out / ".bumpymap-run", out / ".bumpymap-layers-0"
+    for folder in (work, staged):
+        folder.mkdir()
+        (folder / "asked.json").write_text("{}")
+    with locked(out):
+        before = inodes(out)
+        refused = run("map", survey, "--out", out, option)
+        assert refused.exit_code == 3
+        assert f"another run is writing to {out}: pid {os.getpid()} on " in refused.output
+        assert inodes(out) == before
+
+
+def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    (mine / "folder").mkdir(parents=True)
+    (mine / "raster.tif").write_text("mine")
+    (mine / "folder" / "a").write_text("mine")
+    before = inodes(mine)
+    real = tmp_path / "real"
+    real.mkdir()
+    out.symlink_to(real)  # the user's own choice
+    (out / "roughness.tif").symlink_to(mine / "raster.tif")
+    (out / "class.tif").symlink_to(mine / "none.tif")
+    (out / "cost.fgb").symlink_to(mine / "folder")
+    (out / ".bumpymap-layers-0").symlink_to(mine / "folder")
+    (out / "class.tif.aux.xml").symlink_to(mine / "raster.tif")
+    refused = run("map", survey, "--out", out)
+    assert refused.exit_code == 3
+    assert "already holds roughness.tif, class.tif, cost.fgb " in refused.output
+    done = run("map", survey, "--out", out, "--overwrite")
+    assert done.exit_code == 0, done.output
+    assert inodes(mine) == before
+    assert product_bytes(real) == product_bytes(layers)
+    assert not [path for path in real.iterdir() if path.is_symlink()]
+
+
+@pytest.mark.parametrize("option", [None, "--resume", "--overwrite"])
+def test_a_work_folder_that_is_a_link_is_left_alone(survey, tmp_path, option):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    mine.mkdir()
+    (mine / "asked.json").write_text("{}")
+    (mine / ".profile").write_text("mine")
+    out.mkdir()
+    (out / ".bumpymap-run").symlink_to(mine)
+    refused = run("map", survey, "--out", out, *([option] if option else []))
+    assert refused.exit_code == 3
+    assert ".bumpymap-run is a link" in refused.output
+    assert sorted(path.name for path in mine.iterdir()) == [".profile", "asked.json"]
 
 
 def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
@@ -391,7 +509,7 @@ def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
-LAYERS = ("roughness.tif", "class.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
+LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
 
 
 def layers_of(folder):
@@ -437,7 +555,7 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert "--resume" in refused.output
     other = run("map", survey, "--out", left, "--resume", "--ground", "all")
     assert other.exit_code == 2
-    assert "settings: ground was" in other.output
+    assert "\n  ground was auto, is all\n" in other.output
     assert run("map", survey, "--out", left, "--resume").exit_code == 0
     assert layers_of(left) == layers_of(tmp_path / "whole")
     assert not (left / ".bumpymap-run").exists()
@@ -451,7 +569,7 @@ def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.engine.workspace.Workspace._remove", killed)
+        patch.setattr("bumpymap.run_folder._remove", killed)
         assert run("map", survey, "--out", out).exit_code == 130
     refused = run("map", survey, "--out", left)
     assert refused.exit_code == 3

@@ -8,7 +8,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VOCABULARY = {"types", "config", "errors", "progress", "atomic", "interrupts"}
+VOCABULARY = {
+    "types",
+    "config",
+    "errors",
+    "progress",
+    "atomic",
+    "interrupts",
+    "json_text",
+    "lock",
+    "asked",
+    "run_folder",
+}
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
     "types": (set(), {"numpy", "pyproj", "bumpytiles"}),
@@ -17,13 +28,18 @@ ROOMS = {
     "atomic": (set(), set()),
     "interrupts": (set(), set()),
     "progress": (set(), set()),
+    "json_text": (set(), set()),
+    "lock": (set(), set()),
+    "asked": (set(), set()),
+    "run_folder": (set(), set()),
     "settings_file": (set(), set()),
     "calibration": (set(), set()),
     "textures": (set(), {"numpy", "scipy"}),
     "crs": ({"readers"}, {"laspy", "numpy", "pyproj"}),
+    "ply_file": (set(), {"numpy"}),
     "readers": (
-        {"crs"},
-        {"bumpytiles", "fsspec", "lazrs", "numpy", "plyfile", "pypcd4", "pyproj"},
+        {"crs", "ply_file"},
+        {"bumpytiles", "fsspec", "lazrs", "numpy", "pypcd4", "pyproj"},
     ),
     "kernels": (set(), {"bumpytiles", "numpy"}),
     "ground": (set(), {"CSF", "bumpytiles", "numpy"}),
@@ -35,7 +51,7 @@ ROOMS = {
         set(),
         {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
     ),
-    "engine": ({"readers"}, {"bumpytiles", "numpy"}),
+    "engine": ({"readers", "settings_file"}, {"bumpytiles", "numpy"}),
     "pipeline": (
         {"calibration", "classify", "cost", "engine", "features", "ground", "products", "readers", "ride"},
         {"bumpytiles", "numpy"},
@@ -46,7 +62,7 @@ ROOMS = {
         {"calibration", "features", "ride", "terrains", "textures"},
         {"bumpytiles", "dartpy", "numpy"},
     ),
-    "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "onnxruntime", "scipy", "torch"}),
+    "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "scipy", "torch"}),
     "learn_scan": ({"frames", "learn", "scan", "scan_world"}, {"numpy", "onnx", "torch"}),
     "evaluate": (
         {"calibration", "classify", "cost", "features", "readers", "ride", "terrains", "vehicle"},
@@ -60,18 +76,30 @@ ROOMS = {
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
-    "scan_products": ({"products", "scan"}, {"laspy", "lazrs", "numpy", "plyfile", "pyarrow", "pyproj", "rasterio"}),
+    "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
+    "scan_asked": ({"frames", "products", "readers", "scan", "scan_config", "scan_methods", "scan_products"}, set()),
     "scan_pipeline": (
-        {"calibration", "crs", "frames", "pipeline", "scan", "scan_config", "scan_methods", "scan_products"},
+        {
+            "calibration",
+            "crs",
+            "frames",
+            "pipeline",
+            "products",
+            "scan",
+            "scan_asked",
+            "scan_config",
+            "scan_methods",
+            "scan_products",
+        },
         {"numpy", "pyproj"},
     ),
-    "frames": ({"readers", "scan"}, {"numpy", "plyfile", "pypcd4"}),
-    "sample": (set(), {"bumpytiles", "laspy", "numpy", "plyfile", "pyproj"}),
+    "frames": ({"readers", "scan"}, {"numpy", "pypcd4"}),
+    "sample": ({"ply_file"}, {"bumpytiles", "laspy", "numpy", "pyproj"}),
 }
 HEAVY = {
     "CSF",
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
-    "numpy", "onnx", "onnxruntime", "open3d", "pandas", "plyfile", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
+    "numpy", "onnx", "onnxruntime", "open3d", "pandas", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
     "scipy", "shapely", "skimage", "sklearn", "torch",
 }  # fmt: skip
 
@@ -106,6 +134,25 @@ def test_a_room_imports_only_what_its_row_allows(room):
                     assert other in rooms | VOCABULARY | {room}, f"{file.name} imports room {other}"
             elif top in HEAVY:
                 assert top in heavy, f"{file.name} imports {top}"
+
+
+def test_one_module_imports_onnx_runtime():
+    """It switches the telemetry off first; whoever imports ONNX Runtime past it switches it on."""
+    folders = ("bumpymap", "tiles", "benchmarks", "docs", "tests/bumpymap", "tests/tiles")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    importing = {file for file in files if "onnxruntime" in {name.split(".")[0] for name in imported(file)}}
+    assert importing == {ROOT / "bumpymap" / "onnx_file.py"}
+
+
+def test_json_of_others_is_parsed_to_a_bounded_depth():
+    for file in (ROOT / "bumpymap").rglob("*.py"):
+        if file.stem != "json_text":
+            calls = [
+                node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)
+            ]
+            own = [node for node in calls if ast.unparse(node.func) in {"json.loads", "json.load"}]
+            foreign = [node for node in own if not ast.unparse(node.args[0]).startswith("json.dumps")]
+            assert not foreign, f"{file}: use parse_json"
 
 
 def test_every_room_has_a_row():

@@ -1,8 +1,11 @@
 """A scan run from Python: what it writes, what it leaves when it ends early, and the map of a drive."""
 
+import errno
 import hashlib
 import json
+import os
 import re
+import shutil
 from dataclasses import replace
 
 import laspy
@@ -10,11 +13,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from plyfile import PlyData
+from ply_files import read_vertices
 from scipy.spatial.transform import Rotation
 
 from bumpymap.errors import BadInputError, OutputError, UsageError
 from bumpymap.frames import Robot, read_scan
+from bumpymap.lock import locked
 from bumpymap.scan import PolarSettings, classify_filter, load_stripes, point_classes, polar_sectors
 from bumpymap.scan_config import ScanConfig
 from bumpymap.scan_pipeline import fit_frames, scan_frames
@@ -80,6 +84,7 @@ def test_a_run_writes_every_product_and_nothing_else(mapped):
         "class.tif.aux.xml",
         "cost.fgb",
         "cost.geojson",
+        "cost.tif",
         "heightmap.tif",
         "roughness.tif",
         "run.json",
@@ -101,7 +106,7 @@ def test_points_have_the_classes_that_the_rooms_give(drive, mapped):
     for number in (0, 1):
         scan = read_scan(drive / "frames" / f"{number}.bin")
         klass = point_classes(scan, classify_filter(polar_sectors(scan)))
-        vertex = PlyData.read(mapped[0] / "frames" / f"{number}.ply")["vertex"]
+        vertex = read_vertices(mapped[0] / "frames" / f"{number}.ply")
         np.testing.assert_array_equal(vertex["class"], klass)
         np.testing.assert_array_equal(vertex["x"], scan.points[:, 0])
         assert len(np.unique(klass)) > 2
@@ -195,19 +200,172 @@ class _Ends:
             raise KeyboardInterrupt
 
 
+@pytest.fixture
+def done_frames(monkeypatch):
+    """Names of the frames that are read."""
+    read = []
+
+    def reading(path, robot):
+        read.append(path.stem)
+        return read_scan(path, robot)
+
+    monkeypatch.setattr("bumpymap.scan_pipeline.read_scan", reading)
+    return read
+
+
 @pytest.mark.parametrize("after", [1, 2])
-def test_an_interrupted_run_leaves_nothing_and_an_older_one_as_it_was(drive, tmp_path, after):
+@pytest.mark.parametrize("older", [False, True])
+def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped, tmp_path, done_frames, after, older):
     out = tmp_path / "out"
-    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
-    with pytest.raises(KeyboardInterrupt):
-        scan_frames(config, _Ends(after))
-    assert not out.exists()
-    scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, method="filter"))
-    before = checksums(out)
-    with pytest.raises(KeyboardInterrupt):
-        scan_frames(replace(config, overwrite=True), _Ends(after))
-    assert checksums(out) == before
-    assert {path.name for path in out.iterdir()} == {"frames", "sectors.parquet", "scan.json"}
+    config = replace(mapped[2], out=out)
+    if older:
+        scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, method="filter"))
+    before = checksums(out) if older else {}
+    with pytest.raises(KeyboardInterrupt) as end:
+        scan_frames(replace(config, overwrite=older), _Ends(after))
+    how = "in the place of --overwrite" if older else "to the same command"
+    assert end.value.__notes__ == [f"Pass --resume {how} to go on from the finished frames."]
+    assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
+    assert (out / ".bumpymap-run").is_dir()
+    with pytest.raises(OutputError, match=r"broken off\. Pass --resume"):
+        scan_frames(config)
+    with pytest.raises(UsageError, match="products was polygons, table, cloud, picture, is table"):
+        scan_frames(replace(config, resume=True, products=("table",)))
+    done_frames.clear()
+    result = scan_frames(replace(config, resume=True))
+    assert done_frames == ["0", "1"][after:]
+    assert [report.frame.name for report in result.frames] == ["0", "1"]
+    first, second = checksums(mapped[0]), checksums(out)
+    for name in ("scan.json", "map/run.json"):  # how long it took, and where it lies
+        del first[name], second[name]
+    assert first == second
+
+
+def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tmp_path, monkeypatch):
+    out, left = tmp_path / "out", tmp_path / "left"
+    config = replace(mapped[2], out=out)
+
+    def killed(*_):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.scan_pipeline.drop_older", killed)
+        with pytest.raises(KeyboardInterrupt):
+            scan_frames(config)
+    assert (left / "scan.json").exists()
+    scan_frames(replace(config, out=left, resume=True))
+    assert set(checksums(left)) == set(checksums(mapped[0]))
+    assert checksums(left)["gathered.laz"] == checksums(mapped[0])["gathered.laz"]
+
+
+def inodes(folder):
+    return {str(path): (path.stat().st_ino, path.stat().st_mtime_ns) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_run_that_is_complete_is_done_already(drive, mapped, done_frames):
+    out, first, config = mapped
+    before = inodes(out)
+    for extra in ({}, {"resume": True}, {"skip_bad": True}):
+        again = scan_frames(replace(config, **extra))
+        assert again.already_done
+        assert (again.files, again.method, again.skipped) == (first.files, first.method, first.skipped)
+        assert [report.record()["sectors"] for report in again.frames] == [r.record()["sectors"] for r in first.frames]
+        assert repr(again.drive.summary) == repr(first.drive.summary)
+    assert done_frames == []
+    assert inodes(out) == before
+
+
+def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
+    shutil.copytree(drive, tmp_path / "drive")
+    frames = tmp_path / "drive" / "frames"
+    config = ScanConfig((frames,), tmp_path / "out", method="filter")
+    scan_frames(config)
+    before = checksums(tmp_path / "out")
+    os.utime(frames / "0.bin")
+    assert scan_frames(config).already_done
+    for other, words in (
+        (replace(config, robot=Robot(1.0)), "robot.radius_m was 0.5, is 1.0"),
+        (replace(config, frames=(frames / "0.bin",)), "1.bin was read, and is not given"),
+        (replace(config, compat="paper"), "compat was none, is paper"),
+        (replace(config, poses=drive / "poses.txt"), "poses.txt is given, and was not read"),
+    ):
+        with pytest.raises(OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*--overwrite"):
+            scan_frames(other)
+    write_bin(frames / "0.bin", world()[::-1] - POSES[0][1])
+    with pytest.raises(OutputError, match=r"0\.bin has changed since"):
+        scan_frames(config)
+    assert checksums(tmp_path / "out") == before
+
+
+def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(*_, **__):
+        raise OutputError("No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.products.folder.write_roughness", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == [
+        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+    ]
+    done_frames.clear()
+    result = scan_frames(replace(config, resume=True))
+    assert done_frames == []
+    assert not result.already_done
+    assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
+
+
+def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(path):
+        if path.name.startswith("1."):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.scan_products.frame.sync", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == ["Pass --resume to the same command to go on from the finished frames."]
+    done_frames.clear()
+    scan_frames(replace(config, resume=True))
+    assert done_frames == ["1"]
+    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
+
+
+def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(drive, mapped):
+    out, _, config = mapped
+    with locked(out):
+        (out / ".bumpymap-layers-0").mkdir()
+        before = inodes(out)
+        for extra in ({}, {"resume": True}, {"overwrite": True}):
+            with pytest.raises(OutputError, match=f"another run is writing to .*: pid {os.getpid()} on "):
+                scan_frames(replace(config, **extra))
+        assert inodes(out) == before
+        (out / ".bumpymap-layers-0").rmdir()
+
+
+def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    (mine / "frames").mkdir(parents=True)
+    for name in ("frames/0.ply", "run.json", "class.tif"):
+        (mine / name).write_text("mine")
+    before = inodes(mine)
+    out.mkdir()
+    for name, target in (("frames", "frames"), ("map", "."), ("gathered.laz", "class.tif"), ("scan.json", "none")):
+        (out / name).symlink_to(mine / target)
+    config = replace(mapped[2], out=out)
+    with pytest.raises(OutputError, match=r"scan\.json that cannot be read"):
+        scan_frames(replace(config, poses=None, crs=None))
+    scan_frames(replace(config, overwrite=True))
+    assert inodes(mine) == before
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+    assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
 
 
 def test_an_interrupt_while_the_drive_is_mapped_keeps_the_frames(drive, tmp_path):
@@ -215,7 +373,9 @@ def test_an_interrupt_while_the_drive_is_mapped_keeps_the_frames(drive, tmp_path
     config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter", products=("table",))
     with pytest.raises(KeyboardInterrupt) as end:
         scan_frames(config, _Ends(3))
-    assert end.value.__notes__ == ["The products of the frames are complete; the map of the drive is missing."]
+    assert end.value.__notes__ == [
+        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+    ]
     assert {"gathered.laz", "sectors.parquet", "scan.json"} <= set(files(out))
     assert "map/run.json" not in files(out)
 
@@ -225,8 +385,9 @@ def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, ma
     config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
     scan_frames(config)
     before = checksums(out)
+    assert scan_frames(config).already_done
     with pytest.raises(OutputError, match="--overwrite"):
-        scan_frames(config)
+        scan_frames(replace(config, products=("table",)))
     assert checksums(out) == before
     scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=("picture",), method="filter"))
     assert files(out) == ["frames/1.png", "scan.json"]
@@ -238,10 +399,13 @@ def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_the
     (tmp_path / "1.bin").write_bytes(b"123")
     write_poses(tmp_path / "poses.txt", [POSES[0], POSES[0], POSES[1]])
     config = ScanConfig((tmp_path,), tmp_path / "out", poses=tmp_path / "poses.txt", method="filter", products=())
-    with pytest.raises(BadInputError, match=r"1\.bin has 3 bytes"):
+    with pytest.raises(BadInputError, match=r"1\.bin has 3 bytes") as failed:
         scan_frames(config)
-    assert not (tmp_path / "out").exists()
-    result = scan_frames(replace(config, skip_bad=True))
+    assert failed.value.__notes__ == [
+        "--skip-bad goes on without such frames.",
+        "Pass --resume to the same command to go on from the finished frames.",
+    ]
+    result = scan_frames(replace(config, skip_bad=True, resume=True))
     assert list(result.skipped) == [str(tmp_path / "1.bin")]
     assert "skipped" in caplog.text
     assert [frame.frame.name for frame in result.frames] == ["0", "2"]
@@ -406,7 +570,7 @@ def test_a_frame_that_lies_too_far_away_is_skipped_whole(drive, tmp_path):
     )
     with pytest.raises(BadInputError, match="1 lies more than 2,000 km"):
         scan_frames(config)
-    result = scan_frames(replace(config, skip_bad=True))
+    result = scan_frames(replace(config, skip_bad=True, resume=True))
     assert list(result.skipped) == [str(drive / "frames" / "1.bin")]
     assert [path.name for path in (tmp_path / "out" / "frames").iterdir()] == ["0.ply"]
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"0"}
@@ -440,5 +604,5 @@ def test_real_scans_of_three_sensors_need_no_setting(shared_data, tmp_path, patt
     (path,) = (shared_data / "scans").glob(pattern)
     (report,) = scan_frames(ScanConfig((path,), tmp_path / "out", method=method)).frames
     assert min(report.sectors[0], report.sectors[3]) > 0  # smooth ground, and what is none
-    klass = PlyData.read(tmp_path / "out" / "frames" / f"{path.stem}.ply")["vertex"]["class"]
+    klass = read_vertices(tmp_path / "out" / "frames" / f"{path.stem}.ply")["class"]
     assert np.bincount(klass, minlength=256)[[0, 1, 2, 255]].tolist() == list(report.classed_points)

@@ -40,8 +40,7 @@ def mapped(runner, path, out):
 
 
 def everything(*folders):
-    # ONNX Runtime leaves a file .ses in the folder for temporary files when it is imported.
-    return {path for folder in folders for path in folder.rglob("*") if path.name != ".ses"}
+    return {path for folder in folders for path in folder.rglob("*")}
 
 
 def faults_of_ending(outcome):

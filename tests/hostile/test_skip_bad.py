@@ -12,7 +12,7 @@ from corpus.case import patched
 from corpus.las_file import cloud, las_file, layout_of
 from corpus.runner import Runner
 
-LAYERS = ("roughness.tif", "class.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
+LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
 BAD = (
     "foreign-lfs_pointer.laz",
     "foreign-empty.laz",

@@ -3,6 +3,9 @@
 Workers are started or found, asked something one by one, and given tasks. No more tasks are handed out than keep the
 workers busy, and each result is given away when it comes, so nothing piles up on the scheduler or in the client. A
 task whose worker dies is done again by another one; what it does must bear that.
+
+A scheduler runs whatever code it is sent. Workers that are started here talk TLS among each other, with a certificate
+of their own that lives as long as they do: no other user of the machine gets in.
 """
 # mypy: allow-untyped-calls
 # (distributed says that it is typed, and leaves half of its functions out)
@@ -17,18 +20,34 @@ from itertools import islice
 from multiprocessing import resource_tracker
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
-from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
+import dask
+from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker
 
-__all__ = ["ClusterError", "Workers", "local_workers", "threads_here", "workers_at"]
+__all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
 _AHEAD = 2
 """Tasks handed out for each worker: one is done, one is at hand when it is finished."""
 _LOOK_S = 10.0
 """So often it is looked whether workers are left, s."""
-_LOOKS = 30
-"""So many times in a row without workers are the end."""
+_LOOKS, _LOCAL_LOOKS = 30, 3
+"""So many times in a row without workers are the end: of a cluster, of workers that were started here."""
+
+
+_NO_PAGES: dict[str, Any] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+"""Nothing is shown to browsers: those pages are open to every user of the machine."""
+
+
+class TlsFiles(NamedTuple):
+    """PEM files with which a client shows a scheduler who it is, and knows the scheduler."""
+
+    ca: str
+    """Certificate of the authority that signed the certificates of scheduler, workers and client."""
+    cert: str
+    """Certificate of this client."""
+    key: str
+    """Its key."""
 
 
 class ClusterError(Exception):
@@ -41,10 +60,12 @@ class Workers:
     Parameters
     ----------
     client : distributed.Client
+    looks : int
+        So many times in a row without workers are the end.
     """
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, client: Client, looks: int = _LOOKS) -> None:
+        self._client, self._looks = client, looks
 
     def count(self) -> int:
         """Workers that are there now."""
@@ -52,10 +73,23 @@ class Workers:
             return len(self._client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on."""
+        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on.
+
+        Workers that are lost meanwhile do not count.
+
+        Raises
+        ------
+        ClusterError
+            No worker is left.
+        """
         with _losses():
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
-        return answers
+        # What is asked here raises no OSError of its own: it is the connection that broke.
+        left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
+        if not left:
+            were = f"all {len(answers)} workers were lost" if len(answers) > 1 else "the last worker was lost"
+            raise ClusterError(f"{were}; they may have been killed")
+        return left
 
     def run(
         self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]
@@ -99,11 +133,11 @@ class Workers:
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
         """Wait for a task; look meanwhile whether there are workers at all."""
         without = 0
-        while without < _LOOKS:
+        while without < self._looks:
             with suppress(Empty):
                 return finished.get(timeout=_LOOK_S)
             without = 0 if self.count() else without + 1
-        raise ClusterError(f"no worker is left, and none came within {_LOOK_S * _LOOKS:.0f} s")
+        raise ClusterError(f"all workers were lost, and none came within {_LOOK_S * self._looks:.0f} s")
 
 
 @contextmanager
@@ -125,24 +159,39 @@ def _blocked_signals() -> Iterator[None]:
 
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
-    """Start worker processes on this machine, each of which does one task at a time; stop them in the end."""
+    """Start worker processes on this machine, each of which does one task at a time; stop them in the end.
+
+    Raises
+    ------
+    ImportError
+        ``cryptography``, which makes their certificate, is not installed.
+    """
     _quiet()
+    security = Security.temporary()  # its key stays in memory; a worker is handed it through a pipe
     with ExitStack() as running:
         resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
         with _blocked_signals():
-            folder = TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True)
-            cluster = LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0",  # any free port: the usual one may be taken
-                memory_limit=0,  # tasks keep to their own budget
-                silence_logs=logging.CRITICAL,
-                local_directory=running.enter_context(folder),
-                env=dict(environment),
+            folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
+            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES}))
+            cluster = running.enter_context(
+                LocalCluster(
+                    n_workers=number,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    security=security,
+                    # It listens for browsers all the same, without pages: on any free port, the usual may be taken.
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                    memory_limit=0,  # tasks keep to their own budget
+                    silence_logs=logging.CRITICAL,
+                    local_directory=folder,
+                    env=dict(environment),
+                )
             )
-            client = Client(running.enter_context(cluster), set_as_default=False)
-            workers = Workers(running.enter_context(client))
+            workers = Workers(
+                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_LOOKS
+            )
         try:
             yield workers
         finally:
@@ -151,8 +200,15 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
 
 
 @contextmanager
-def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
+def workers_at(address: str, patience_s: float, tls: TlsFiles | None = None) -> Iterator[Workers]:
     """Use the workers of a scheduler.
+
+    Parameters
+    ----------
+    address : str
+    patience_s : float
+    tls : TlsFiles, optional
+        For an address ``tls://``.
 
     Raises
     ------
@@ -161,7 +217,7 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
     """
     _quiet()
     try:
-        client = Client(address, timeout=patience_s, set_as_default=False)
+        client = Client(address, security=_security(tls), timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(f"no scheduler answers at {address} ({error})") from error
     with client:
@@ -170,6 +226,12 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
         except TimeoutError as error:
             raise ClusterError(f"the scheduler at {address} has no workers") from error
         yield Workers(client)
+
+
+def _security(tls: TlsFiles | None) -> Security | None:
+    if tls is None:
+        return None
+    return Security(tls_ca_file=tls.ca, tls_client_cert=tls.cert, tls_client_key=tls.key, require_encryption=True)
 
 
 def threads_here() -> int:

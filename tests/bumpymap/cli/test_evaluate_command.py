@@ -21,7 +21,7 @@ def evaluate(tmp_path, *words):
         (["site.laz", "--model", "m.onnx"], "--model is about scans: add --scans"),
         (["--library", "--stripes", "s.json"], "--stripes is about scans: add --scans"),
         (["site.laz", "--scenes", "35"], "--scenes is about scans: add --scans"),
-        (["--scans", "--patches", "300"], "--patches is about surveys and vehicles"),
+        (["--scans", "--total-patches", "300"], "--total-patches is about surveys and vehicles"),
         (["--scans", "--local"], "--local is about surveys and vehicles"),
         (["--scans", "drive", "--vehicle", "car"], "--vehicle is about surveys and vehicles"),
         (["--scans", "drive", "--scenes", "5"], "--scenes is about made-up scenes"),

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import ply_files
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from plyfile import PlyData, PlyElement
 
 from bumpymap.cli import main
 from bumpymap.cli.scan_command import METHODS, PRODUCTS, command
@@ -34,8 +34,7 @@ def write_ply(path, points, **more):
         vertex[axis] = np.reshape(points, (-1, 3))[:, number]
     for name, values in more.items():
         vertex[name] = values
-    PlyData([PlyElement.describe(vertex, "vertex")]).write(path)
-    return path
+    return ply_files.write_ply(path, vertex)
 
 
 def write_bin(path, points):
@@ -348,9 +347,7 @@ def test_help_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code, "scan", "--help"], capture_output=True, text=True, check=True)
     loaded = done.stdout.split()
     assert "--poses" in loaded
-    assert not {"numpy", "bumpytiles", "rasterio", "pyarrow", "laspy", "plyfile", "onnxruntime", "llvmlite"} & set(
-        loaded
-    )
+    assert not {"numpy", "bumpytiles", "rasterio", "pyarrow", "laspy", "onnxruntime", "llvmlite"} & set(loaded)
 
 
 def test_a_run_loads_neither_a_workshop_nor_a_drawing_library(frame, tmp_path):

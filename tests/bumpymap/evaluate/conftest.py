@@ -42,7 +42,7 @@ def subject(ride_record):
 def settings():
     """Few and short drives."""
     drive = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
-    return EvaluateSettings(patches=10, starts=2, most_starts=2, densities=(500.0, 40.0), drive=drive)
+    return EvaluateSettings(total_patches=10, min_starts=2, max_starts=2, densities=(500.0, 40.0), drive=drive)
 
 
 @pytest.fixture(scope="session")

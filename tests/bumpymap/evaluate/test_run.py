@@ -68,7 +68,7 @@ def test_drives_are_not_made_twice_even_for_another_calibration(quarry, subject,
     other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
     evaluate(quarry, [Subject.of(other, subject.textures, "both")], quick, tmp_path)
     assert len(fake_drives) == 10
-    evaluate(quarry, [subject], replace(quick, patches=15), tmp_path)
+    evaluate(quarry, [subject], replace(quick, total_patches=15), tmp_path)
     assert len(fake_drives) == 15
 
 
@@ -132,7 +132,7 @@ def test_command_writes_a_report_without_drives(quarry, subject, tmp_path):
         (["site.laz", "--densities", "many"], "--densities is 'many'"),
         (["site.laz", "--densities", "-4"], "positive"),
         (["site.laz", "--skip", "lunch"], "--skip lunch"),
-        (["site.laz", "--patches", "3"], "patches is 3"),
+        (["site.laz", "--total-patches", "3"], "total_patches is 3"),
         (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--rating", "table"], "twice"),
     ],
 )
@@ -161,7 +161,7 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         tmp_path / "own.json",
         "--out",
         tmp_path / "o",
-        "--patches",
+        "--total-patches",
         "12",
         "--workers",
         "1",
@@ -195,5 +195,5 @@ def test_a_calibration_without_a_ride_model_names_the_way_out(subject, tmp_path)
 
 
 def test_settings_ask_for_more_drives_than_they_allow():
-    assert EvaluateSettings(starts=60).effort.most == 60
-    assert EvaluateSettings(starts=16).effort.most == 48
+    assert EvaluateSettings(min_starts=48).effort.most == 48
+    assert EvaluateSettings(min_starts=16).effort.most == 48

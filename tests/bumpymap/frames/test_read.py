@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from plyfile import PlyData, PlyElement
+from ply_files import write_ply
 from pypcd4 import Encoding, PointCloud
 
 from bumpymap.errors import BadInputError, UsageError
@@ -37,11 +37,14 @@ def table(label):
     return rows
 
 
-def write_ply(path, label=True, text=False, order="<"):
-    PlyData([PlyElement.describe(table(label), "vertex")], text=text, byte_order="=" if text else order).write(
-        str(path)
-    )
-    return path
+def listed():
+    """The table with a list before the coordinates, of another length in each row."""
+    plain = table(label=True)
+    rows = np.empty(len(plain), [("seen_by", object), *plain.dtype.descr])
+    rows["seen_by"] = [list(range(number % 3)) for number in range(len(rows))]
+    for name in plain.dtype.names:
+        rows[name] = plain[name]
+    return rows
 
 
 def write_pcd(path, encoding, label=True):
@@ -75,11 +78,16 @@ def check(scan, label):
 
 
 @pytest.mark.parametrize("label", [True, False])
-@pytest.mark.parametrize(("text", "order"), [(False, "<"), (False, ">"), (True, "=")])
-def test_ply(tmp_path, label, text, order):
-    scan = read_scan(write_ply(tmp_path / "frame 3.ply", label, text, order))
+@pytest.mark.parametrize("order", ["<", ">", "="])
+def test_ply(tmp_path, label, order):
+    scan = read_scan(write_ply(tmp_path / "frame 3.ply", table(label), order=order))
     assert scan.name == "frame 3"
     check(scan, label)
+
+
+@pytest.mark.parametrize("order", ["<", ">", "="])
+def test_lists_among_the_properties(tmp_path, order):
+    check(read_scan(write_ply(tmp_path / "a.ply", listed(), order=order)), label=True)
 
 
 @pytest.mark.parametrize("label", [True, False])
@@ -147,8 +155,10 @@ def test_no_file_is_refused(tmp_path, suffix):
 
 
 def write_all(folder):
-    yield write_ply(folder / "binary.ply")
-    yield write_ply(folder / "text.ply", text=True)
+    yield write_ply(folder / "binary.ply", table(label=True))
+    yield write_ply(folder / "text.ply", table(label=True), order="=")
+    yield write_ply(folder / "listed.ply", listed())
+    yield write_ply(folder / "listed_text.ply", listed(), order="=")
     for encoding in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED):
         yield write_pcd(folder / f"{encoding.value}.pcd", encoding)
     yield write_kitti(folder)
@@ -186,9 +196,8 @@ def test_something_else_is_refused(tmp_path):
 def test_labels_that_are_no_ids_are_refused(tmp_path):
     rows = np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("label", "i4")])
     rows["x"], rows["label"] = 5.0, [1, -2, 3]
-    PlyData([PlyElement.describe(rows, "vertex")]).write(str(tmp_path / "a.ply"))
     with pytest.raises(BadInputError, match="labels"):
-        read_scan(tmp_path / "a.ply")
+        read_scan(write_ply(tmp_path / "a.ply", rows))
 
 
 @pytest.mark.realdata

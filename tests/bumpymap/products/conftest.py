@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from bumpymap.types import NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
 from bumpytiles import Grid
 
 UTM = CRS.from_epsg(32614)
+RULE = CostRule(ride_weight=2.5, fail_weight=300.0, drive_m=10.0, slope_limit_deg=25.0)
 
 
-def make_map(col, row, klass, reason, *, georeference=None, grid=None, seed=5):
-    """CostMap of given tiles, classes and reasons; every other number is drawn at random."""
+def make_map(col, row, klass, reason, *, georeference=None, grid=None, seed=5, easy=False):
+    """CostMap of given tiles, classes and reasons; every other number is drawn at random.
+
+    ``easy`` ground is level and fails no drive: all of it with a class is passable.
+    """
     rng = np.random.default_rng(seed)
     grid = grid or Grid()
     col, row = np.asarray(col, np.int64), np.asarray(row, np.int64)
@@ -34,7 +38,7 @@ def make_map(col, row, klass, reason, *, georeference=None, grid=None, seed=5):
         z_max=2001.0 + rng.random(n),
         z_variance=rng.random(n),
         ransac_residual=plane,
-        slope=plane * 30.0,
+        slope=np.where(easy, 0.0, plane * 30.0),
         z_range=rng.random(n),
         density=rng.random(n) * 500.0,
         coverage=rng.random(n),
@@ -53,9 +57,9 @@ def make_map(col, row, klass, reason, *, georeference=None, grid=None, seed=5):
         c_r=middle,
         c_r_low=low,
         c_r_high=high,
-        p_fail=np.where(known, rng.random(n), np.nan).astype(np.float32),
+        p_fail=np.where(known, 0.0 if easy else rng.random(n), np.nan).astype(np.float32),
         confidence=np.where(known, rng.random(n), np.nan).astype(np.float32),
-        ride_weight=2.5,
+        rule=RULE,
     )
 
 

@@ -28,6 +28,13 @@ def test_values_are_what_pyarrow_makes_of_them(given_values):
         assert made.equals(pa.array(given_values, kind))
 
 
+@given(st.lists(st.one_of(st.none(), st.booleans()), max_size=40))
+def test_truth_values_are_what_pyarrow_makes_of_them(given_values):
+    made = values(given_values, pa.bool_())
+    made.validate(full=True)
+    assert made.equals(pa.array(given_values, pa.bool_()))
+
+
 @pytest.mark.parametrize("kind", [pa.float32(), pa.float64()])
 def test_nan_becomes_null_and_nothing_else_does(kind):
     given_numbers = np.array([0.0, np.nan, -np.inf, 1.5, np.nan, 0.0, 1.0, 2.0, 3.0])

@@ -11,6 +11,7 @@ from bumpymap.types import BANDS, CLASS_NAMES, REASON_TEXT, CostMosaic, Reason
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "pages"
 STYLES = PAGES / "styles"
+WITH_PYTHON = ("files.md", "gis.md")
 
 
 @pytest.fixture(name="page", scope="module")
@@ -27,19 +28,23 @@ def layers_fixture(tmp_path_factory, cost_map):
 
 
 def snippets():
-    return re.findall(r"```python\n(.*?)```", (PAGES / "files.md").read_text(encoding="utf-8"), re.DOTALL)
+    """Python of the pages, by page and number."""
+    found = {
+        page: re.findall(r"```python\n(.*?)```", (PAGES / page).read_text("utf-8"), re.DOTALL) for page in WITH_PYTHON
+    }
+    return {f"{page}, snippet {number}": text for page in found for number, text in enumerate(found[page])}
 
 
-@pytest.mark.parametrize("number", range(len(snippets())))
-def test_snippet_runs(layers, monkeypatch, number):
+@pytest.mark.parametrize("name", snippets())
+def test_snippet_runs(layers, monkeypatch, name):
     monkeypatch.chdir(layers.parent)
     names = {}
-    exec(compile(snippets()[number], f"files.md, snippet {number}", "exec"), names)  # noqa: S102 (our own page)
+    exec(compile(snippets()[name], name, "exec"), names)  # noqa: S102 (our own page)
     assert any(not name.startswith("__") for name in names)
 
 
 def test_every_file_has_a_snippet():
-    text = "".join(snippets())
+    text = "".join(snippets().values())
     assert {name for name in PRODUCT_NAMES if f"OUT/{name}" in text} >= set(PRODUCT_NAMES) - {"cost.geojson"}
 
 
@@ -73,8 +78,9 @@ def test_styles_have_the_colours_and_names_of_the_classes():
         reason.value: text for reason, text in REASON_TEXT.items()
     }
     root = read_style("cost.qml")
-    assert root.find("renderer-v2").get("attr") == "class_name"
-    assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown"]
+    assert {"class_name", "passable"} <= set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr")))
+    assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown", "not passable"]
+    assert root.find("pipe/rasterrenderer").get("band") == "1"  # cost.tif takes its style from the same file
     for value in range(4):
         symbol = root.find(f".//symbol[@name='{value}']")
         assert symbol.find(".//prop[@k='color']").get("v") == ",".join(map(str, CLASS_COLOURS[value]))

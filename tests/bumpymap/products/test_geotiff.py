@@ -6,7 +6,7 @@ import rasterio
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
-from bumpymap.products import CLASS_COLOURS, write_classes, write_heightmap, write_roughness
+from bumpymap.products import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.products._whole import digest, require_room, require_same
 from bumpymap.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostMosaic, Georeference
 from bumpytiles import Grid
@@ -14,8 +14,10 @@ from bumpytiles import Grid
 WRITERS = {
     "roughness": lambda cost_map, *rest: write_roughness(CostMosaic.of(cost_map), *rest),
     "class": lambda cost_map, *rest: write_classes(CostMosaic.of(cost_map), *rest),
+    "cost": lambda cost_map, *rest: write_cost(CostMosaic.of(cost_map), *rest),
     "heightmap": lambda cost_map, *rest: write_heightmap(CostMosaic.of(cost_map), *rest),
 }
+WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
 FEET = Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)
 
@@ -96,6 +98,25 @@ def test_classes_and_reasons(rasters, cost_map):
     assert (klass[reason == 1] == NO_CLASS).all()
     assert {value: colours[value] for value in CLASS_COLOURS} == CLASS_COLOURS
     assert interpretation == ["palette", "undefined"]  # not alpha: viewers would fade the classes by their reason
+
+
+def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_map):
+    with rasterio.open(rasters["cost"]) as file:
+        assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
+        assert np.isnan(file.nodata)
+        tags = file.tags()
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
+        everything = file.read(1)
+    ride, fail, drive, steep = (float(tags[name]) for name in WEIGHTS)
+    p_fail = cost_map.p_fail.astype(float)
+    with np.errstate(divide="ignore"):
+        hazard = -np.log(1 - p_fail) / drive
+    expected = 1 + ride * cost_map.c_r.astype(float) + fail * hazard
+    passable = (cost_map.klass != NO_CLASS) & (p_fail < 0.5) & (cost_map.patches.slope <= steep)
+    assert 0 < passable.sum() < (cost_map.klass != NO_CLASS).sum()
+    np.testing.assert_allclose(sampled[passable], expected[passable], rtol=1e-6)
+    assert np.isnan(sampled[~passable]).all()
+    assert np.isfinite(everything).sum() == passable.sum()
 
 
 def test_category_names_are_beside_the_class_raster(rasters, tmp_path):
@@ -232,7 +253,7 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     for name, write in WRITERS.items():
         seen = set()
         for threads in ("1", "2", "5"):
-            monkeypatch.setattr("bumpymap.products._cog._THREADS", threads)
+            monkeypatch.setattr("bumpymap.products._cog._threads", lambda threads=threads: threads)
             write(cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1

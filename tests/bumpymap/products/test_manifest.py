@@ -77,6 +77,13 @@ def test_counts_by_class_and_reason(make_map):
     assert counts["points"] == cost_map.patches.count.sum()
 
 
+def test_what_the_cost_is_made_of(cost_map):
+    record = complete(cost_map)
+    weights = {"ride_weight_m_per_rad": 2.5, "fail_weight_m": 300.0, "drive_m": 10.0, "slope_limit_deg": 25.0}
+    assert record["cost"] == weights
+    assert record["counts"]["passable"] == summarise(CostMosaic.of(cost_map)).passable
+
+
 def test_place_of_the_map(make_field):
     record = complete(make_field(3, 3))
     assert record["crs"]["code"] == "EPSG:32614"

@@ -19,16 +19,24 @@ def regions_of(cost_map):
     return regions
 
 
-def key_of(klass, reason):
-    return int(klass) if klass != NO_CLASS else -int(reason)
+def key_of(klass, reason, passable):
+    return (int(klass), bool(passable)) if klass != NO_CLASS else -int(reason)
+
+
+def may_pass(cost_map):
+    """Which tiles are passable, worked out apart from the package."""
+    known, steep = cost_map.klass != NO_CLASS, cost_map.patches.slope > cost_map.rule.slope_limit_deg
+    return known & (cost_map.p_fail < 0.5) & ~steep
 
 
 def check_against_boxes(cost_map, regions):
     """Regions are the unions of the boxes of their tiles, found apart from the package."""
     patches = cost_map.patches
     tiles = {
-        (int(c), int(r)): key_of(k, why)
-        for c, r, k, why in zip(patches.col, patches.row, cost_map.klass, patches.reason, strict=True)
+        (int(c), int(r)): key_of(k, why, free)
+        for c, r, k, why, free in zip(
+            patches.col, patches.row, cost_map.klass, patches.reason, may_pass(cost_map), strict=True
+        )
     }
     left, found = dict(tiles), []
     while left:
@@ -43,7 +51,7 @@ def check_against_boxes(cost_map, regions):
             todo += [(c + 1, r), (c - 1, r), (c, r + 1), (c, r - 1)]
         found.append((key, shapely.union_all([shapely.box(c, r, c + 1, r + 1) for c, r in members])))
     assert len(found) == len(regions.outlines)
-    got = list(zip(map(key_of, regions.klass, regions.reason), regions.outlines, strict=True))
+    got = list(zip(map(key_of, regions.klass, regions.reason, regions.passable), regions.outlines, strict=True))
     for key, area in found:
         assert sum(key == k and shapely.equals(area, outline) for k, outline in got) == 1
 
@@ -74,20 +82,36 @@ def test_any_small_map_gives_valid_right_hand_regions(make_map, data, cols, rows
 
 
 def test_numbers_are_means_over_the_tiles(make_map):
-    cost_map = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
+    made = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
+    p_fail = np.array([0.1, 0.4, np.nan, np.nan, 0.5], np.float32)
+    cost_map = replace(made, p_fail=p_fail, patches=replace(made.patches, slope=np.zeros(5)))
     regions = regions_of(cost_map)
     # North first: the lonely tile, then the two unknown ones (for different reasons), then the pair.
     assert regions.tiles.tolist() == [1, 1, 1, 2]
     assert regions.klass.tolist() == [2, NO_CLASS, NO_CLASS, 2]
     assert regions.reason.tolist() == [0, 3, 4, 0]
+    assert regions.passable.tolist() == [False, False, False, True]
     assert regions.class_name.tolist() == [CLASS_NAMES[2], "unknown", "unknown", CLASS_NAMES[2]]
+    assert regions.c_r_basis.tolist() == ["survivors", None, None, "drives"]
     assert regions.reason_text[1] == REASON_TEXT[Reason.TOO_MANY_HOLES]
     assert regions.area_m2.tolist() == [9.0, 9.0, 9.0, 18.0]
     for name in ("c_r", "c_r_low", "c_r_high", "p_fail"):
         values = getattr(cost_map, name).astype(float)
         assert getattr(regions, name) == pytest.approx([values[4], np.nan, np.nan, values[:2].mean()], nan_ok=True)
-    assert regions.cost[3] == pytest.approx(1 + 2.5 * cost_map.c_r[:2].astype(float).mean())
-    assert np.isnan(regions.cost[1:3]).all()
+    hazard = -np.log([0.9, 0.6]) / cost_map.rule.drive_m
+    assert regions.hazard[3] == pytest.approx(hazard.mean())
+    assert regions.cost[3] == pytest.approx(1 + 2.5 * cost_map.c_r[:2].astype(float).mean() + 300 * hazard.mean())
+    assert np.isnan(regions.cost[:3]).all()
+    assert np.isnan(regions.hazard[:3]).all()
+
+
+def test_passable_and_impassable_tiles_of_one_class_are_never_one_region(make_map):
+    made = make_map([0, 1, 2], [0, 0, 0], [3, 3, 3], [0, 0, 0])
+    slope = np.array([10.0, 26.0, 10.0])  # the limit is 25
+    cost_map = replace(made, p_fail=np.zeros(3, np.float32), patches=replace(made.patches, slope=slope))
+    regions = regions_of(cost_map)
+    assert regions.tiles.tolist() == [1, 1, 1]
+    assert regions.passable.tolist() == [True, False, True]
 
 
 def test_area_of_all_regions_is_that_of_all_tiles(cost_map):
@@ -99,7 +123,7 @@ def test_area_of_all_regions_is_that_of_all_tiles(cost_map):
 
 def joined(batches):
     """Outlines as text, and every column, of all regions in their order."""
-    names = ("klass", "reason", "tiles", "c_r", "c_r_low", "c_r_high", "p_fail", "cost")
+    names = ("klass", "reason", "tiles", "passable", "c_r", "c_r_low", "c_r_high", "p_fail", "hazard", "cost")
     columns = {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names}
     return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
 

@@ -23,6 +23,8 @@ def test_counts_and_medians_are_those_of_all_tiles(make_map, klass, seed, cols):
     assert summary.points == cost_map.patches.count.sum()
     assert summary.median_count == np.median(cost_map.patches.count)
     assert summary.by_class == tuple(klass.count(k) for k in range(4))
+    free = (cost_map.klass != NO_CLASS) & (cost_map.p_fail < 0.5)
+    assert summary.passable == (free & (cost_map.patches.slope <= cost_map.rule.slope_limit_deg)).sum()
     assert summary.by_reason == (0, 0, 0, klass.count(NO_CLASS), 0, 0)
     for number, group in enumerate([0, 1, 2, 3, NO_CLASS]):
         chosen = cost_map.klass == group

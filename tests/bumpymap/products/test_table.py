@@ -145,7 +145,7 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     for chosen in (east, ~east):
         part = Mosaic.of(mosaic.tiles.grid, {name: array[chosen] for name, array in columns.items()})
         packs += {id(pack): pack for pack in part._home.values()}.values()
-    twin = CostMosaic(mosaic.georeference, mosaic.ride_weight, Mosaic(mosaic.tiles.grid, packs))
+    twin = CostMosaic(mosaic.georeference, mosaic.rule, Mosaic(mosaic.tiles.grid, packs))
     write_tiles(twin, tmp_path / "two.parquet")
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
 

@@ -109,19 +109,30 @@ def test_properties(tmp_path, cost_map):
     regions = regions_of(cost_map)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
-    names = ["class", "class_name", "reason", "c_r", "c_r_low", "c_r_high", "p_fail", "cost", "area_m2", "tiles"]
+    names = ["class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"]
+    names += ["p_fail", "hazard", "cost", "area_m2", "tiles"]
+    rule, seen = cost_map.rule, set()
     for feature in collection["features"]:
         got = feature["properties"]
         assert list(got) == names
         assert got["area_m2"] == got["tiles"] * 9.0
+        seen.add((got["class"] is None, got["passable"]))
         if got["class"] is None:
-            assert (got["class_name"], got["cost"], got["c_r"], got["p_fail"]) == ("unknown", None, None, None)
+            assert (got["class_name"], got["c_r"], got["c_r_basis"], got["p_fail"]) == ("unknown", None, None, None)
             assert got["reason"] in {"too few points", "too many holes", "no ground points", "outlier-only relief"}
         else:
             assert got["class"] in {0, 1, 2, 3}
             assert got["reason"] is None
             assert got["c_r_low"] <= got["c_r"] <= got["c_r_high"]
-            assert got["cost"] == pytest.approx(1 + 2.5 * got["c_r"], abs=3e-6)
+            assert got["c_r_basis"] == ("survivors" if got["p_fail"] >= 0.5 else "drives")
+        if got["passable"]:
+            assert got["p_fail"] < 0.5
+            assert got["cost"] == pytest.approx(
+                1 + rule.ride_weight * got["c_r"] + rule.fail_weight * got["hazard"], abs=5e-6
+            )
+        else:
+            assert (got["cost"], got["hazard"]) == (None, None)
+    assert seen == {(True, False), (False, True), (False, False)}
     assert sum(feature["properties"]["tiles"] for feature in collection["features"]) == len(cost_map.klass)
 
 
@@ -146,16 +157,18 @@ def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path,
         globe.iloc[other][columns].reset_index(drop=True),
         check_dtype=False,
     )
-    known = globe[globe["class"].notna()]
+    assert globe["passable"].dtype == flat["passable"].dtype == bool
     assert (globe["class"].isna() == (globe["class_name"] == "unknown")).all()
-    assert known["cost"].notna().all()
+    assert (globe["cost"].notna() == globe["passable"]).all()
 
 
 def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
     col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])
     cost_map = make_map(
-        col.ravel(), row.ravel(), np.zeros(2000), np.zeros(2000), georeference=Georeference(CRS.from_epsg(32633))
+        *(col.ravel(), row.ravel(), np.zeros(2000), np.zeros(2000)),
+        georeference=Georeference(CRS.from_epsg(32633)),
+        easy=True,
     )
     regions = regions_of(cost_map)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
@@ -173,7 +186,8 @@ def test_antimeridian_is_cut(tmp_path, make_map):
     x, _ = Transformer.from_crs(4326, 32701, always_xy=True).transform(180.0, -17.0)
     x, y = Transformer.from_crs(4326, 32701, always_xy=True).transform(-180.0, -17.0)
     middle, row = int(x // 3), int(y // 3)
-    cost_map = make_map(np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9, georeference=place)
+    tiles = (np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9)
+    cost_map = make_map(*tiles, georeference=place, easy=True)
     write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
     assert [feature["geometry"]["type"] for feature in collection["features"]] == ["MultiPolygon", "Polygon"]

@@ -253,8 +253,9 @@ def test_an_interrupt_passes(las, monkeypatch):
 def test_a_file_that_shrinks_while_it_is_read(las):
     path = las.write()
     reader = open_survey(path)
+    size = path.stat().st_size
     path.write_bytes(path.read_bytes()[: -4 * 28])
-    with pytest.raises(BadInputError, match=r"promises 7 points and holds 3.*truncated\?"):
+    with pytest.raises(BadInputError, match=rf"changed while it was read: it had {size} bytes and has {size - 112}"):
         list(reader.chunks())
 
 

@@ -1,3 +1,8 @@
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pypcd4 import Encoding, PointCloud
@@ -124,3 +129,54 @@ def test_headers_that_are_none(tmp_path, old, new, says):
     path.write_bytes(path.read_bytes().replace(old, new))
     with pytest.raises(BadInputError, match=says):
         open_survey(path)
+
+
+def bomb(path, points, claimed=0):
+    """Write a compressed file of zeros, of 4 bytes for each 375 that it unpacks to; it may claim to unpack to more."""
+    lzf = pytest.importorskip("lzf")
+    packed = lzf.compress(bytes(16 * points))
+    head = (
+        "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nHEIGHT 1\n"
+        f"WIDTH {points}\nPOINTS {points}\nDATA binary_compressed\n"
+    )
+    path.write_bytes(head.encode() + struct.pack("<II", len(packed), claimed or 16 * points) + packed)
+    return path
+
+
+def test_a_compressed_file_that_memory_cannot_hold_is_refused(tmp_path, read):
+    path = bomb(tmp_path / "a.pcd", 100_000)
+    wanted = 2 * 1_600_000 + 3 * (path.stat().st_size - 200)
+    with pytest.raises(BadInputError, match=r"unpacked whole, which takes 3 MB; 3 MB are given.*DATA binary.*--memory"):
+        open_survey(path, ReadOptions(memory=wanted - 1000))
+    points, _ = read(open_survey(path, ReadOptions(memory=wanted + 10_000)))
+    assert len(points) == 100_000
+
+
+@pytest.mark.parametrize("claimed", [1_600_016, 1_700_000])
+def test_a_compressed_file_unpacks_to_its_points(tmp_path, claimed):
+    with pytest.raises(
+        BadInputError, match=rf"promises {claimed:,} bytes of unpacked points, and 100,000 points of 16"
+    ):
+        open_survey(bomb(tmp_path / "a.pcd", 100_000, claimed))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="limits of memory are set as Linux has them")
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    """12 MB that unpack to 1.1 GB are refused in 100 MB beside what was loaded before."""
+    path = bomb(tmp_path / "a.pcd", 66_000_000)
+    assert path.stat().st_size < 13e6
+    code = (
+        "import re, resource, sys\n"
+        "from pathlib import Path\n"
+        "from bumpymap.errors import BadInputError\n"
+        "from bumpymap.readers import open_survey, pcd\n"
+        "held = 1024 * int(re.search(r'VmSize:\\s+(\\d+)', Path('/proc/self/status').read_text())[1])\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (held + (100 << 20),) * 2)\n"
+        "try:\n"
+        "    open_survey(Path(sys.argv[1]))\n"
+        "except BadInputError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "is compressed, so it must be unpacked whole, which takes 2,148 MB" in done.stdout

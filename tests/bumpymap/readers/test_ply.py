@@ -4,22 +4,20 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from plyfile import PlyData, PlyElement
+from ply_files import write_ply
 
 from bumpymap.errors import BadInputError
 from bumpymap.readers import ReadOptions, open_survey
 
 POINTS = np.array([[394554.5, 640383.25, 790.5], [394555.0, 640384.5, 791.0], [394556.25, 640385.0, 790.75]])
-FORMATS = [("ascii", True, "="), ("little", False, "<"), ("big", False, ">")]
+FORMATS = [("ascii", "="), ("little", "<"), ("big", ">")]
 
 
-def write(path, columns, *, text=False, byte_order="<", before=(), after=(), name="vertex"):
+def write(path, columns, **how):
     data = np.zeros(len(next(iter(columns.values()))), [(key, value.dtype) for key, value in columns.items()])
     for key, value in columns.items():
         data[key] = value
-    vertex = PlyElement.describe(data, name)
-    PlyData([*before, vertex, *after], text=text, byte_order=byte_order, comments=["made by hand"]).write(str(path))
-    return path
+    return write_ply(path, data, **how)
 
 
 def columns(dtype=np.float64, points=POINTS, **more):
@@ -29,17 +27,17 @@ def columns(dtype=np.float64, points=POINTS, **more):
 def faces(name="face", count=2):
     data = np.zeros(count, [("vertex_indices", object)])
     data["vertex_indices"] = [np.arange(3, dtype=np.int32) + i for i in range(count)]
-    return PlyElement.describe(data, name)
+    return name, data
 
 
 def cameras():
-    return PlyElement.describe(np.zeros(4, [("focal", "f4"), ("id", "u1")]), "camera")
+    return "camera", np.zeros(4, [("focal", "f4"), ("id", "u1")])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS)
-def test_every_encoding_and_precision(tmp_path, read, name, text, order, dtype):
-    path = write(tmp_path / "a.ply", columns(dtype), text=text, byte_order=order)
+@pytest.mark.parametrize(("name", "order"), FORMATS)
+def test_every_encoding_and_precision(tmp_path, read, name, order, dtype):
+    path = write(tmp_path / "a.ply", columns(dtype), order=order)
     reader = open_survey(path)
     points, ground = read(reader)
     assert np.array_equal(points, POINTS)
@@ -53,9 +51,9 @@ def test_every_encoding_and_precision(tmp_path, read, name, text, order, dtype):
     assert info.georeference.crs is None
 
 
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS[:2])
+@pytest.mark.parametrize(("name", "order"), FORMATS)
 @pytest.mark.parametrize("where", ["camera before", "face before", "face after", "list in vertex", "all"])
-def test_other_elements_and_properties_are_passed_over(tmp_path, read, name, text, order, where):
+def test_other_elements_and_properties_are_passed_over(tmp_path, read, name, order, where):
     lists = np.empty(3, object)
     lists[:] = [np.arange(n, dtype=np.int32) for n in (0, 2, 1)]
     more = {"red": np.arange(3, dtype=np.uint8), "nx": np.full(3, 1.5)}
@@ -64,15 +62,14 @@ def test_other_elements_and_properties_are_passed_over(tmp_path, read, name, tex
     table = {"nx": more.pop("nx")} | more | columns()
     before = {"camera before": [cameras()], "face before": [faces()], "all": [cameras(), faces("edge")]}.get(where, [])
     after = [faces()] if where in {"face after", "all"} else []
-    path = write(tmp_path / "a.ply", table, text=text, byte_order=order, before=before, after=after)
+    path = write(tmp_path / "a.ply", table, order=order, before=before, after=after)
     for chunk in (1, 2, 100):
         points, _ = read(open_survey(path), chunk)
         assert np.array_equal(points, POINTS)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_lists_in_both_byte_orders(tmp_path, read, order):
-    """Written byte by byte: plyfile itself writes lists in the machine's byte order only."""
+def test_lengths_of_lists_of_other_types(tmp_path, read, order):
     header = f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement edge 2\n"
     header += "property list uchar short ends\nelement vertex 3\nproperty list ushort int seen_by\n"
     header += "property double x\nproperty double y\nproperty double z\nend_header\n"
@@ -85,12 +82,42 @@ def test_lists_in_both_byte_orders(tmp_path, read, order):
     assert np.array_equal(points, POINTS)
 
 
+@pytest.mark.parametrize("order", ["<", ">", "="])
+def test_pieces_with_lists_in_any_order(tmp_path, batches, table, order):
+    rng = np.random.default_rng(4)
+    lists = np.empty(50, object)
+    lists[:] = [rng.integers(-9, 9, length) for length in rng.integers(0, 200, 50)]
+    points = rng.uniform(-1e3, 1e3, (50, 3)).round(8)
+    path = write(tmp_path / "a.ply", {"seen_by": lists} | columns(points=points) | {"also_seen": lists}, order=order)
+    found = table(batches(open_survey(path), 7, order=[7, 0, 3, 1, 2, 4, 5, 6]))
+    assert np.array_equal(found[:, :3], points[[49, *range(7), *range(21, 28), *range(7, 21), *range(28, 49)]])
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_file_that_ends_in_its_last_list(tmp_path, order):
+    lists = np.empty(3, object)
+    lists[:] = [[1, 2], [3], [4, 5, 6]]
+    path = write(tmp_path / "a.ply", columns() | {"seen_by": lists}, order=order)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(BadInputError, match="promises 3 points and holds 2"):
+        list(open_survey(path).chunks())
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_list_before_the_vertices_that_claims_too_much(tmp_path, order):
+    path = write(tmp_path / "a.ply", columns(), before=[faces(count=1)], order=order)
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    path.write_bytes(head + b"end_header\n\xff" + body[1:])
+    with pytest.raises(BadInputError, match="promises 1 'face' and holds 0"):
+        list(open_survey(path).chunks())
+
+
 @pytest.mark.parametrize("spelling", ["classification", "scalar_Classification", "Classification", "class"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS)
-def test_classes(tmp_path, read, spelling, dtype, name, text, order):
+@pytest.mark.parametrize(("name", "order"), FORMATS)
+def test_classes(tmp_path, read, spelling, dtype, name, order):
     table = columns(points=POINTS[[0, 1, 2, 0, 1]], **{spelling: np.array([2, 1, 7, 18, 2], dtype)})
-    reader = open_survey(write(tmp_path / "a.ply", table, text=text, byte_order=order))
+    reader = open_survey(write(tmp_path / "a.ply", table, order=order))
     points, ground = read(reader, 2)
     assert np.array_equal(points, POINTS[[0, 1, 1]])
     assert ground.tolist() == [True, False, True]
@@ -150,20 +177,20 @@ def test_degrees_are_refused_with_the_zone_of_the_first_point(tmp_path):
         open_survey(path, ReadOptions(crs="EPSG:4326"))
 
 
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS)
+@pytest.mark.parametrize(("name", "order"), FORMATS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("chunk", [1, 2, 100])
-def test_coordinates_that_are_no_numbers(tmp_path, name, text, order, value, chunk):
+def test_coordinates_that_are_no_numbers(tmp_path, name, order, value, chunk):
     points = np.vstack([POINTS, POINTS])
     points[1, 2] = points[4, 0] = value
-    reader = open_survey(write(tmp_path / "a.ply", columns(points=points), text=text, byte_order=order))
+    reader = open_survey(write(tmp_path / "a.ply", columns(points=points), order=order))
     with pytest.raises(BadInputError, match=r"holds 2 points.*first is point 1 "):
         list(reader.chunks(chunk))
 
 
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS)
-def test_no_vertices(tmp_path, name, text, order):
-    path = write(tmp_path / "a.ply", columns(points=POINTS[:0]), text=text, byte_order=order)
+@pytest.mark.parametrize(("name", "order"), FORMATS)
+def test_no_vertices(tmp_path, name, order):
+    path = write(tmp_path / "a.ply", columns(points=POINTS[:0]), order=order)
     with pytest.raises(BadInputError, match="0 vertices"):
         open_survey(path)
 
@@ -181,10 +208,10 @@ def test_no_height(tmp_path):
         open_survey(write(tmp_path / "a.ply", table))
 
 
-@pytest.mark.parametrize(("name", "text", "order"), FORMATS)
+@pytest.mark.parametrize(("name", "order"), FORMATS)
 @pytest.mark.parametrize("promised", [4, 10**6, 10**18])
-def test_more_vertices_promised_than_there_are(tmp_path, name, text, order, promised):
-    path = write(tmp_path / "a.ply", columns(), text=text, byte_order=order)
+def test_more_vertices_promised_than_there_are(tmp_path, name, order, promised):
+    path = write(tmp_path / "a.ply", columns(), order=order)
     path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex %d" % promised))
     with pytest.raises(BadInputError, match=f"promises {promised:,} points and holds"):
         list(open_survey(path).chunks())
@@ -192,7 +219,7 @@ def test_more_vertices_promised_than_there_are(tmp_path, name, text, order, prom
 
 def test_a_text_that_ends_early(tmp_path):
     path = write(
-        tmp_path / "a.ply", columns(points=np.round(np.random.default_rng(1).uniform(0, 9, (50, 3)), 9)), text=True
+        tmp_path / "a.ply", columns(points=np.round(np.random.default_rng(1).uniform(0, 9, (50, 3)), 9)), order="="
     )
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]))
@@ -238,8 +265,8 @@ def test_headers_that_are_none(tmp_path, header):
 )
 def test_round_trip(tmp_path, read, points, encoding, chunk):
     table = np.array(points)
-    _, text, order = encoding
-    got, _ = read(open_survey(write(tmp_path / "h.ply", columns(points=table), text=text, byte_order=order)), chunk)
+    _, order = encoding
+    got, _ = read(open_survey(write(tmp_path / "h.ply", columns(points=table), order=order)), chunk)
     assert np.array_equal(got, table.round(8))  # as LAS coordinates are
 
 

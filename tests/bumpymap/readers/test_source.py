@@ -5,12 +5,14 @@ import http.server
 import os
 import sys
 import threading
+from contextlib import suppress
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from bumpymap.errors import BadInputError, UsageError
-from bumpymap.readers import find_surveys, identity, is_url, open_survey
+from bumpymap.readers import find_surveys, identity, is_url, open_survey, web
 from bumpymap.readers.source import read_range, size_of
 
 fsspec = pytest.importorskip("fsspec")
@@ -35,13 +37,24 @@ class _Ranges(http.server.SimpleHTTPRequestHandler):
 
     sent = 0
     whole_files_alone = False
+    headers_beside: ClassVar[dict[str, str]] = {}
+    shift = 0
+    """Bytes that it is wrong by."""
+    asked = 0
+    stalled = None
+    """An event: nothing is sent before it."""
 
     def do_GET(self):
+        if self.stalled is not None:
+            type(self).asked += 1
+            self.stalled.wait(30)
+            return
         with open(self.translate_path(self.path), "rb") as file:  # noqa: PTH123
             data = file.read()
         asked = self.headers.get("Range")
         if asked and not self.whole_files_alone:
             first, _, last = asked.removeprefix("bytes=").partition("-")
+            first = int(first) + self.shift
             total, data = len(data), data[int(first) : int(last) + 1 if last else None]
             self.send_response(206)
             self.send_header("Content-Range", f"bytes {first}-{int(first) + len(data) - 1}/{total}")
@@ -49,9 +62,13 @@ class _Ranges(http.server.SimpleHTTPRequestHandler):
             self.send_response(200)
         self.send_header("Accept-Ranges", "none" if self.whole_files_alone else "bytes")
         self.send_header("Content-Length", str(len(data)))
+        for name, value in self.headers_beside.items():
+            self.send_header(name, value)
         self.end_headers()
-        type(self).sent += len(data)
-        self.wfile.write(data)
+        with suppress(ConnectionError):
+            for start in range(0, len(data), 1 << 20):
+                self.wfile.write(data[start : start + (1 << 20)])
+                type(self).sent += len(data[start : start + (1 << 20)])
 
     def log_message(self, *args):
         pass
@@ -115,6 +132,76 @@ def test_a_server_that_knows_no_ranges(las, server):
         list(open_survey(f"{address}/{path.name}").chunks())
     with pytest.raises(BadInputError, match="no ranges"):
         read_range(f"{address}/{path.name}", 3, 5)
+
+
+def test_a_file_on_a_server_that_is_written_again_while_it_is_read(las, laz, server):
+    """Told by the headers of each answer: by ETag, by the time of change, by the size."""
+    address, handler = server
+    points = np.round(np.random.default_rng(4).uniform(0, 100, (20_000, 3)), 3) + np.array([500_000, 4_000_000, 0])
+    for key, before, after in [("ETag", '"1"', '"2"'), ("Last-Modified", "monday", "tuesday"), (None, "", "")]:
+        path = laz.pack(las.write(points=points, version="1.4", fmt=6), 1000)
+        handler.headers_beside = {key: before} if key else {}
+        chunks = open_survey(f"{address}/{path.name}").chunks(1000)
+        next(chunks)
+        handler.headers_beside = {key: after} if key else {}
+        if key is None:
+            path.write_bytes(path.read_bytes() + bytes(10))
+        with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read"):
+            next(chunks)
+
+
+def test_a_change_behind_the_last_range_is_told_at_the_end(las, server):
+    address, handler = server
+    path = las.write()
+    handler.headers_beside = {"ETag": '"1"'}
+    chunks = open_survey(f"{address}/{path.name}").chunks()
+    next(chunks)
+    handler.headers_beside = {"ETag": '"2"'}
+    with pytest.raises(BadInputError, match="the server gives it as etag"):
+        next(chunks)
+
+
+def test_a_large_file_on_a_server_without_ranges_is_not_fetched(las, server):
+    """It is refused at its first answer, of which no more is read than what the system had taken in by then."""
+    address, handler = server
+    handler.whole_files_alone = True
+    path = las.write()
+    with path.open("ab") as file:
+        file.truncate(200_000_000)
+    with pytest.raises(BadInputError, match="whole files alone"):
+        open_survey(f"{address}/{path.name}")
+    assert handler.sent < 50_000_000
+
+
+def test_a_server_that_stalls(las, server, monkeypatch):
+    address, handler = server
+    path = las.write()
+    reader = open_survey(f"{address}/{path.name}")
+    monkeypatch.setattr(web, "STALL_S", 0.2)
+    handler.stalled = threading.Event()
+    try:
+        with pytest.raises(BadInputError, match=r"^the server of .*a\.las sent nothing for 0\.2 s"):
+            list(reader.chunks())
+        assert handler.asked == 1
+        with pytest.raises(BadInputError, match="sent nothing"):
+            open_survey(f"{address}/{path.name}")
+    finally:
+        handler.stalled.set()
+
+
+def test_a_server_that_gives_other_bytes(las, server):
+    address, handler = server
+    path = las.write()
+    handler.shift = 5
+    with pytest.raises(BadInputError, match="was asked for byte 100 and gives byte 105"):
+        read_range(f"{address}/{path.name}", 100, 50)
+
+
+def test_a_web_page_is_asked_for_links_and_nothing_else_is(server, tmp_path):
+    address, handler = server
+    (tmp_path / "survey").write_bytes(bytes(1_000_000))
+    assert find_surveys([f"{address}/survey"]) == [f"{address}/survey"]
+    assert handler.sent < 1000
 
 
 @pytest.mark.parametrize("remote", [False, True])

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from plyfile import PlyData
+from ply_files import read_vertices
 
 from bumpymap.scan import PolarSettings, Scan, classify_filter, point_classes, polar_sectors
 from bumpymap.scan_products import COLOURS, NAMES, name_frames, spread_out, write_frame
@@ -20,7 +20,7 @@ from bumpymap.scan_products.polygons import write_polygons
 
 def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, classed, tmp_path):
     write_cloud(scan, classed, tmp_path / "a.ply")
-    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
+    vertex = read_vertices(tmp_path / "a.ply")
     for number, axis in enumerate("xyz"):
         np.testing.assert_array_equal(vertex[axis], scan.points[:, number])
     np.testing.assert_array_equal(vertex["class"], point_classes(scan, classed))
@@ -30,8 +30,8 @@ def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, clas
 
 def test_points_of_a_class_have_its_colour_and_those_of_no_sector_another(scan, classed, tmp_path):
     write_cloud(replace(scan, intensity=None, label=None), classed, tmp_path / "a.ply")
-    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
-    assert [prop.name for prop in vertex.properties] == ["x", "y", "z", "red", "green", "blue", "class"]
+    vertex = read_vertices(tmp_path / "a.ply")
+    assert list(vertex.dtype.names) == ["x", "y", "z", "red", "green", "blue", "class"]
     colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
     lost = classed.sectors.point_sector < 0
     assert lost.any()
@@ -118,7 +118,7 @@ def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
         "nothing.png",
     ]
     assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
-    assert len(PlyData.read(tmp_path / "frames" / "nothing.ply")["vertex"].data) == 0
+    assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0
 
 
 def test_only_the_products_that_are_wanted_are_written(scan, classed, tmp_path):

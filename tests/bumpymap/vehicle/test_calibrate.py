@@ -1,5 +1,6 @@
 """The calibration as a whole, with few and short drives."""
 
+import errno
 import json
 from dataclasses import replace
 
@@ -191,6 +192,44 @@ def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path
     calibrate(other, journal=Journal(path, other.to_dict()), discard_other=True)
     assert len(fake_drives) == TABLE + LIBRARY
     assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
+
+
+@pytest.mark.parametrize("target", ["mine", "none", "folder"])
+def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, target):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    path = tmp_path / "progress"
+    path.symlink_to(tmp_path / target)
+    with pytest.raises(OutputError, match="is a link, and is left alone"):
+        calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not (tmp_path / "none").exists()
+    path.unlink()
+    journal = Journal(path, SETTINGS.to_dict())
+    driven = journal.resume(discard_other=False)
+    path.unlink()
+    path.symlink_to(tmp_path / "mine")  # swapped while the run is under way
+    with pytest.raises(OutputError, match="is a link, and is left alone"):
+        journal.add(("a", 1), PatchDrives(("completed",), (0.1,)))
+    assert driven == {}
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
+    path = tmp_path / "progress"
+    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    before = path.read_text()
+
+    def full(file, *_, **__):
+        with file.open("w") as opened:
+            opened.write("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", full)
+        with pytest.raises(OutputError, match="No space left"):
+            Journal(path, SETTINGS.to_dict()).resume(discard_other=False)
+    assert path.read_text() == before
 
 
 def test_progress_file_that_is_none_is_refused(tmp_path):

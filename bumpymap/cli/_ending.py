@@ -1,0 +1,136 @@
+"""How a run ends: one message and an exit code for whatever a user, a machine or a pipe can cause."""
+
+import errno
+import select
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+
+import click
+
+from bumpymap.cli._events import emit
+from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
+from bumpymap.errors import BumpymapError, causes, wanting
+
+__all__ = ["Ended", "end_of"]
+
+_BAD = 3
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_FAULT = 1
+"""A fault of bumpymap: with a traceback, so that it can be reported."""
+_WANT = (
+    "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --workers, or raise the "
+    "limit that the process runs under (ulimit, a batch system's, a container's)"
+)
+
+
+class Ended(Exception):  # noqa: N818 (no error: somebody wanted the run to end)
+    """A signal ended the run."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def end_of(run: Callable[[], object], words: Sequence[str]) -> int:
+    """Run a command; say what went wrong, and give the exit code.
+
+    Parameters
+    ----------
+    run : callable
+        Raises click's exceptions; what it returns is the exit code where it is a number.
+    words : sequence of str
+        Of the command line. ``--log-json`` among them: everything is told in events.
+    """
+    options = list(words[: words.index("--")] if "--" in words else words)
+    as_json = "--log-json" in options
+    begin = time.monotonic()
+    if as_json:
+        emit("start", arguments=list(words), version=_version())
+    try:
+        code = _ran(run)
+    except Exception as error:
+        code, lines = _told(error)
+        if code == _FAULT and not as_json:
+            raise
+        if as_json:
+            more = {"traceback": traceback.format_exc()} if code == _FAULT else {}
+            emit("error", exit_code=code, kind=type(error).__name__, message=" ".join(lines), **more)
+        else:
+            _complain(error, lines)
+        return code
+    if as_json:
+        emit("done", exit_code=code, seconds=round(time.monotonic() - begin, 3))
+    return code
+
+
+def _ran(run: Callable[[], object]) -> int:
+    try:
+        code = run()
+    except SystemExit as end:
+        code = end.code
+        if code == _FAULT and _reader_left():  # click's word for it
+            code = LOST_READER
+    try:
+        flush()
+    except LostOutputError as error:
+        if error.exit_code != LOST_READER:
+            raise
+        return LOST_READER
+    return code if isinstance(code, int) else 0
+
+
+def _told(error: Exception) -> tuple[int, list[str]]:
+    """Exit code and message of a failure; the message in lines, the last of which say how to go on."""
+    code, lines = _message(error)
+    return code, [*lines, *getattr(error, "__notes__", [])]
+
+
+def _message(error: Exception) -> tuple[int, list[str]]:
+    if what := wanting(error):
+        return _BAD, [_WANT.format(what=what)]
+    if isinstance(error, BumpymapError | Ended):
+        return error.exit_code, [str(line) for line in error.args]
+    if isinstance(error, click.ClickException):
+        return error.exit_code, [error.format_message()]
+    if isinstance(error, click.Abort):
+        return 130, ["Interrupted."]
+    for cause in causes(error):
+        if isinstance(cause, OSError) and (cause is error or cause.errno in _FULL):
+            named = f"{cause.filename!s}: " if cause.filename is not None else ""
+            where = " (a disk, or shared memory: /dev/shm)" if cause.errno in _FULL and not named else ""
+            return _BAD, [f"the system refuses: {named}{cause.strerror or cause}{where}"]
+    return _FAULT, [f"{type(error).__name__}: {error}"]
+
+
+def _complain(error: Exception, lines: Sequence[str]) -> None:
+    if isinstance(error, LostOutputError) and error.exit_code == LOST_READER:
+        return
+    if type(error).__name__ == "NoArgsIsHelpError" and isinstance(error, click.UsageError):
+        error.show()  # the help, which is ours
+        return
+    if isinstance(error, click.UsageError) and error.ctx is not None:
+        complain(error.ctx.get_usage())
+        complain(f"Try '{error.ctx.command_path} --help' for help.")
+        complain("")
+    first, *rest = lines
+    complain(first if isinstance(error, Ended | click.Abort) else f"Error: {first}")
+    for line in rest:
+        complain(line)
+
+
+def _reader_left() -> bool:
+    """Whether standard output is a pipe that nobody reads."""
+    try:
+        poll = select.poll()
+        poll.register(sys.__stdout__.fileno(), 0)  # type: ignore[union-attr]
+        return bool(poll.poll(0))
+    except (AttributeError, OSError, ValueError):  # no such thing here
+        return False
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("bumpymap")

@@ -1,0 +1,45 @@
+"""Events of ``--log-json``: what happens in a run, one JSON object a line on standard error."""
+
+import json
+import logging
+from datetime import UTC, datetime
+from typing import Any
+
+from bumpymap.cli._text import complain
+
+__all__ = ["emit", "set_up_logging"]
+
+
+def emit(event: str, **facts: Any) -> None:
+    """Print one event with the time that it happened at."""
+    time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    complain(json.dumps({"time": time, "event": event, **facts}))
+
+
+class _Handler(logging.Handler):
+    """Prints records of the log as lines or as events."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        super().__init__()
+        self._as_json = as_json
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        try:
+            level, message = record.levelname.lower(), record.getMessage()
+        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
+            self.handleError(record)
+            return
+        if self._as_json:
+            emit(level, message=message, logger=record.name)
+        else:
+            complain(f"{level.capitalize()}: {message}")
+
+
+def set_up_logging(*, as_json: bool) -> None:
+    """Send the warnings of bumpymap and of its engine to standard error, as text or as events."""
+    for name in ("bumpymap", "bumpytiles"):
+        logger = logging.getLogger(name)
+        logger.handlers = [_Handler(as_json=as_json)]
+        logger.setLevel(logging.INFO if as_json else logging.WARNING)
+        logger.propagate = False

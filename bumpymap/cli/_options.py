@@ -1,0 +1,95 @@
+"""Options that commands share, and what was typed: a given option counts, whatever its value is."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import click
+from click.core import ParameterSource
+
+from bumpymap.errors import UsageError
+
+__all__ = [
+    "COMPAT_WINS",
+    "ONE_PLACE",
+    "ONE_VEHICLE",
+    "Clash",
+    "joined",
+    "option",
+    "output_options",
+    "typed",
+    "workers_option",
+]
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def output_options(what: str = "No progress, no summary.") -> Callable[[_Command], _Command]:
+    """Add ``--quiet`` and ``--log-json``; ``what`` says what is not printed."""
+
+    def add(command: _Command) -> _Command:
+        log_json = click.option(
+            "--log-json", is_flag=True, help="Events, warnings and errors as JSON lines, for machines."
+        )
+        return click.option("--quiet", is_flag=True, help=what)(log_json(command))
+
+    return add
+
+
+def workers_option(default: str) -> Callable[[_Command], _Command]:
+    """Add ``--workers``; ``default`` says what happens without it."""
+    text = f"Worker processes on this machine [default: {default}]."
+    return click.option("--workers", type=click.IntRange(min=1), metavar="N", help=text)
+
+
+def typed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Choose the options that were given on the command line: 0 and an empty text count, a default does not.
+
+    Parameters
+    ----------
+    options : mapping
+        Name -> value, of the command that runs.
+    """
+    source = click.get_current_context().get_parameter_source
+    return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
+
+
+def option(name: str) -> str:
+    """Spell an option of a setting."""
+    return f"--{name.replace('_', '-')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Clash:
+    """Two settings that contradict each other."""
+
+    first: str
+    second: str
+    why: str
+
+    def held(self, settings: Mapping[str, Any]) -> bool:
+        """Whether both are there and say something; a flag that is off, and ``none``, say nothing."""
+        return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
+
+
+ONE_VEHICLE = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
+COMPAT_WINS = Clash("compat", "rating", "the paper has a rating of its own")
+ONE_PLACE = Clash("crs", "local", "coordinates in a CRS are not local")
+
+
+def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
+    """Join the settings of a file and those typed, which win: also over what contradicts them.
+
+    Raises
+    ------
+    UsageError
+        Settings of one origin contradict each other.
+    """
+    for settings, spelled in ((from_file, str), (given, option)):
+        for clash in clashes:
+            if clash.held(settings):
+                first, second = spelled(clash.first), spelled(clash.second)
+                raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+    both = from_file | given
+    lost = {name for clash in clashes if clash.held(both) for name in (clash.first, clash.second) if name not in given}
+    return {name: value for name, value in both.items() if name not in lost}

@@ -1,0 +1,40 @@
+"""PLY files of points: the number types that the format knows, and writing. Reading is the readers' business."""
+
+from collections.abc import Sequence
+from typing import Any, BinaryIO
+
+from numpy.typing import NDArray
+
+__all__ = ["PLY_TYPES", "write_vertices"]
+
+_NAMES = {
+    "i1": ("char", "int8"),
+    "u1": ("uchar", "uint8"),
+    "i2": ("short", "int16"),
+    "u2": ("ushort", "uint16"),
+    "i4": ("int", "int32"),
+    "u4": ("uint", "uint32"),
+    "f4": ("float", "float32"),
+    "f8": ("double", "float64"),
+}
+"""NumPy's code of a type, without byte order: its name, and the name that newer files use."""
+PLY_TYPES = {name: code for code, names in _NAMES.items() for name in names}
+"""Name in a header: NumPy's code, without byte order."""
+
+
+def write_vertices(vertex: NDArray[Any], comments: Sequence[str], stream: BinaryIO) -> None:
+    """Write points as binary little-endian PLY, one element ``vertex``.
+
+    Parameters
+    ----------
+    vertex : structured array (n,)
+        A field is a property; its type is one of ``PLY_TYPES``, in any byte order.
+    comments : sequence of str
+        One line each, ASCII.
+    stream : binary file
+    """
+    kinds = [(name, vertex.dtype[name].str[1:]) for name in vertex.dtype.names or ()]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    lines += [f"element vertex {len(vertex)}", *(f"property {_NAMES[code][0]} {name}" for name, code in kinds)]
+    stream.write("\n".join([*lines, "end_header", ""]).encode("ascii"))
+    stream.write(vertex.astype([(name, f"<{code}") for name, code in kinds], copy=False).tobytes())

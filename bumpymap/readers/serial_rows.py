@@ -1,0 +1,56 @@
+"""Rows of a table that can be read in order alone, in constant memory; a place further back starts again."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.readers.checks import decoding
+from bumpymap.readers.source import Location
+
+__all__ = ["SerialRows"]
+
+_BLOCK = 100_000
+
+
+@dataclass(slots=True)
+class SerialRows(ABC):
+    """Where reading stands; a kind of table adds how its rows are found."""
+
+    path: Location
+    data_at: int
+    """Byte where the data starts."""
+    _stream: Any = field(init=False, default=None)
+    _next: int = field(init=False, default=0)
+
+    def read(self, first: int, count: int) -> NDArray[np.void]:
+        """Rows from ``first`` on; fewer than ``count`` where the file ends."""
+        with decoding(self.path, f"the points from {first:,} on"):
+            if self._stream is None or first < self._next:
+                self.close()
+                self._open()
+                self._next = 0
+            while self._next < first and self._advance(min(_BLOCK, first - self._next)).size:
+                pass
+            return self._advance(count)
+
+    def close(self) -> None:
+        """Leave the file alone until the next ``read``."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _advance(self, count: int) -> NDArray[np.void]:
+        rows = self._load(count)
+        self._next += len(rows)
+        return rows
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Set ``_stream`` to the start of the rows."""
+
+    @abstractmethod
+    def _load(self, count: int) -> NDArray[np.void]:
+        """Read the next rows; fewer where the file ends."""

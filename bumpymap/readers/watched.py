@@ -1,0 +1,60 @@
+"""A survey that must stay the same from the moment it is opened to the end of its reading.
+
+Formats know nothing of it: what they were given may have come from two versions of a file, which look like a damaged
+one at best, and like a sound one at worst.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from bumpymap.readers.base import Survey
+from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, SurveyReader
+from bumpymap.readers.source import Location, held_to, is_url, require_same, version_of
+from bumpymap.readers.tally import Tally
+
+__all__ = ["WatchedSurvey"]
+
+
+class WatchedSurvey(Survey):
+    """A ``SurveyReader`` around another one.
+
+    Parameters
+    ----------
+    path : Path or str
+    open_reader : callable
+        Opens it: reads the header.
+
+    Raises
+    ------
+    BadInputError
+        Here, or from ``fetch`` and ``judge``: the file was changed, or is gone.
+    """
+
+    def __init__(self, path: Location, open_reader: Callable[[], SurveyReader]) -> None:
+        self._path, self._version = path, version_of(path)
+        with held_to(path, self._version):
+            self._reader = open_reader()
+        super().__init__(replace(self._reader.info, version=self._version))
+
+    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+        """Cut the file; see ``SurveyReader.pieces``."""
+        return self._reader.pieces(points)
+
+    def fetch(self, piece: Piece) -> Any:
+        """Read and decode; see ``SurveyReader.fetch``."""
+        with held_to(self._path, self._version):
+            fetched = self._reader.fetch(piece)
+        if not is_url(self._path):  # a server would be asked once more for each piece
+            require_same(self._path, self._version)
+        return fetched
+
+    def convert(self, piece: Piece, fetched: Any) -> Batch:
+        """Points that count, in metres; see ``SurveyReader.convert``."""
+        with held_to(self._path, self._version):
+            return self._reader.convert(piece, fetched)
+
+    def judge(self, tally: Tally) -> None:
+        """Hold all points to the header, and the file to what it was; see ``SurveyReader.judge``."""
+        require_same(self._path, self._version)
+        self._reader.judge(tally)

@@ -1,0 +1,99 @@
+"""The vertical CRS of a survey, from the file or the command line into every layer that holds heights."""
+
+import json
+
+import geopandas
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from click.testing import CliRunner
+from pyproj import CRS
+
+from bumpymap.cli import main
+
+COMPOUND = CRS("EPSG:32614+5703")
+GEOKEYS = {1024: 1, 3072: 32614, 4096: 5703}
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def write_las(path, wkt=None, geokeys=None):
+    rng = np.random.default_rng(0)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
+    header.global_encoding.wkt = wkt is not None
+    if wkt:
+        header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", wkt.encode() + b"\0"))
+    if geokeys:
+        words = [1, 1, 0, len(geokeys)] + [word for key in sorted(geokeys) for word in (key, 0, 1, geokeys[key])]
+        header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", np.array(words, "<u2").tobytes()))
+    las = laspy.LasData(header)
+    las.x, las.y = rng.uniform(500_001, 500_016, 20_000), rng.uniform(4_000_002, 4_000_017, 20_000)
+    las.z = 100 + 0.01 * rng.standard_normal(20_000)
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """Layers of the survey without a vertical CRS."""
+    folder = tmp_path_factory.mktemp("flat")
+    result = run("map", write_las(folder / "site.las", CRS(32614).to_wkt("WKT1_GDAL")), "--out", folder / "out")
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+@pytest.mark.parametrize(
+    ("records", "options"),
+    [
+        ({"wkt": COMPOUND.to_wkt("WKT1_GDAL")}, []),
+        ({"geokeys": GEOKEYS}, []),
+        ({"wkt": CRS(32614).to_wkt("WKT1_GDAL"), "geokeys": GEOKEYS}, []),
+        ({"wkt": COMPOUND.to_wkt("WKT1_GDAL")}, ["--crs", "EPSG:32614"]),
+        ({}, ["--crs", "EPSG:32614+5703"]),
+    ],
+    ids=["WKT", "GeoTIFF keys", "both", "--crs without it", "--crs"],
+)
+def test_layers_with_heights_carry_it_and_others_do_not(tmp_path, flat, records, options):
+    out = tmp_path / "out"
+    result = run("map", write_las(tmp_path / "site.las", **records), "--out", out, *options)
+    assert result.exit_code == 0, result.output
+    with rasterio.open(out / "heightmap.tif") as raster:
+        assert CRS.from_wkt(raster.crs.to_wkt()) == COMPOUND
+        assert not (out / "heightmap.tif.aux.xml").exists()
+        with rasterio.open(flat / "heightmap.tif") as plain:
+            assert plain.crs.to_epsg() == 32614
+            np.testing.assert_array_equal(raster.read(1), plain.read(1))
+    tiles, plain = (geopandas.read_parquet(folder / "tiles.parquet") for folder in (out, flat))
+    assert tiles.crs == COMPOUND
+    assert plain.crs.to_epsg() == 32614
+    np.testing.assert_array_equal(tiles.to_crs(4326).bounds, plain.to_crs(4326).bounds)
+    crs = json.loads((out / "run.json").read_text(encoding="utf-8"))["crs"]
+    assert crs["code"] == "EPSG:32614+5703"
+    assert CRS.from_wkt(crs["wkt"]) == COMPOUND
+    assert CRS.from_user_input(crs["code"]) == COMPOUND
+    assert pyogrio.read_info(out / "cost.fgb")["crs"] == "EPSG:32614"
+    for name in ("roughness.tif", "class.tif", "cost.geojson"):
+        assert (out / name).read_bytes() == (flat / name).read_bytes(), name
+
+
+def test_info_names_both_parts(tmp_path):
+    survey = write_las(tmp_path / "site.las", COMPOUND.to_wkt("WKT1_GDAL"))
+    assert "NAVD88 height (EPSG:32614+5703)" in run("info", survey).output
+    (record,) = json.loads(run("info", survey, "--json").output)["files"]
+    assert (record["crs"], record["epsg"], record["vertical_crs"]) == (CRS(32614).name, 32614, "NAVD88 height")
+
+
+def test_one_that_has_no_code_is_carried_too(tmp_path):
+    wkt = COMPOUND.to_wkt("WKT1_GDAL").replace('"NAVD88 height"', '"NAVD88 - Geoid18 (Meters)"')
+    wkt = wkt.replace(',AUTHORITY["EPSG","5703"]', "")
+    out = tmp_path / "out"
+    assert run("map", write_las(tmp_path / "site.las", wkt), "--out", out).exit_code == 0
+    with rasterio.open(out / "heightmap.tif") as raster:
+        crs = CRS.from_wkt(raster.crs.to_wkt())
+    assert crs.sub_crs_list[1].datum.name == "North American Vertical Datum 1988"
+    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["crs"]["name"] == CRS.from_wkt(wkt).name
