@@ -51,8 +51,9 @@ def keeping_the_log() -> Iterator[None]:
 
 
 def set_up_logging(*, as_json: bool) -> None:
-    """Send the warnings of bumpymap to standard error, as text or as events."""
-    logger = logging.getLogger("bumpymap")
-    logger.handlers = [_Handler(as_json=as_json)]
-    logger.setLevel(logging.INFO if as_json else logging.WARNING)
-    logger.propagate = False
+    """Send the warnings of bumpymap and of its engine to standard error, as text or as events."""
+    for name in ("bumpymap", "bumpytiles"):
+        logger = logging.getLogger(name)
+        logger.handlers = [_Handler(as_json=as_json)]
+        logger.setLevel(logging.INFO if as_json else logging.WARNING)
+        logger.propagate = False

@@ -24,7 +24,9 @@ import pyproj
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
-PROGRAMS = ("bumpymap", "dask", "gdal_translate", "gdaldem", "make", "pip", "python", "sudo")
+PROGRAMS = (
+    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+)  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
 
@@ -46,6 +48,9 @@ RULES = (
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
     Rule(r"^dask |--scheduler ", "takes a cluster: tests/bumpymap/test_cluster.py has one"),
     Rule(r"^gdal", "takes GDAL's own tools", ""),
+    Rule(r"^grass ", "takes GRASS", ""),
+    Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
+    Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
     Rule(r"^python benchmarks/run\.py", "an hour, and PDAL", None),
     Rule(r"^python benchmarks/kill\.py", "kills runs for an hour", None),
     Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
@@ -67,16 +72,25 @@ def shown(page: Path) -> Iterator[str]:
     text = page.read_text(encoding="utf-8")
     found: list[tuple[int, str]] = []
     for block in re.finditer(r"(?ms)^( *)```(\S*)[^\n]*\n(.*?)^\1```", text):
-        if block[2] in SHELL:
-            lines = re.sub(r"\\\n\s*", " ", block[3]).splitlines()
-            prompted = any(line.strip().startswith("$ ") for line in lines)
-            lines = [line.strip().removeprefix("$ ") for line in lines if not prompted or line.strip().startswith("$ ")]
-            found += [(block.start(), line) for line in lines if line and not line.startswith("#")]
+        program = block[3].strip().removeprefix("$ ").partition(" ")[0]
+        if block[2] in SHELL and (block[2] or program in PROGRAMS):  # a block of no language may be a formula
+            found += [(block.start(), line) for line in _lines(block[3])]
     begin = "|".join(PROGRAMS)
     found += [(line.start(), line[1]) for line in re.finditer(rf"(?m)^    ((?:{begin}) .*)$", text)]
     found += [(word.start(), word[1]) for word in re.finditer(r"`((?:\S*python \S+/|make |sudo\s)[^`]+)`", text)]
     for _, line in sorted(found, key=lambda one: one[0]):
-        yield shlex.join(shlex.split(" ".join(line.split()), comments=True)).replace(".venv/bin/bumpymap", "bumpymap")
+        plain = line if "<<" in line else shlex.join(shlex.split(" ".join(line.split()), comments=True))
+        yield plain.replace(".venv/bin/bumpymap", "bumpymap")
+
+
+def _lines(block: str) -> list[str]:
+    """Give the commands of a block: continued lines and what follows ``<<'END'`` belong to one."""
+    block = re.sub(r"\\\n\s*", " ", block)
+    block = re.sub(r"(?ms)^[^\n]*<<'?(\w+)'?\n.*?^\1$", lambda whole: whole[0].replace("\n", "\0"), block)
+    prompted = any(line.strip().startswith("$ ") for line in block.splitlines())
+    lines = [line.strip() for line in block.splitlines()]
+    lines = [line.removeprefix("$ ") for line in lines if not prompted or line.startswith("$ ")]
+    return [line.replace("\0", "\n") for line in lines if line and not line.startswith("#")]
 
 
 def rule_of(command: str) -> Rule | None:
@@ -139,13 +153,16 @@ def _drive(folder: Path) -> None:
 
 def _run(command: str, rule: Rule | None, folder: Path) -> str:
     """Run a command; give what became of it."""
-    words = filled(command) + shlex.split((rule and rule.short) or "")
+    words = filled(command) if "<<" not in command else [command.partition(" ")[0]]
+    words += shlex.split((rule and rule.short) or "")
     if words[0] == "bumpymap":
         words = [sys.executable, "-m", *words]
     elif words[0].endswith("python"):
         words = [sys.executable, *(str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:])]
     elif shutil.which(words[0]) is None:
         return f"not run: {words[0]} is not installed"
+    elif "<<" in command:
+        words = ["sh", "-c", command]
     started = time.perf_counter()
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tiles")])}
     done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=1800, check=False)
@@ -176,7 +193,7 @@ def main() -> int:
                     continue
                 if not shown_layers and ("OUT/" in command or "demo_out" in command):
                     for out in ("OUT", "demo_out/layers"):
-                        _run(f"bumpymap map site.laz --out {out}", None, folder)
+                        _run(f"bumpymap map {ROOT / 'sample_data/quarry.laz'} --out {out}", None, folder)
                     shown_layers = True
                 result = _run(command, rule, folder)
                 failed += result.startswith("FAILED")

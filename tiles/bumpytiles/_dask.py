@@ -171,25 +171,27 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
     with ExitStack() as running:
         resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
         with _blocked_signals():
-            folder = TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True)
-            running.enter_context(folder)
-            running.enter_context(dask.config.set({"temporary-directory": folder.name, **_NO_PAGES}))
-            cluster = LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                security=security,
-                # It listens for browsers all the same, without pages: on any free port, the usual one may be taken.
-                dashboard_address=None,
-                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                memory_limit=0,  # tasks keep to their own budget
-                silence_logs=logging.CRITICAL,
-                local_directory=folder.name,
-                env=dict(environment),
+            folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
+            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES}))
+            cluster = running.enter_context(
+                LocalCluster(
+                    n_workers=number,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    security=security,
+                    # It listens for browsers all the same, without pages: on any free port, the usual may be taken.
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                    memory_limit=0,  # tasks keep to their own budget
+                    silence_logs=logging.CRITICAL,
+                    local_directory=folder,
+                    env=dict(environment),
+                )
             )
-            client = Client(running.enter_context(cluster), security=security, set_as_default=False)
-            workers = Workers(running.enter_context(client), _LOCAL_LOOKS)
+            workers = Workers(
+                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_LOOKS
+            )
         try:
             yield workers
         finally:

@@ -65,7 +65,7 @@ def test_few_files(tmp_path, command, files):
 
 
 @linux
-@pytest.mark.parametrize("command", ["map", "map --workers"])
+@pytest.mark.parametrize("command", ["info", "map", "scan", "map --workers"])
 def test_no_shared_memory(tmp_path, command):
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         pytest.skip("only root can mount a small /dev/shm of its own")

@@ -27,7 +27,8 @@ def said(*words):
     command = [sys.executable, "-c", NOBODY, *map(str, words)]
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    told = [line for line in done.stderr.splitlines() if not line.startswith("Warning: the kernels are compiled anew")]
+    assert told == []
     return done.stdout
 
 
