@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from bumpymap.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "move_together", "no_empty_folder", "take_away", "together"]
+__all__ = ["STAGED", "atomic", "in_utf8", "move_together", "no_empty_folder", "take_away", "together"]
 
 STAGED = ".bumpymap-layers-"
 """How the names of folders begin where files wait for each other; one that a killed process left can go."""
@@ -69,9 +69,6 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     last : str
         Name of the file that says that all are there.
 
-    GDAL and Arrow take UTF-8 alone for a path. Where that of the folder has other bytes, the one that is given leads
-    there by way of an open descriptor.
-
     Raises
     ------
     OutputError
@@ -80,7 +77,7 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
         _make_folder(staged)
-        with _in_utf8(staged) as path:
+        with in_utf8(staged) as path:
             yield path
         move_together(staged, folder, last)
     finally:
@@ -121,7 +118,11 @@ def no_empty_folder(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _in_utf8(folder: Path) -> Iterator[Path]:
+def in_utf8(folder: Path) -> Iterator[Path]:
+    """Give a path to a folder that GDAL and Arrow take: they take UTF-8 alone.
+
+    Where that of the folder has other bytes, the one that is given leads there by way of an open descriptor.
+    """
     try:
         str(folder).encode()
     except UnicodeEncodeError:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.atomic import atomic, move_together, no_empty_folder, take_away
+from bumpymap.atomic import atomic, in_utf8, move_together, no_empty_folder, take_away
 from bumpymap.config import MapConfig
 from bumpymap.crs import parse_crs
 from bumpymap.errors import BadInputError, OutputError, UsageError
@@ -189,8 +189,8 @@ def _scan_frames(
             config.out, asked, resume=config.resume, finished=finished_parts, advice=advice, judge=lambda _: Kept.ALL
         ) as run,
         writing(config.out),
+        in_utf8(_staged(run.path, frames)) as staged,
     ):
-        staged = _staged(run.path, frames)
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
             told.start("scanning frames", len(frames))
             for number, frame in enumerate(frames):

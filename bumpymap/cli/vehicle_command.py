@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._terminal import PATH
-from bumpymap.cli._text import say, say_table
+from bumpymap.cli._text import say
 
 if TYPE_CHECKING:
     from bumpymap.vehicle.profile import VehicleProfile
@@ -45,7 +45,8 @@ def check_command(vehicle: str) -> None:
     from bumpymap.vehicle.profile import load_profile
 
     profile = load_profile(vehicle)
-    say_table([*_meaning(profile), ("calibration", _calibration(vehicle))])
+    for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
+        say(f"{name:13s} {value}")  # one line each: a command in it must be one to copy
 
 
 @command.command("new")

@@ -117,7 +117,7 @@ def test_messages_name_the_file(folder, locale):
 @pytest.mark.parametrize("locale", LOCALES)
 def test_info(folder, locale):
     survey = write_las(folder / f"{NAME}.las")
-    assert "ready: bumpymap map" in ended(run("info", survey, env=LOCALES[locale]), 0)
+    assert "bumpymap map" in ended(run("info", survey, env=LOCALES[locale]), 0)
     result = run("info", survey, "--json", env=LOCALES[locale])
     ended(result, 0)
     assert Path(json.loads(result.stdout)["files"][0]["path"]) == survey

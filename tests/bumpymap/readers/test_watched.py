@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import bumpymap.readers.las as las_module
+from bumpymap.config import FeatureSettings
 from bumpymap.errors import BadInputError
-from bumpymap.readers import open_survey, summarise
+from bumpymap.readers import PointTally, open_survey
 from bumpytiles import Grid
 
 COUNT = 3000
@@ -121,4 +122,4 @@ def test_one_that_stays_the_same_is_read_and_says_which_version_it_is(las, laz):
     path = FORMATS["laz"](las, laz, POINTS)
     reader = open_survey(path)
     assert reader.info.version == {"size": path.stat().st_size, "mtime_ns": str(path.stat().st_mtime_ns)}
-    assert summarise(reader, Grid(3.0, 15), 1).points == COUNT
+    assert PointTally(Grid(3.0, 15), FeatureSettings()).read(reader).summary().points == COUNT

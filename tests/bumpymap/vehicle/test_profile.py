@@ -126,7 +126,7 @@ def test_all_faults_are_said_at_once(warthog):
     del warthog["wheel"]["radius_m"]
     with pytest.raises(BadInputError) as caught:
         VehicleProfile.from_dict(warthog, "my.toml")
-    first, *faults = str(caught.value).splitlines()
+    first, *faults = caught.value.args
     assert first.startswith("my.toml: 4 faults")
     assert [fault.split()[0] for fault in faults] == ["unknown", "wheelbase_m", "slope_limit_deg", "missing"]
 
