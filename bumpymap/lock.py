@@ -123,10 +123,10 @@ def _lock(descriptor: int, path: Path, *, fresh: bool) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno not in _NO_LOCKS:
-            raise OutputError(_held(descriptor, path)) from error
+            raise OutputError(_held(descriptor, path)) from None
         if not fresh:
             more = f". If it has ended, take {path} away: this disk knows no locks"
-            raise OutputError(_held(descriptor, path) + more) from error
+            raise OutputError(_held(descriptor, path) + more) from None
 
 
 def _is_there(name: Path | str, descriptor: int, place: int | None = None) -> bool:

@@ -14,6 +14,7 @@ from contextlib import closing, contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from multiprocessing.util import Finalize
 from typing import Protocol, TypeVar
 
 from bumpymap.errors import BumpymapError
@@ -123,6 +124,9 @@ def _start(task: Callable[[AnyJob], PatchDrives], started: list[SpawnProcess]) -
         worker = context.Process(target=_work, args=(task, theirs), daemon=True)
         worker.start()
         started.append(worker)
+        # At its end the interpreter asks what is left of its children to go, to which these are deaf, and waits: so a
+        # signal just before the clearing up in `_run` would leave it waiting for ever.
+        Finalize(None, worker.kill, exitpriority=0)
     return ours
 
 
