@@ -56,7 +56,9 @@ RULES = (
     Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
     Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`", ""),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),
-    Rule(r"^bumpymap calibrate ", "hours of drives", "--patches 2 --starts 2 --terrains 2 --terrain-starts 2"),
+    Rule(
+        r"^bumpymap calibrate ", "hours of drives", "--patches 2 --starts 2 --terrains 2 --terrain-starts 2 --overwrite"
+    ),
     Rule(r"^bumpymap evaluate --scans ", "made-up scenes, or frames with labels", "--scenes 2"),
     Rule(r"^bumpymap evaluate ", "an hour of drives", "--patches 10 --starts 2 --skip density,invariance,noise,timing"),
     Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
