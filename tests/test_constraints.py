@@ -14,7 +14,7 @@ def test_no_pin_wants_a_newer_python_than_the_package():
     lines = [line.partition("==") for line in PINS.read_text(encoding="utf-8").splitlines() if "==" in line]
     pins = {canonicalize_name(name): version for name, _, version in lines}
     held = {
-        one.name: one.metadata["Requires-Python"]
+        one.name: one.metadata.get("Requires-Python")
         for one in distributions()
         if pins.get(canonicalize_name(one.name)) == one.version.partition("+")[0]
     }

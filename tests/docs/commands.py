@@ -58,7 +58,9 @@ RULES = (
     Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`", ""),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),
     Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in", "--out new_vehicle.toml"),
-    Rule(r"^bumpymap calibrate ", "hours of drives", "--patches 2 --starts 2 --terrains 2 --terrain-starts 2"),
+    Rule(
+        r"^bumpymap calibrate ", "hours of drives", "--patches 2 --starts 2 --terrains 2 --terrain-starts 2 --overwrite"
+    ),
     Rule(r"^bumpymap evaluate --scans ", "made-up scenes, or frames with labels", "--scenes 2"),
     Rule(
         r"^bumpymap evaluate ",

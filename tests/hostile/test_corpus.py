@@ -8,6 +8,8 @@ from corpus.bases import bases
 from corpus.known import KNOWN
 from corpus.runner import MEMORY, Runner
 
+from bumpymap.cli._text import safe
+
 FILES = hostile_files()
 NOISE = ("Traceback", "panicked at", "stack backtrace")
 
@@ -59,7 +61,7 @@ def faults_of_refusal(outcome, shown):
     faults = []
     if len(outcome.errors) != 1:
         faults.append(f"{len(outcome.errors)} messages")
-    elif shown not in outcome.text[outcome.text.index("Error: ") :]:
+    elif safe(shown) not in outcome.text[outcome.text.index("Error: ") :]:
         faults.append("a message that does not name the file")
     return faults
 
