@@ -273,4 +273,4 @@ def test_the_commands_of_the_page_work(tmp_path):
             process.wait()
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
-    assert (tmp_path / "cluster_layers" / "class.tif").exists()
+    assert (tmp_path / line.partition("--out ")[2].split()[0] / "class.tif").exists()
