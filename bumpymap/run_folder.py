@@ -33,6 +33,7 @@ __all__ = [
     "tidy",
     "what_is_kept",
     "work_folder",
+    "writing_in",
 ]
 
 WORK_FOLDER = ".bumpymap-run"
@@ -124,7 +125,7 @@ class RunFolder:
             The place cannot be written, or is a link or somebody else's.
         """
         path = work_folder(out)
-        with _writing(path):
+        with writing_in(path):
             _make_own(path)
             before = read_record(path / _ASKED) if resume else None
             if before is not None:
@@ -213,10 +214,11 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _writing(folder: Path) -> Iterator[None]:
+def writing_in(folder: Path, options: str = "--out") -> Iterator[None]:
+    """Turn what goes wrong while a folder is written to into an OutputError; ``options`` name another one."""
     try:
         yield
     except OSError as error:
         raise OutputError(
-            f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with --out"
+            f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with {options}"
         ) from error

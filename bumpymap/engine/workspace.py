@@ -15,8 +15,7 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.atomic import atomic
-from bumpymap.errors import OutputError
-from bumpymap.run_folder import Kept, RunFolder, is_own_folder, read_record, tidy, what_is_kept
+from bumpymap.run_folder import Kept, RunFolder, is_own_folder, read_record, tidy, what_is_kept, writing_in
 from bumpytiles import Pack, PackError
 
 __all__ = ["ADVICE", "Workspace"]
@@ -60,7 +59,7 @@ class Workspace:
             out, asked, resume=resume, finished=lambda path: bool(_tiles(path)), advice=advice, spared=(_SCRATCH,)
         ) as run:
             _drop_damaged(run.path)
-            with _writing(scratch or run.path):
+            with writing_in(scratch or run.path, "--out or --scratch"):
                 waiting = _waiting(run, out, scratch)
             try:
                 yield cls(run.path, waiting, run.asked)
@@ -153,13 +152,3 @@ def _earlier(folder: Path, out: Path) -> Path | None:
         return path if is_own_folder(path, folder) and read_record(path / _OWNER) == owner else None
     except OSError:
         return None
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(
-            f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with --out or --scratch"
-        ) from error
