@@ -6,11 +6,9 @@ number of workers nor an interruption changes a bit of the results.
 
 import multiprocessing
 import os
-import signal
-import sys
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -21,6 +19,7 @@ from bumpymap.errors import BumpymapError
 from bumpymap.interrupts import shielded
 from bumpymap.vehicle.journal import Journal, Key
 from bumpymap.vehicle.patch import PatchDrives
+from bumpytiles.signals import blocked_signals
 
 __all__ = ["Job", "Progress", "drive_jobs"]
 
@@ -120,7 +119,7 @@ def _start(task: Callable[[AnyJob], PatchDrives], started: list[SpawnProcess]) -
     context = multiprocessing.get_context("spawn")
     resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
     ours, theirs = context.Pipe()
-    with shielded(), theirs, _blocked_signals():
+    with shielded(), theirs, blocked_signals():
         worker = context.Process(target=_work, args=(task, theirs), daemon=True)
         worker.start()
         started.append(worker)
@@ -128,22 +127,6 @@ def _start(task: Callable[[AnyJob], PatchDrives], started: list[SpawnProcess]) -
         # signal just before the clearing up in `_run` would leave it waiting for ever.
         Finalize(None, worker.kill, exitpriority=0)
     return ours
-
-
-@contextmanager
-def _blocked_signals() -> Iterator[None]:
-    """Start a process that is deaf to Ctrl-C and SIGTERM from its first moment: they reach the whole group.
-
-    They are for the main process, which ends its workers. One that is hit while it imports dies with a traceback.
-    """
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _results(jobs: Sequence[AnyJob], idle: list[Connection]) -> Generator[tuple[int, PatchDrives], None, None]:

@@ -11,8 +11,6 @@ of their own that lives as long as they do: no other user of the machine gets in
 # (distributed says that it is typed, and leaves half of its functions out)
 
 import logging
-import os
-import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
@@ -24,6 +22,8 @@ from typing import Any, NamedTuple
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker
+
+from bumpytiles.signals import blocked_signals
 
 __all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -141,23 +141,6 @@ class Workers:
 
 
 @contextmanager
-def _blocked_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until the body is done; threads and processes that it starts never hear them.
-
-    They reach every process of a terminal or a batch job: the client alone shall answer, and stop the workers. And a
-    cluster that is half begun, or half closed, ends with tracebacks.
-    """
-    if os.name != "posix":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
     """Start worker processes on this machine, each of which does one task at a time; stop them in the end.
 
@@ -170,7 +153,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
     security = Security.temporary()  # its key stays in memory; a worker is handed it through a pipe
     with ExitStack() as running:
         resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
-        with _blocked_signals():
+        with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
             running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES}))
             cluster = running.enter_context(
@@ -195,7 +178,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
         try:
             yield workers
         finally:
-            with _blocked_signals():
+            with blocked_signals():
                 running.close()
 
 
