@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from bumpymap.errors import UsageError
-from bumpymap.scan_world import load_open3d
+from bumpymap.core.errors import UsageError
+from bumpymap.lab import load_open3d
 
 # No test may depend on a clock; in CI the same examples are tried every time.
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)

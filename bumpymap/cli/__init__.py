@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from bumpymap.cli._ending import Ended, end_of
-from bumpymap.interrupts import Terminated, interruptible
+from bumpymap.core import Terminated, interruptible
 
 __all__ = ["main"]
 

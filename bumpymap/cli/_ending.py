@@ -11,7 +11,7 @@ import click
 
 from bumpymap.cli._events import emit, keeping_the_log
 from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
-from bumpymap.errors import BumpymapError, causes, wanting
+from bumpymap.core import BumpymapError, causes, wanting
 
 __all__ = ["Ended", "end_of"]
 

@@ -8,12 +8,18 @@ from typing import Any
 
 from rich.filesize import decimal
 
-from bumpymap.advice import Outcome, advise, enough_points, made_for, size_options
-from bumpymap.config import FeatureSettings, Ground, decide_ground
-from bumpymap.crs import describe_crs, horizontal_of, unit_name, vertical_of
-from bumpymap.engine import Budget, Estimate, estimate
+from bumpymap.core import (
+    REASON_TEXT,
+    FeatureSettings,
+    Ground,
+    decide_ground,
+    describe_crs,
+    horizontal_of,
+    unit_name,
+    vertical_of,
+)
 from bumpymap.readers import PointSummary, SurveyInfo
-from bumpymap.types import REASON_TEXT
+from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, made_for, size_options
 from bumpytiles import Bounds, Grid
 
 __all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
@@ -201,32 +207,32 @@ def estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
     return estimate([report.info for report in readable if report.info], readable[0].grid, budget, tiles)
 
 
-def run_record(told: Estimate, budget: Budget) -> dict[str, Any]:
+def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
     """Everything about the run, for ``--json``."""
     return {
         "memory_option_bytes": budget.memory,
         "threads": budget.threads,
-        "points": told.points,
-        "tiles_at_most": told.tiles,
-        "memory_bytes_at_most": told.memory,
-        "scratch_bytes_at_most": told.scratch,
-        "out_bytes_at_most": told.out,
-        "seconds_about": round(told.seconds, 1),
+        "points": forecast.points,
+        "tiles_at_most": forecast.tiles,
+        "memory_bytes_at_most": forecast.memory,
+        "scratch_bytes_at_most": forecast.scratch,
+        "out_bytes_at_most": forecast.out,
+        "seconds_about": round(forecast.seconds, 1),
     }
 
 
-def run_rows(told: Estimate, grid: Grid) -> list[tuple[str, str]]:
+def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
     """Name what a run will take, for people."""
     unknown = "unknown before the points are read: leave out --quick"
-    scratch = f"at most {decimal(told.scratch)} in --scratch; less where blocks are complete before the end"
-    out = None if told.out is None else f"at most {decimal(told.out)} in --out: finished tiles, and the layers"
+    scratch = f"at most {decimal(forecast.scratch)} in --scratch; less where blocks are complete before the end"
+    out = None if forecast.out is None else f"at most {decimal(forecast.out)} in --out: finished tiles, and the layers"
     return [
-        ("points", f"{told.points:,}"),
-        ("tiles", unknown if told.tiles is None else f"at most {told.tiles:,} of {grid.tile_size:g} m"),
-        ("memory", f"at most {decimal(told.memory)}"),
-        ("scratch", scratch if told.scratch else "none: memory holds all points"),
+        ("points", f"{forecast.points:,}"),
+        ("tiles", unknown if forecast.tiles is None else f"at most {forecast.tiles:,} of {grid.tile_size:g} m"),
+        ("memory", f"at most {decimal(forecast.memory)}"),
+        ("scratch", scratch if forecast.scratch else "none: memory holds all points"),
         ("space", out or unknown),
-        ("time", _about(told.seconds)),
+        ("time", _about(forecast.seconds)),
     ]
 
 

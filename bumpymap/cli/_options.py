@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from bumpymap.errors import UsageError
+from bumpymap.core import UsageError
 
 __all__ = [
     "COMPAT_WINS",

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from bumpymap.cli._events import emit
 from bumpymap.cli._text import complain, error_console, safe
-from bumpymap.progress import Progress as Told
+from bumpymap.core import Progress as Told
 
 __all__ = ["Clock", "CommandProgress", "EventProgress", "LineProgress", "show_progress"]
 

@@ -6,9 +6,7 @@ from typing import Any
 
 from bumpymap.cli._summary import ALREADY_DONE
 from bumpymap.cli._text import say, say_json, say_table
-from bumpymap.scan import StripeModel
-from bumpymap.scan_config import ScanConfig
-from bumpymap.scan_pipeline import ScanResult
+from bumpymap.scan import ScanConfig, ScanResult, StripeModel
 
 __all__ = ["show", "show_fit"]
 
@@ -56,8 +54,8 @@ def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *,
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
     total = max(sum(sectors.values()), 1)
-    for klass, (name, count) in enumerate(sectors.items()):
-        shown = f"{klass} {name}" if name in points else name
+    for class_id, (name, count) in enumerate(sectors.items()):
+        shown = f"{class_id} {name}" if name in points else name
         yield shown, f"{count:,}", f"{count / total:.1%}", f"{points[name]:,}" if name in points else ""
 
 

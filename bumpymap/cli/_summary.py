@@ -3,12 +3,10 @@
 import math
 from collections.abc import Iterator
 
-from bumpymap.advice import Measured, Outcome, advise
 from bumpymap.cli._text import say, say_json, say_table
-from bumpymap.config import MapConfig
-from bumpymap.pipeline import MapResult
-from bumpymap.products import MapSummary
-from bumpymap.types import CLASS_NAMES, Reason
+from bumpymap.core import CLASS_NAMES, MapConfig, Reason
+from bumpymap.layers import MapSummary
+from bumpymap.survey import MapResult, Measured, Outcome, advise
 from bumpytiles import Grid
 
 __all__ = ["ALREADY_DONE", "show"]
@@ -44,7 +42,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
 
 
 def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
-    names = [*(f"{klass} {name}" for klass, name in enumerate(CLASS_NAMES)), "unknown"]
+    names = [*(f"{class_id} {name}" for class_id, name in enumerate(CLASS_NAMES)), "unknown"]
     counts = [*summary.by_class, summary.unknown]
     for name, count, c_r, slope in zip(names, counts, summary.median_c_r, summary.median_slope, strict=True):
         yield name, f"{count:,}", f"{count / summary.tiles:.1%}", _number(c_r, 3), _number(slope, 1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bumpymap.settings_file import why_no_path
+from bumpymap.core import why_no_path
 
 __all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "telling_how_to_go_on"]
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bumpymap.errors import OutputError
+from bumpymap.core import OutputError
 
 __all__ = [
     "LostOutputError",

@@ -11,20 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.atomic import atomic
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import option, output_options, typed, workers_option
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, FILE, telling_how_to_go_on
 from bumpymap.cli._text import complain, say, say_json
-from bumpymap.errors import OutputError, UsageError
-from bumpymap.lock import locked
-from bumpymap.progress import Steps
+from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 
 if TYPE_CHECKING:
-    from bumpymap.calibration import Calibration
-    from bumpymap.vehicle.plan import CalibrationSettings
-    from bumpymap.vehicle.profile import VehicleProfile
+    from bumpymap.lab import CalibrationSettings
+    from bumpymap.rating import Calibration, VehicleProfile
 
 
 @click.command("calibrate")
@@ -65,8 +61,8 @@ def command(
 
     An interrupted run goes on where it was when the same command is given again.
     """
-    from bumpymap.vehicle.plan import CalibrationSettings
-    from bumpymap.vehicle.profile import load_profile
+    from bumpymap.lab import CalibrationSettings
+    from bumpymap.rating import load_profile
 
     set_up_logging(as_json=log_json)
     profile = load_profile(vehicle)
@@ -99,10 +95,7 @@ def _refuse_beside_check() -> None:
 def _calibrate(
     settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str, progress: CommandProgress
 ) -> "Calibration":
-    from bumpymap.vehicle.calibrate import calibrate
-    from bumpymap.vehicle.journal import Journal
-    from bumpymap.vehicle.model import require_dart
-    from bumpymap.vehicle.ride_fit import fit_ride
+    from bumpymap.lab import Journal, calibrate, fit_ride, require_dart
 
     require_dart()
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
@@ -146,8 +139,8 @@ def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quic
 
 
 def _summary(calibration: "Calibration", out: Path) -> None:
-    from bumpymap.types import CLASS_NAMES
-    from bumpymap.vehicle.library import library_terrains
+    from bumpymap.core import CLASS_NAMES
+    from bumpymap.lab import library_terrains
 
     pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
     drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
@@ -157,9 +150,9 @@ def _summary(calibration: "Calibration", out: Path) -> None:
     drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
     say(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
     limits = (0.0, *calibration.class_limits)
-    for klass, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
+    for class_id, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
         say(
-            f"  class {klass} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
+            f"  class {class_id} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
             f"mean {mean:.3f} rad/m ({degrees(mean):4.1f} deg/m)"
         )
     say(f"wrote {out}")
@@ -167,7 +160,7 @@ def _summary(calibration: "Calibration", out: Path) -> None:
 
 def _check(profile: "VehicleProfile", seed: int) -> None:
     """Print a table of the checks; exit code 1 where one fails."""
-    from bumpymap.vehicle.checks import all_checks
+    from bumpymap.lab import all_checks
 
     failed = 0
     say(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")

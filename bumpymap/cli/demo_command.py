@@ -9,7 +9,7 @@ from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
 from bumpymap.cli._text import say
-from bumpymap.config import MapConfig
+from bumpymap.core import MapConfig
 
 __all__ = ["command"]
 
@@ -28,11 +28,11 @@ __all__ = ["command"]
 def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> None:
     """Map a made-up quarry and say where the layers are: see what bumpymap writes."""
     from bumpymap.cli._summary import show
-    from bumpymap.pipeline import map_surveys
+    from bumpymap.survey import map_surveys
 
     set_up_logging(as_json=log_json)
     if survey is None:
-        from bumpymap.sample import make_quarry_survey
+        from bumpymap.lab import make_quarry_survey
 
         survey = make_quarry_survey(out / "survey").survey
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)

@@ -13,15 +13,10 @@ from bumpymap.cli._options import ONE_PLACE, joined, option, output_options, typ
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
-from bumpymap.config import Ground, Rating, ZUnit
-from bumpymap.errors import OutputError, UsageError
-from bumpymap.lock import locked
-from bumpymap.progress import Progress
+from bumpymap.core import Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 
 if TYPE_CHECKING:
-    from bumpymap.evaluate.findings import Findings
-    from bumpymap.evaluate.settings import EvaluateSettings
-    from bumpymap.evaluate.subject import Subject
+    from bumpymap.lab import EvaluateSettings, Findings, Subject
 
 _OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite", "quiet", "log_json")
 _OF_SCANS = ("scenes", "model", "stripes")
@@ -103,17 +98,14 @@ def command(
     _refuse_idle(settings, library=library)
     subjects = _subjects(given)
     _require(settings)
-    from bumpymap.evaluate.report import write_report
-    from bumpymap.evaluate.run import evaluate_library, evaluate_survey
-    from bumpymap.evaluate.survey import open_readers
-    from bumpymap.evaluate.trial import Crew
+    from bumpymap.lab import Crew, evaluate_library, evaluate_survey, open_readers, write_report
     from bumpymap.readers import ReadOptions
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
-    with locked(out), telling_how_to_go_on(DRIVES_KEPT), shown.progress() as told:
+    with locked(out), telling_how_to_go_on(DRIVES_KEPT), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
-        crew = Crew(out, workers or os.cpu_count() or 1, overwrite, told)
+        crew = Crew(out, workers or os.cpu_count() or 1, overwrite, progress)
         findings = (
             evaluate_library(subjects, settings, crew)
             if library
@@ -172,14 +164,17 @@ class _Shown:
 def _evaluate_scans(
     places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Shown, *, overwrite: bool
 ) -> None:
-    from bumpymap.evaluate_scan.report import write_scan_report
-    from bumpymap.evaluate_scan.run import evaluate_scans, made_up, read_frames
-    from bumpymap.evaluate_scan.settings import ScanEvaluateSettings
-    from bumpymap.evaluate_scan.timing import require_plain
-    from bumpymap.frames import find_frames
-    from bumpymap.scan import load_stripes
-    from bumpymap.scan.learned import ScanModel
-    from bumpymap.scan_world import load_open3d
+    from bumpymap.lab import (
+        ScanEvaluateSettings,
+        evaluate_scans,
+        load_open3d,
+        made_up,
+        read_frames,
+        require_plain,
+        write_scan_report,
+    )
+    from bumpymap.readers import find_frames
+    from bumpymap.scan import ScanModel, load_stripes
 
     settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
@@ -188,10 +183,10 @@ def _evaluate_scans(
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
-    with locked(out), shown.progress() as told:
+    with locked(out), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
         scans = read_frames(frames) if frames else made_up(settings)
-        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, told)
+        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, progress)
         files = write_scan_report(findings, out)
     if not shown.summary(out, files):
         return
@@ -203,7 +198,7 @@ def _evaluate_scans(
 
 
 def _settings(given: dict[str, Any]) -> "EvaluateSettings":
-    from bumpymap.evaluate.settings import EvaluateSettings
+    from bumpymap.lab import EvaluateSettings
 
     try:
         densities = tuple(float(word) for word in given["densities"].split(",") if word.strip())
@@ -216,9 +211,8 @@ def _settings(given: dict[str, Any]) -> "EvaluateSettings":
 
 
 def _subjects(given: dict[str, Any]) -> "list[Subject]":
-    from bumpymap.classify import TextureModel
-    from bumpymap.evaluate.subject import Subject
-    from bumpymap.find_calibration import find_calibration
+    from bumpymap.lab import Subject
+    from bumpymap.rating import TextureModel, find_calibration
 
     names = given["vehicle"] or (() if given["calibration"] else ("warthog",))
     calibrations = [find_calibration(name) for name in names]
@@ -232,8 +226,7 @@ def _subjects(given: dict[str, Any]) -> "list[Subject]":
 
 def _require(settings: "EvaluateSettings") -> None:
     """Refuse before the hours of work what cannot be done without a library."""
-    from bumpymap.evaluate.pictures import require_matplotlib
-    from bumpymap.vehicle.model import require_dart
+    from bumpymap.lab import require_dart, require_matplotlib
 
     require_matplotlib()
     if "drives" not in settings.skip:
@@ -242,7 +235,7 @@ def _require(settings: "EvaluateSettings") -> None:
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
     """Refuse to replace a report before the hours of work, not after."""
-    from bumpymap.evaluate.report import REPORT
+    from bumpymap.lab import REPORT
 
     if (out / REPORT).exists() and not overwrite:
         raise OutputError(
@@ -251,7 +244,7 @@ def _check_place(out: Path, *, overwrite: bool) -> None:
 
 
 def _summary(findings: "Findings", files: list[Path]) -> None:
-    from bumpymap.evaluate.tables import number, percent
+    from bumpymap.lab import number, percent
 
     for vehicle, found in findings.comparisons.items():
         say(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")

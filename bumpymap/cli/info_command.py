@@ -15,12 +15,12 @@ from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import say, say_json, say_labelled, say_table
-from bumpymap.config import Ground, MapConfig, ZUnit
+from bumpymap.core import Ground, MapConfig, ZUnit
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
-    from bumpymap.engine import Estimate
-    from bumpymap.readers import PointTally, ReadOptions
+    from bumpymap.readers import PointSummaryBuilder, ReadOptions
+    from bumpymap.survey import Estimate
     from bumpytiles import Grid
 
 __all__ = ["command"]
@@ -71,9 +71,9 @@ def command(
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
     from bumpymap.cli._info_report import as_record, estimated, run_record
-    from bumpymap.config import FeatureSettings
-    from bumpymap.engine import Budget, memory_bytes
-    from bumpymap.readers import PointTally, ReadOptions, find_surveys
+    from bumpymap.core import FeatureSettings
+    from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
+    from bumpymap.survey import Budget, memory_bytes
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
@@ -86,18 +86,18 @@ def command(
     options = ReadOptions(crs, z_unit, trust_points, budget.memory)
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
-        whole = None if quick else PointTally(grid, FeatureSettings())
+        whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
         look = partial(_look, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
         reports = [look(path) for path in paths]
     together = _together(reports)
-    told = None if together else estimated(reports, budget)
+    forecast = None if together else estimated(reports, budget)
     if as_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(together)}
-        say_json(record | {"run": told and run_record(told, budget)}, indent=1)
+        say_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
         _show(reports, together or _one_map(surveys, reports, whole))
-        if told is not None:
-            _show_run(told, grid, memory, budget.threads)
+        if forecast is not None:
+            _show_run(forecast, grid, memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
@@ -108,13 +108,12 @@ def _look(
     ground: Ground,
     grid: "Grid",
     progress: CommandProgress,
-    whole: "PointTally | None",
+    whole: "PointSummaryBuilder | None",
 ) -> "Report":
     """Open a file, read it and add it to the whole if there is one; what is wrong becomes part of the report."""
     from bumpymap.cli._info_report import Report
-    from bumpymap.config import FeatureSettings
-    from bumpymap.errors import BadInputError
-    from bumpymap.readers import PointTally, open_survey
+    from bumpymap.core import BadInputError, FeatureSettings
+    from bumpymap.readers import PointSummaryBuilder, open_survey
 
     given = tuple(_given(options, ground))
     try:
@@ -122,7 +121,7 @@ def _look(
         if whole is None:
             return Report(path, grid, reader.info, options=given, ground=ground)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        tally = PointTally(grid, FeatureSettings()).read(reader, progress.advance)
+        tally = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
         whole.merge(tally)
         summary = tally.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
@@ -145,8 +144,7 @@ def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
 
 def _together(reports: "list[Report]") -> list[str]:
     """Why the files cannot be mapped in one run, in lines; empty where they can."""
-    from bumpymap.crs import common_georeference
-    from bumpymap.errors import BadInputError
+    from bumpymap.core import BadInputError, common_georeference
 
     infos = [report.info for report in reports if report.info is not None]
     try:
@@ -157,11 +155,13 @@ def _together(reports: "list[Report]") -> list[str]:
     return []
 
 
-def _one_map(surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointTally | None") -> list[str]:
+def _one_map(
+    surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointSummaryBuilder | None"
+) -> list[str]:
     """Say how several files make one map; empty for one file, or where one is bad."""
-    from bumpymap.advice import advise
     from bumpymap.cli._info_report import outcome_of
-    from bumpymap.config import FeatureSettings
+    from bumpymap.core import FeatureSettings
+    from bumpymap.survey import advise
 
     infos = [report.info for report in reports if report.info is not None and not report.error]
     if len(reports) == 1 or len(infos) < len(reports):
@@ -192,8 +192,8 @@ def _show(reports: "list[Report]", together: list[str]) -> None:
         say(line if number else f"together: {line}", "bold")
 
 
-def _show_run(told: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
+def _show_run(forecast: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
     from bumpymap.cli._info_report import run_rows
 
     say(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
-    say_table(run_rows(told, grid))
+    say_table(run_rows(forecast, grid))

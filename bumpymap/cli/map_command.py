@@ -9,9 +9,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import COMPAT_WINS, ONE_PLACE, ONE_VEHICLE, joined, output_options, typed, workers_option
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import LOCATION, PATH
-from bumpymap.config import Compat, Ground, MapConfig, Rating, ZUnit
-from bumpymap.errors import UsageError
-from bumpymap.settings_file import read_settings_file
+from bumpymap.core import Compat, Ground, MapConfig, Rating, UsageError, ZUnit, read_settings_file
 
 __all__ = ["command"]
 
@@ -55,7 +53,7 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli._summary import show
-    from bumpymap.pipeline import map_surveys
+    from bumpymap.survey import map_surveys
 
     set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}

@@ -9,12 +9,11 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import ONE_VEHICLE, joined, option, output_options, typed
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
-from bumpymap.config import Compat
-from bumpymap.errors import UsageError
+from bumpymap.core import Compat, UsageError
 
 if TYPE_CHECKING:
-    from bumpymap.scan import PolarSettings
-    from bumpymap.scan_config import ScanConfig
+    from bumpymap.core import PolarSettings
+    from bumpymap.scan import ScanConfig
 
 __all__ = ["METHODS", "PRODUCTS", "command"]
 
@@ -75,7 +74,7 @@ def command(
     bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli import _scan_summary
-    from bumpymap.scan_pipeline import fit_frames, scan_frames
+    from bumpymap.scan import fit_frames, scan_frames
 
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
@@ -97,8 +96,8 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     """Join the settings of the file and of the command line, which wins."""
     from dataclasses import replace
 
-    from bumpymap.scan_config import ScanConfig
-    from bumpymap.settings_file import read_settings_file
+    from bumpymap.core import read_settings_file
+    from bumpymap.scan import ScanConfig
 
     options = typed(given)
     if fit is not None:

@@ -14,13 +14,10 @@ from bumpymap.cli._options import option, output_options, typed
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import FILE, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
-from bumpymap.errors import OutputError, UsageError
-from bumpymap.progress import Progress
+from bumpymap.core import OutputError, Progress, UsageError
 
 if TYPE_CHECKING:
-    from bumpymap.learn.make import MadeModel
-    from bumpymap.learn.train import EpochReport
-    from bumpymap.learn_scan.make import MadeScanModel
+    from bumpymap.lab import EpochReport, MadeModel, MadeScanModel
 
 __all__ = ["command"]
 
@@ -109,9 +106,7 @@ def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
 def _train_textures(
     options: dict[str, Any], out: Path, progress: CommandProgress
 ) -> "tuple[list[str], MadeModel | MadeScanModel]":
-    from bumpymap.learn.make import make_model
-    from bumpymap.learn.model import NetworkSettings
-    from bumpymap.learn.train import TrainSettings
+    from bumpymap.lab import NetworkSettings, TrainSettings, make_model
 
     network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
     made = make_model(TrainSettings(**options, network=network), out, _Epochs(progress))
@@ -128,10 +123,7 @@ def _train_textures(
 def _train_scans(
     options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
 ) -> "tuple[list[str], MadeModel | MadeScanModel]":
-    from bumpymap.learn_scan.evaluate import even_accuracy
-    from bumpymap.learn_scan.make import make_scan_model
-    from bumpymap.learn_scan.train import ScanTrainSettings
-    from bumpymap.scan_world import load_open3d
+    from bumpymap.lab import ScanTrainSettings, even_accuracy, load_open3d, make_scan_model
 
     if folder is None:
         load_open3d("--scans simulated")

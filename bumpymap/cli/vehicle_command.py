@@ -10,7 +10,7 @@ from bumpymap.cli._terminal import PATH
 from bumpymap.cli._text import say
 
 if TYPE_CHECKING:
-    from bumpymap.vehicle.profile import VehicleProfile
+    from bumpymap.rating import VehicleProfile
 
 __all__ = ["command"]
 
@@ -29,7 +29,7 @@ def command() -> None:
 @command.command("list")
 def list_command() -> None:
     """List the vehicles that ship with bumpymap."""
-    from bumpymap.vehicle.profile import load_profile, shipped_profiles
+    from bumpymap.rating import load_profile, shipped_profiles
 
     for name in shipped_profiles():
         say(f"{name:12s} {load_profile(name).description}")
@@ -42,7 +42,7 @@ def check_command(vehicle: str) -> None:
 
     NAME_OR_FILE is a TOML file, or the name of a vehicle that ships. The exit code is 3 where the profile is wrong.
     """
-    from bumpymap.vehicle.profile import load_profile
+    from bumpymap.rating import load_profile
 
     profile = load_profile(vehicle)
     for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
@@ -55,7 +55,7 @@ def check_command(vehicle: str) -> None:
 @click.option("--like", metavar="NAME_OR_FILE", help="Begin with the numbers of this vehicle [default: none].")
 def new_command(name: str, out: Path | None, like: str | None) -> None:
     """Write a profile of your vehicle NAME to fill in: every key, its unit and what is allowed."""
-    from bumpymap.vehicle.blank import write_blank
+    from bumpymap.rating import write_blank
 
     path = out or Path(f"{name}.toml")
     write_blank(name, path, like)
@@ -79,8 +79,8 @@ def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:
 
 def _calibration(vehicle: str) -> str:
     """Say whether the vehicle has a calibration that fits."""
-    from bumpymap.errors import BadInputError
-    from bumpymap.find_calibration import find_calibration
+    from bumpymap.core import BadInputError
+    from bumpymap.rating import find_calibration
 
     try:
         found: Any = find_calibration(vehicle)

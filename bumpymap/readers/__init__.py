@@ -1,33 +1,5 @@
-"""Readers: a point cloud file in, pieces of points in metres out."""
+"""Readers, every file format once: files of points in, chunks of points in metres out."""
 
-from bumpymap.crs import common_georeference
-from bumpymap.readers.decoder import rest as rest_decoder
-from bumpymap.readers.detect import open_survey, reopen_survey
-from bumpymap.readers.find import find_surveys
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo, SurveyReader
-from bumpymap.readers.source import Location, Version, changed, identity, is_url, version_of
-from bumpymap.readers.summary import PointSummary, PointTally
-from bumpymap.readers.tally import Tally
+import lazy_loader
 
-__all__ = [
-    "PIECE_POINTS",
-    "Batch",
-    "Location",
-    "Piece",
-    "PointSummary",
-    "PointTally",
-    "ReadOptions",
-    "SurveyInfo",
-    "SurveyReader",
-    "Tally",
-    "Version",
-    "changed",
-    "common_georeference",
-    "find_surveys",
-    "identity",
-    "is_url",
-    "open_survey",
-    "reopen_survey",
-    "rest_decoder",
-    "version_of",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

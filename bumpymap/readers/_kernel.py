@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.native import entry, inner
+from bumpytiles import entry, inner
 
-__all__ = ["KEPT", "STRIP", "convert_records", "sift_points"]
+__all__ = ["KEPT", "STRIP", "convert_records", "filter_points"]
 
 _FIRST = 5
 """Place in ``counts`` of the number of the first point that is not finite; -1 where there is none."""
@@ -32,8 +32,8 @@ Counts = NDArray[np.int64]
 
 
 @inner
-def _sift(
-    x: Any, y: Any, z: Any, klass: Any, withheld: Any, total: int,
+def _filter_point(
+    x: Any, y: Any, z: Any, class_id: Any, withheld: Any, total: int,
     box: Any, nan_is_no_return: bool, start: int,
     to_x: Any, to_y: Any, to_z: Any, to_ground: Any,
     extremes: Any, counts: Any,
@@ -63,7 +63,7 @@ def _sift(
         if withheld[i]:
             counts[0] += 1
             continue
-        code = klass[i]
+        code = class_id[i]
         if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
             counts[1] += 1
             continue
@@ -74,8 +74,8 @@ def _sift(
 
 
 @entry("f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 ? i8 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
-def sift_points(
-    x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
+def filter_points(
+    x: Floats, y: Floats, z: Floats, class_id: Bytes, withheld: Flags,
     box: Floats, nan_is_no_return: bool, start: int,
     to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
     extremes: Floats, counts: Counts,
@@ -101,10 +101,10 @@ def sift_points(
         Lowest easting and northing, highest easting and northing, largest distance of a height from zero, m; brought
         up to date, as are the counts.
     counts : int64 (7,)
-        Withheld, noise, not a number, outside, not finite, first not finite: as in ``Tally``; last, those kept.
+        Withheld, noise, not a number, outside, not finite, first not finite: as in ``PointStats``; last, those kept.
     """
-    _sift(
-        x, y, z, klass, withheld, len(x), box, nan_is_no_return, start,
+    _filter_point(
+        x, y, z, class_id, withheld, len(x), box, nan_is_no_return, start,
         to_x, to_y, to_z, to_ground, extremes, counts,
     )  # fmt: skip
 
@@ -134,7 +134,7 @@ def _axis(
 @entry("u1:2 f8:1 i8:1 f8:1 i8 f8:1 f8:1 f8:1 u1:1 ?:1 f8:1 f8:1 f8:1 ?:1 f8:1 i8:1")
 def convert_records(
     records: Bytes, place: Floats, layout: Counts, box: Floats, start: int,
-    x: Floats, y: Floats, z: Floats, klass: Bytes, withheld: Flags,
+    x: Floats, y: Floats, z: Floats, class_id: Bytes, withheld: Flags,
     to_x: Floats, to_y: Floats, to_z: Floats, to_ground: Flags,
     extremes: Floats, counts: Counts,
 ) -> None:  # fmt: skip
@@ -157,9 +157,9 @@ def convert_records(
         _axis(records, 4, first, count, place[1], place[4], place[7], y)
         _axis(records, 8, first, count, place[2], place[5], place[8], z)
         for i in range(count):
-            klass[i] = records[first + i, layout[0]] & layout[1]
+            class_id[i] = records[first + i, layout[0]] & layout[1]
             withheld[i] = (records[first + i, layout[2]] & layout[3]) != 0
-        _sift(
-            x, y, z, klass, withheld, count, box, False, start + first,
+        _filter_point(
+            x, y, z, class_id, withheld, count, box, False, start + first,
             to_x, to_y, to_z, to_ground, extremes, counts,
         )  # fmt: skip

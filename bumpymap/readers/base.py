@@ -4,10 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bumpymap.errors import UsageError
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, SurveyInfo
-from bumpymap.readers.tally import Tally, judge
-from bumpymap.types import PointCloud
+from bumpymap.core import PointCloud, UsageError
+from bumpymap.readers.point_stats import PointStats, judge
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyInfo
 
 __all__ = ["Survey"]
 
@@ -17,7 +16,7 @@ class Survey(ABC):
 
     def __init__(self, info: SurveyInfo) -> None:
         self._info = info
-        self._dropped = Tally().dropped
+        self._dropped = PointStats().dropped
 
     @property
     def info(self) -> SurveyInfo:
@@ -30,28 +29,28 @@ class Survey(ABC):
         return dict(self._dropped)
 
     @abstractmethod
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file; see ``SurveyReader.pieces``."""
 
     @abstractmethod
-    def fetch(self, piece: Piece) -> Any:
+    def fetch(self, chunk: Chunk) -> Any:
         """Read and decode; see ``SurveyReader.fetch``."""
 
     @abstractmethod
-    def convert(self, piece: Piece, fetched: Any) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points that count, in metres; see ``SurveyReader.convert``."""
 
-    def judge(self, tally: Tally) -> None:
+    def judge(self, tally: PointStats) -> None:
         """Hold all points to the header; see ``SurveyReader.judge``."""
         judge(tally, self._info.path, self._info.point_count, self._info.bounds)
 
-    def chunks(self, points: int = 1_000_000) -> Iterator[PointCloud]:
+    def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Give the points that count; see ``SurveyReader.chunks``."""
         if points < 1:
             raise UsageError(f"a chunk of {points} points was asked for; it must hold at least 1")
-        tally = Tally()
-        for piece in self.pieces(points):
-            batch = self.convert(piece, self.fetch(piece))
+        tally = PointStats()
+        for chunk in self.chunks(points):
+            batch = self.convert(chunk, self.fetch(chunk))
             tally = tally.merge(batch.tally)
             self._dropped = tally.dropped
             if not tally.bad:

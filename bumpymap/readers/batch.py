@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.readers._kernel import KEPT, STRIP, convert_records, sift_points
-from bumpymap.readers.protocol import Batch
-from bumpymap.readers.tally import OUTSIDE, Tally
-from bumpymap.types import Georeference, PointCloud
+from bumpymap.core import Georeference, PointCloud
+from bumpymap.readers._kernel import KEPT, STRIP, convert_records, filter_points
+from bumpymap.readers.point_stats import OUTSIDE, PointStats
+from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
 
 __all__ = ["NO_POINTS", "RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
@@ -25,7 +25,7 @@ class RawPoints:
     easting: NDArray[np.float64]
     northing: NDArray[np.float64]
     upward: NDArray[np.float64]
-    klass: NDArray[np.number] | None = None
+    class_id: NDArray[np.number] | None = None
     """LAS class codes, of any number type; None where the file has none."""
 
 
@@ -52,7 +52,9 @@ class Watch:
     """Whether a row with NaN coordinates is a beam without return, as in PCD, or a fault."""
 
 
-def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: Watch) -> Batch:
+def batch_of_records(
+    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: Watch
+) -> ChunkPoints:
     """Convert LAS records.
 
     Parameters
@@ -75,7 +77,7 @@ def batch_of_records(records: NDArray[np.uint8], layout: RecordLayout, place: Ge
     return _batch(out, size, extremes, counts)
 
 
-def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
+def batch_of_points(raw: RawPoints, watch: Watch) -> ChunkPoints:
     """Convert rows of a table; the coordinates of ``raw`` are used up."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
@@ -83,7 +85,7 @@ def batch_of_points(raw: RawPoints, watch: Watch) -> Batch:
     box = _sides(watch.file_bounds)
     extremes, counts = _start()
     no_return = watch.nan_is_no_return
-    sift_points(*axes, _codes(raw), withheld, box, no_return, watch.first, *axes, ground, extremes, counts)
+    filter_points(*axes, _codes(raw), withheld, box, no_return, watch.first, *axes, ground, extremes, counts)
     return _batch((*axes, ground), size, extremes, counts)
 
 
@@ -91,7 +93,7 @@ _Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDAr
 
 
 def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    empty = Tally()
+    empty = PointStats()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
     return extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0])
 
@@ -105,18 +107,18 @@ def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
 def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     """Class codes of any number type as bytes; only ground and noise are told apart."""
     codes = np.zeros(raw.easting.size, np.uint8)
-    for code in (2, 7, 18) if raw.klass is not None else ():
-        codes[raw.klass == code] = code
+    for code in (2, 7, 18) if raw.class_id is not None else ():
+        codes[raw.class_id == code] = code
     return codes
 
 
-def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> Batch:
+def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # What is astray in an octree is found elsewhere, see `count_astray`.
-    tally = Tally(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
+    tally = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
     kept = 0 if tally.bad else int(counts[KEPT])
     cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
     if kept < seen // 2:
         # A view would keep the room of the points that were left out.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return Batch(cloud, tally)
+    return ChunkPoints(cloud, tally)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from bumpymap.errors import BadInputError, BumpymapError, wanting
+from bumpymap.core import BadInputError, BumpymapError, wanting
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 

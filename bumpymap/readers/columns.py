@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import Georeference
 from bumpymap.readers.batch import RawPoints
 from bumpymap.readers.source import Location, read_range
-from bumpymap.types import Georeference
 
 __all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]
 

@@ -13,12 +13,12 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.readers.cut import cut_chunks
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.las_points import Cubes, Records, RecordSource, decode_chunks
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
-from bumpymap.readers.protocol import Piece
+from bumpymap.readers.protocol import Chunk
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
@@ -58,19 +58,19 @@ class CopcNodes(RecordSource):
         self._path, self._header, self._record = path, header, record
         self._octree, self._metres_per_unit = octree, metres_per_unit
 
-    def pieces(self, points: int) -> Sequence[Piece]:
+    def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut the walk through the tree into runs of nodes, each with the box around its cubes."""
         ends = self._octree.table.ends
         runs = cut_chunks(ends, points, self._header.point_size)
         befores = [int(ends[first - 1]) if first else 0 for first, _ in runs]
         return [
-            Piece(index, before, int(ends[last - 1]) - before, self._bounds(slice(first, last)))
+            Chunk(index, before, int(ends[last - 1]) - before, self._bounds(slice(first, last)))
             for index, ((first, last), before) in enumerate(zip(runs, befores, strict=True))
         ]
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Read the bytes of the nodes, neighbours in the file at once, and decode them."""
-        table, nodes = self._octree.table, self._nodes(piece)
+        table, nodes = self._octree.table, self._nodes(chunk)
         starts, sizes, counts = table.starts[nodes], table.sizes[nodes], table.counts[nodes]
         gaps = np.flatnonzero(starts[1:] != starts[:-1] + sizes[:-1]) + 1
         ranges = [
@@ -79,16 +79,16 @@ class CopcNodes(RecordSource):
         held = list(zip(counts.tolist(), sizes.tolist(), strict=True))
         return decode_chunks(self._path, self._header, self._record, ranges, held)
 
-    def cubes(self, piece: Piece) -> Cubes | None:
+    def cubes(self, chunk: Chunk) -> Cubes | None:
         """Give the cube of each node: a point in that of another would be missed where it is looked for."""
         if self._metres_per_unit is None:
             return None
-        nodes = self._nodes(piece)
+        nodes = self._nodes(chunk)
         return Cubes(self._octree.table.counts[nodes], self._sides(nodes))
 
-    def _nodes(self, piece: Piece) -> NDArray[np.int64]:
+    def _nodes(self, chunk: Chunk) -> NDArray[np.int64]:
         """Nodes of a piece in the order of their bytes."""
-        run = self._octree.table.find(piece)
+        run = self._octree.table.find(chunk)
         order: NDArray[np.int64] = run.start + np.argsort(self._octree.table.starts[run], kind="stable")
         return order
 

@@ -5,26 +5,26 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import UsageError
-from bumpymap.readers.protocol import Piece
+from bumpymap.core import UsageError
+from bumpymap.readers.protocol import Chunk
 
-__all__ = ["cut_chunks", "cut_rows", "piece_points"]
+__all__ = ["chunk_points", "cut_chunks", "cut_rows"]
 
 _PIECE_BYTES = 1 << 26
 """No piece is larger in memory, however long a point is, unless one chunk of the file is."""
 
 
-def piece_points(points: int, point_size: int) -> int:
+def chunk_points(points: int, point_size: int) -> int:
     """Points that a piece may hold when a point takes so many bytes. Raises UsageError for less than one."""
     if points < 1:
         raise UsageError(f"a piece of {points} points was asked for; it must hold at least 1")
     return max(min(points, _PIECE_BYTES // point_size), 1)
 
 
-def cut_rows(total: int, points: int, point_size: int) -> list[Piece]:
+def cut_rows(total: int, points: int, point_size: int) -> list[Chunk]:
     """Pieces of a file that can be cut anywhere."""
-    step = piece_points(points, point_size)
-    return [Piece(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
+    step = chunk_points(points, point_size)
+    return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
 def cut_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> Sequence[tuple[int, int]]:
@@ -40,7 +40,7 @@ def cut_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> Sequenc
     sequence of (int, int)
         First chunk, and the one behind the last.
     """
-    step = piece_points(points, point_size)
+    step = chunk_points(points, point_size)
     runs: list[tuple[int, int]] = []
     first, before = 0, 0
     while first < ends.size:

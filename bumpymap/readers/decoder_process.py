@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bumpymap.errors import UsageError
+from bumpymap.core import UsageError
 from bumpymap.readers import _decoder_child as words
 from bumpymap.readers.decoder import DecoderError, Stream, StreamLostError, Supply, Table
 from bumpymap.readers.shared import Block, Bytes, SharedMemory

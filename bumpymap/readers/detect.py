@@ -5,7 +5,7 @@ from codecs import getincrementaldecoder
 from functools import partial
 from typing import Literal
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import Location, open_source
 from bumpymap.readers.watched import WatchedSurvey

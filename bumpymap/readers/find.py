@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.readers.source import Location, is_folder, is_url, list_folder
 
 __all__ = ["SUFFIXES", "find_surveys"]

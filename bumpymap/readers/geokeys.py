@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from pyproj import CRS
 
-from bumpymap.crs import (
+from bumpymap.core import (
     CrsStatement,
     crs_from_epsg,
     describe_crs,

@@ -6,9 +6,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from bumpymap.crs import CrsStatement, georeference
-from bumpymap.errors import BadInputError
-from bumpymap.readers.astray import count_astray
+from bumpymap.core import BadInputError, CrsStatement, Georeference, georeference
 from bumpymap.readers.base import Survey
 from bumpymap.readers.batch import NO_POINTS, RecordLayout, Watch, batch_of_records
 from bumpymap.readers.checks import decoding, refuse_header_bounds
@@ -17,9 +15,9 @@ from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import Numbers, RawHeader, geokeys_of, read_raw_header, text_of
 from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
 from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.points_outside_node import count_points_outside_node
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, open_source, place_of
-from bumpymap.types import Georeference
 from bumpytiles import Bounds
 
 __all__ = ["LasSurvey"]
@@ -61,23 +59,29 @@ class LasSurvey(Survey):
             )
         )
 
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file: between points, LAZ chunks, or nodes of the octree."""
-        return self._source.pieces(points)
+        return self._source.chunks(points)
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Read and decode the records of a piece."""
-        return self._source.fetch(piece)
+        return self._source.fetch(chunk)
 
-    def convert(self, piece: Piece, fetched: Records) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Records) -> ChunkPoints:
         """Points of a piece that count, in metres."""
         info = self.info
-        batch = batch_of_records(fetched, self._layout, info.georeference, Watch(piece.first, info.bounds))
-        cubes = self._source.cubes(piece)
+        batch = batch_of_records(fetched, self._layout, info.georeference, Watch(chunk.first, info.bounds))
+        cubes = self._source.cubes(chunk)
         if cubes is None or info.bounds is None:
             return batch
-        astray = count_astray(fetched, self._layout, info.georeference.metres_per_unit, info.bounds, cubes)
-        return batch if not astray else Batch(NO_POINTS, replace(batch.tally, astray=astray))
+        points_outside_node = count_points_outside_node(
+            fetched, self._layout, info.georeference.metres_per_unit, info.bounds, cubes
+        )
+        return (
+            batch
+            if not points_outside_node
+            else ChunkPoints(NO_POINTS, replace(batch.tally, points_outside_node=points_outside_node))
+        )
 
 
 def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:

@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.readers.source import Location
 
 __all__ = ["LasRecord", "RawHeader", "geokeys_of", "read_raw_header", "text_of"]

@@ -13,7 +13,7 @@ from bumpymap.readers.cut import cut_chunks, cut_rows
 from bumpymap.readers.decoder import Stream, StreamLostError, decoder
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
-from bumpymap.readers.protocol import Piece
+from bumpymap.readers.protocol import Chunk
 from bumpymap.readers.source import Location, read_into, read_range
 
 __all__ = ["Cubes", "LazChunks", "LazStream", "PlainPoints", "RecordSource", "decode_chunks", "has_huge_chunks"]
@@ -41,13 +41,13 @@ class Cubes:
 class RecordSource(Protocol):
     """How the points of a file are cut and read."""
 
-    def pieces(self, points: int) -> Sequence[Piece]:
+    def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut the file."""
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Read and decode a piece."""
 
-    def cubes(self, piece: Piece) -> Cubes | None:
+    def cubes(self, chunk: Chunk) -> Cubes | None:
         """Where its points must lie; None where only the file as a whole has a box."""
         return None
 
@@ -58,18 +58,18 @@ class PlainPoints(RecordSource):
     def __init__(self, path: Location, header: RawHeader) -> None:
         self._path, self._header = path, header
 
-    def pieces(self, points: int) -> Sequence[Piece]:
+    def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut anywhere."""
         return cut_rows(self._header.point_count, points, self._header.point_size)
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Read a range of bytes."""
         header = self._header
-        start = header.offset_to_points + piece.first * header.point_size
-        data = read_range(self._path, start, piece.points * header.point_size)
+        start = header.offset_to_points + chunk.first * header.point_size
+        data = read_range(self._path, start, chunk.points * header.point_size)
         held = data.size // header.point_size
-        if held < piece.points:
-            refuse_count(self._path, header.point_count, piece.first + held)
+        if held < chunk.points:
+            refuse_count(self._path, header.point_count, chunk.first + held)
         return data.reshape(held, header.point_size)
 
 
@@ -79,19 +79,19 @@ class LazChunks(RecordSource):
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
         self._path, self._header, self._record, self._table = path, header, record, table
 
-    def pieces(self, points: int) -> Sequence[Piece]:
+    def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut between chunks."""
         ends = self._table.ends
         runs = cut_chunks(ends, points, self._header.point_size)
         befores = [int(ends[first - 1]) if first else 0 for first, _ in runs]
         return [
-            Piece(index, before, int(ends[last - 1]) - before)
+            Chunk(index, before, int(ends[last - 1]) - before)
             for index, ((_, last), before) in enumerate(zip(runs, befores, strict=True))
         ]
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Read the bytes of some chunks and decode them."""
-        chunks = self._table.find(piece)
+        chunks = self._table.find(chunk)
         counts, sizes = self._table.counts[chunks].tolist(), self._table.sizes[chunks].tolist()
         ranges = [(int(self._table.starts[chunks.start]), sum(sizes))]
         return decode_chunks(self._path, self._header, self._record, ranges, list(zip(counts, sizes, strict=True)))
@@ -111,43 +111,43 @@ class LazStream(RecordSource):
         for points, start, size in zip(table.counts.tolist(), table.starts.tolist(), table.sizes.tolist(), strict=True):
             check_layers(path, header, read_range(path, start, min(size, _CHUNK_HEAD)), size, points)
 
-    def pieces(self, points: int) -> Sequence[Piece]:
+    def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut anywhere."""
         return cut_rows(self._header.point_count, points, self._header.point_size)
 
-    def fetch(self, piece: Piece) -> Records:
+    def fetch(self, chunk: Chunk) -> Records:
         """Decode the points that come next, or those before them first."""
         try:
-            with decoding(self._path, f"points from {piece.first:,} on"):
-                data = self._read(piece)
+            with decoding(self._path, f"points from {chunk.first:,} on"):
+                data = self._read(chunk)
         except BaseException:
             self._close()
             raise
         if self._next == self._header.point_count:
             self._close()
-        return data.reshape(piece.points, self._header.point_size)
+        return data.reshape(chunk.points, self._header.point_size)
 
-    def _read(self, piece: Piece) -> Records:
+    def _read(self, chunk: Chunk) -> Records:
         while True:
             try:
-                return self._go_on(piece)
+                return self._go_on(chunk)
             except StreamLostError:
                 # The decoder was ended for another file.
                 self._stream = None
 
-    def _go_on(self, piece: Piece) -> Records:
+    def _go_on(self, chunk: Chunk) -> Records:
         stream = self._stream
-        if stream is None or piece.first < self._next:
+        if stream is None or chunk.first < self._next:
             self._close()
             start, size = self._header.offset_to_points, self._header.size
             stream = self._stream = decoder().stream(self._record, partial(read_into, self._path), start, size)
             self._next = 0
-        while self._next < piece.first:
-            skipped = min(_SKIPPED, piece.first - self._next)
+        while self._next < chunk.first:
+            skipped = min(_SKIPPED, chunk.first - self._next)
             stream.read(skipped * self._header.point_size)
             self._next += skipped
-        data = stream.read(piece.points * self._header.point_size)
-        self._next += piece.points
+        data = stream.read(chunk.points * self._header.point_size)
+        self._next += chunk.points
         return data
 
     def _close(self) -> None:

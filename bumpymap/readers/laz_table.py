@@ -11,11 +11,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.decoder import DecoderError, decoder
 from bumpymap.readers.las_header import RawHeader
-from bumpymap.readers.protocol import Piece
+from bumpymap.readers.protocol import Chunk
 from bumpymap.readers.source import Location
 
 __all__ = ["ChunkTable", "check_layers", "is_chunked", "laz_record", "read_table", "refuse_density"]
@@ -66,10 +66,10 @@ class ChunkTable:
         """(n,) points of each chunk."""
         return np.diff(self.ends, prepend=0)
 
-    def find(self, piece: Piece) -> slice:
+    def find(self, chunk: Chunk) -> slice:
         """Chunks of a piece."""
-        last = piece.first + piece.points - 1
-        first, end = np.searchsorted(self.ends, (piece.first, last), side="right").tolist()
+        last = chunk.first + chunk.points - 1
+        first, end = np.searchsorted(self.ends, (chunk.first, last), side="right").tolist()
         return slice(first, end + 1)
 
 

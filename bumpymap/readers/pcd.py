@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
-from bumpymap.crs import CrsStatement, georeference
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError, CrsStatement, georeference
 from bumpymap.readers.base import Survey
 from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note, read_rows
 from bumpymap.readers.cut import cut_rows
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, open_source, place_of, size_of
 from bumpymap.readers.text_rows import TextRows
 
@@ -60,18 +59,18 @@ class PcdSurvey(Survey):
         has_classes = self._class_column is not None
         super().__init__(SurveyInfo(path, kind, size, head.points, place, None, has_classes, notes))
 
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""
         return cut_rows(self._head.points, points, self._dtype.itemsize)
 
-    def fetch(self, piece: Piece) -> Any:
+    def fetch(self, chunk: Chunk) -> Any:
         """Rows of a piece: a structured array with at least the columns that are needed."""
-        return self._rows(piece.first, piece.points)
+        return self._rows(chunk.first, chunk.points)
 
-    def convert(self, piece: Piece, fetched: Any) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points of a piece that count, in metres."""
         raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(piece.first, self.info.bounds, nan_is_no_return=True))
+        return batch_of_points(raw, Watch(chunk.first, self.info.bounds, nan_is_no_return=True))
 
     @property
     def _dtype(self) -> np.dtype[np.void]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.crs import CrsStatement, georeference
+from bumpymap.core import CrsStatement, georeference
 from bumpymap.readers.base import Survey
 from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import decoding, refuse_count
@@ -14,7 +14,7 @@ from bumpymap.readers.columns import metres, precision_note, read_rows
 from bumpymap.readers.cut import cut_rows
 from bumpymap.readers.listed_rows import ListedRows, data_start
 from bumpymap.readers.ply_header import PlyHeader, read_ply_header
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, ReadOptions, SurveyInfo
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.serial_rows import SerialRows
 from bumpymap.readers.source import Location, place_of, size_of
 from bumpymap.readers.text_rows import TextRows
@@ -47,20 +47,20 @@ class PlySurvey(Survey):
         has_classes = header.class_column is not None
         super().__init__(SurveyInfo(path, kind, size, header.vertex.count, place, None, has_classes, notes))
 
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""
         vertex = self._header.vertex
         row_bytes = 8 * len(self._header.columns) if self._header.text else self._dtype.itemsize
         return cut_rows(vertex.count, points, row_bytes)
 
-    def fetch(self, piece: Piece) -> Any:
+    def fetch(self, chunk: Chunk) -> Any:
         """Rows of a piece: a structured array with at least the columns that are needed."""
-        return self._rows(piece.first, piece.points)
+        return self._rows(chunk.first, chunk.points)
 
-    def convert(self, piece: Piece, fetched: Any) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points of a piece that count, in metres."""
         raw = metres(fetched, self._header.columns, self._header.class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(piece.first, self.info.bounds))
+        return batch_of_points(raw, Watch(chunk.first, self.info.bounds))
 
     def _rows(self, first: int, count: int) -> Any:
         if self._serial is not None:

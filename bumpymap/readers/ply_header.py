@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bumpymap.errors import BadInputError
-from bumpymap.ply_file import PLY_TYPES
+from bumpymap.core import PLY_TYPES, BadInputError
 from bumpymap.readers.checks import decoding
 from bumpymap.readers.columns import CLASS_COLUMNS
 from bumpymap.readers.source import Location, open_source
@@ -114,9 +113,9 @@ def read_ply_header(path: Location) -> PlyHeader:
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
     classes = (names[name] for name in CLASS_COLUMNS if name in names)
-    klass = next((prop.name for prop in classes if prop.length_code is None), None)
+    class_id = next((prop.name for prop in classes if prop.length_code is None), None)
     columns = (names["x"].name, names["y"].name, names["z"].name)
-    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns, klass)
+    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns, class_id)
 
 
 def _lines(path: Location) -> tuple[list[bytes], int]:

@@ -4,20 +4,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bumpymap.config import ZUnit
+from bumpymap.core import Georeference, PointCloud, ZUnit
 from bumpymap.readers.source import Location, Version
-from bumpymap.types import Georeference, PointCloud
 from bumpytiles import Bounds
 
 if TYPE_CHECKING:  # it needs the names here
-    from bumpymap.readers.tally import Tally
+    from bumpymap.readers.point_stats import PointStats
 
-__all__ = ["DROPPED", "PIECE_POINTS", "Batch", "Piece", "ReadOptions", "SurveyInfo", "SurveyReader"]
+__all__ = ["CHUNK_POINTS", "DROPPED", "Chunk", "ChunkPoints", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
 DROPPED = ("withheld", "noise", "not_a_number")
 """Keys of ``SurveyReader.dropped``: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
 
-PIECE_POINTS = 500_000
+CHUNK_POINTS = 500_000
 """Points of a piece: enough to keep a decoder busy, few enough to be held by the dozen."""
 
 
@@ -58,7 +57,7 @@ class SurveyInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class Chunk:
     """A part of a file that can be read by itself: points ``first`` to ``first + points`` in reading order."""
 
     index: int
@@ -73,12 +72,12 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class ChunkPoints:
     """The points of a piece."""
 
     cloud: PointCloud
     """Those that count, in metres; none where ``tally.bad``."""
-    tally: "Tally"
+    tally: "PointStats"
     """Of all of them."""
 
 
@@ -93,13 +92,13 @@ class SurveyReader(Protocol):
     def dropped(self) -> dict[str, int]:
         """How many points did not count, by reason; complete once ``chunks`` is used up."""
 
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file into pieces of about so many points; the same number gives the same pieces on any machine.
 
         Where the file is an octree (COPC), pieces go through space in order, so that places are complete early.
         """
 
-    def fetch(self, piece: Piece) -> Any:
+    def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a piece. From one thread at a time, in any order; in order is fastest.
 
         Raises
@@ -108,13 +107,13 @@ class SurveyReader(Protocol):
             The piece is damaged.
         """
 
-    def convert(self, piece: Piece, fetched: Any) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Turn what ``fetch`` gave into metres and keep the points that count. From any thread.
 
         ``fetched`` is used up.
         """
 
-    def judge(self, tally: "Tally") -> None:
+    def judge(self, tally: "PointStats") -> None:
         """Hold the points of all pieces to what the header said.
 
         Raises
@@ -123,7 +122,7 @@ class SurveyReader(Protocol):
             The header and the points disagree, or points are nowhere.
         """
 
-    def chunks(self, points: int = 1_000_000) -> Iterator[PointCloud]:
+    def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Give the points that count, in metres, in reading order, at most ``points`` at a time.
 
         Raises

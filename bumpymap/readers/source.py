@@ -18,8 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.crs import Place
-from bumpymap.errors import BadInputError, BumpymapError, UsageError
+from bumpymap.core import BadInputError, BumpymapError, Place, UsageError
 from bumpymap.readers._decoder_child import Source
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 

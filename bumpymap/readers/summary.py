@@ -11,12 +11,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.config import FeatureSettings
+from bumpymap.core import FeatureSettings, PointCloud, Reason
 from bumpymap.readers.protocol import SurveyReader
-from bumpymap.types import PointCloud, Reason
 from bumpytiles import Bounds, Grid
 
-__all__ = ["PointSummary", "PointTally"]
+__all__ = ["PointSummary", "PointSummaryBuilder"]
 
 _MERGE_AT = 4_000_000
 _MOST_PIXELS = 500_000
@@ -55,7 +54,7 @@ class PointSummary:
     """The same where points of class 2 are measured alone."""
 
 
-class PointTally:
+class PointSummaryBuilder:
     """Counts points by tile; memory follows the tiles, not the points.
 
     Parameters
@@ -79,7 +78,7 @@ class PointTally:
         BadInputError
             As ``reader.chunks`` does.
         """
-        for cloud in reader.chunks():
+        for cloud in reader.clouds():
             axes = (cloud.easting, cloud.northing, cloud.upward)
             self.low = np.minimum(self.low, [axis.min() for axis in axes])
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
@@ -92,7 +91,7 @@ class PointTally:
             advance(cloud.easting.size)
         return self
 
-    def merge(self, other: "PointTally") -> None:
+    def merge(self, other: "PointSummaryBuilder") -> None:
         """Add the points of another file, on the same grid."""
         for mine, theirs in ((self.every, other.every), (self.ground, other.ground)):
             mine.merge(theirs)

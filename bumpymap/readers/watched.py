@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from bumpymap.readers.base import Survey
-from bumpymap.readers.protocol import PIECE_POINTS, Batch, Piece, SurveyReader
+from bumpymap.readers.point_stats import PointStats
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyReader
 from bumpymap.readers.source import Location, held_to, is_url, require_same, version_of
-from bumpymap.readers.tally import Tally
 
 __all__ = ["WatchedSurvey"]
 
@@ -37,24 +37,24 @@ class WatchedSurvey(Survey):
             self._reader = open_reader()
         super().__init__(replace(self._reader.info, version=self._version))
 
-    def pieces(self, points: int = PIECE_POINTS) -> Sequence[Piece]:
+    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file; see ``SurveyReader.pieces``."""
-        return self._reader.pieces(points)
+        return self._reader.chunks(points)
 
-    def fetch(self, piece: Piece) -> Any:
+    def fetch(self, chunk: Chunk) -> Any:
         """Read and decode; see ``SurveyReader.fetch``."""
         with held_to(self._path, self._version):
-            fetched = self._reader.fetch(piece)
+            fetched = self._reader.fetch(chunk)
         if not is_url(self._path):  # a server would be asked once more for each piece
             require_same(self._path, self._version)
         return fetched
 
-    def convert(self, piece: Piece, fetched: Any) -> Batch:
+    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points that count, in metres; see ``SurveyReader.convert``."""
         with held_to(self._path, self._version):
-            return self._reader.convert(piece, fetched)
+            return self._reader.convert(chunk, fetched)
 
-    def judge(self, tally: Tally) -> None:
+    def judge(self, tally: PointStats) -> None:
         """Hold all points to the header, and the file to what it was; see ``SurveyReader.judge``."""
         require_same(self._path, self._version)
         self._reader.judge(tally)

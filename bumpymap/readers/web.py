@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError
 
 __all__ = ["STALL_S", "StalledServerError", "is_web", "read_web", "web_info"]
 

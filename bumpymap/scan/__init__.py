@@ -1,37 +1,5 @@
-"""Dynamic scenes: one scan of a moving robot in, classed sectors out."""
+"""Job 2, scan: frames of a moving robot in, classed sectors and their layers out."""
 
-from bumpymap.scan.paper import classify_paper, paper_settings
-from bumpymap.scan.points import point_classes
-from bumpymap.scan.polar import polar_sectors
-from bumpymap.scan.stripes import StripeFilter, StripeModel, classify_filter, fit_stripes, load_stripes, save_stripes
-from bumpymap.scan.types import (
-    CLASSES,
-    NOT_TRAVERSABLE,
-    ClassedSectors,
-    Dropped,
-    PolarSettings,
-    Scan,
-    ScanMethod,
-    SectorStack,
-)
+import lazy_loader
 
-__all__ = [
-    "CLASSES",
-    "NOT_TRAVERSABLE",
-    "ClassedSectors",
-    "Dropped",
-    "PolarSettings",
-    "Scan",
-    "ScanMethod",
-    "SectorStack",
-    "StripeFilter",
-    "StripeModel",
-    "classify_filter",
-    "classify_paper",
-    "fit_stripes",
-    "load_stripes",
-    "paper_settings",
-    "point_classes",
-    "polar_sectors",
-    "save_stripes",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

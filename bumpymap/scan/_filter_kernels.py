@@ -8,7 +8,7 @@ nothing else to do, and several times slower on one whose cores are taken: its t
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.native import entry
+from bumpytiles import entry
 
 __all__ = ["LANES", "STEP", "filter_maps"]
 

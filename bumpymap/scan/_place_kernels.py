@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.native import entry, inner
+from bumpytiles import entry, inner
 
 __all__ = ["count_labels", "place_points", "point_directions", "sort_points", "turn_of"]
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.native import entry, inner
+from bumpytiles import entry, inner
 
 __all__ = ["SAMPLE", "measure_sectors"]
 

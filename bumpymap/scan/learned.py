@@ -15,9 +15,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError, UsageError
-from bumpymap.onnx_file import metadata_of, read_network, session, shipped_network
-from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack
+from bumpymap.core import (
+    CLASSES,
+    NOT_TRAVERSABLE,
+    BadInputError,
+    ClassedSectors,
+    PolarSettings,
+    SectorStack,
+    UsageError,
+    metadata_of,
+    read_network,
+    session,
+    shipped_network,
+)
 
 __all__ = [
     "CHANNELS",
@@ -193,9 +203,9 @@ def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> Clas
         The network was trained for another grid.
     """
     probability = probabilities(stack, model or ScanModel.shipped(), stack.traversable)
-    klass = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
-    klass[stack.traversable] = probability[stack.traversable].argmax(axis=1)
-    return ClassedSectors(stack, klass, None, "learned")
+    class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
+    class_id[stack.traversable] = probability[stack.traversable].argmax(axis=1)
+    return ClassedSectors(stack, class_id, None, "learned")
 
 
 def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]) -> NDArray[np.float32]:

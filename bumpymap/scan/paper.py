@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import CLASSES, ClassedSectors, PolarSettings, Scan, SectorStack
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import StripeFilter, fit_centres, nearest_class, stripes_in
-from bumpymap.scan.types import CLASSES, ClassedSectors, PolarSettings, Scan, SectorStack
 
 __all__ = ["classify_paper", "paper_heights", "paper_settings"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.scan.types import NOT_TRAVERSABLE, ClassedSectors, Scan
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, Scan
 
 __all__ = ["point_classes"]
 
@@ -19,6 +19,6 @@ def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
     place = classed.sectors.point_sector
     if len(place) != len(scan.points):
         raise ValueError(f"the sectors are those of a scan of {len(place)} points; this one has {len(scan.points)}")
-    padded = np.append(classed.klass, np.uint8(NOT_TRAVERSABLE))
-    klass: NDArray[np.uint8] = padded[place]
-    return klass
+    padded = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))
+    class_id: NDArray[np.uint8] = padded[place]
+    return class_id

@@ -10,10 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError
+from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
 from bumpymap.scan._place_kernels import count_labels, place_points, point_directions, sort_points
 from bumpymap.scan._sector_kernels import SAMPLE, measure_sectors
-from bumpymap.scan.types import PolarSettings, Scan, SectorStack
 
 __all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
 

@@ -24,10 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.errors import BadInputError, UsageError
-from bumpymap.json_text import parse_json
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, BadInputError, ClassedSectors, SectorStack, UsageError, parse_json
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
-from bumpymap.scan.types import CLASSES, NOT_TRAVERSABLE, ClassedSectors, SectorStack
 
 __all__ = [
     "StripeFilter",
@@ -231,9 +229,9 @@ def nearest_class(
     stack: SectorStack, stripes: NDArray[np.float32], centres: tuple[float, float, float]
 ) -> ClassedSectors:
     """Class sectors by their stripe counts."""
-    klass = np.abs(stripes[:, None] - np.array(centres, np.float32)).argmin(axis=1).astype(np.uint8)
-    klass[~stack.traversable] = NOT_TRAVERSABLE
-    return ClassedSectors(stack, klass, stripes, "filter")
+    class_id = np.abs(stripes[:, None] - np.array(centres, np.float32)).argmin(axis=1).astype(np.uint8)
+    class_id[~stack.traversable] = NOT_TRAVERSABLE
+    return ClassedSectors(stack, class_id, stripes, "filter")
 
 
 def save_stripes(model: StripeModel, path: Path) -> None:

@@ -8,18 +8,10 @@ from pathlib import Path
 import numpy as np
 
 import bumpymap
-from bumpymap.scan import (
-    CLASSES,
-    NOT_TRAVERSABLE,
-    Scan,
-    SectorStack,
-    classify_filter,
-    fit_stripes,
-    polar_sectors,
-    save_stripes,
-)
-from bumpymap.scan_world import SENSORS, make_scene, simulate
-from bumpymap.scan_world.labels import Label
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, Scan, SectorStack
+from bumpymap.lab import SENSORS, make_scene, simulate_scan
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes
 
 SEED, TURNS, IN_A_ROW = 5150, 2, 7
 """Seven scenes, one of each theme, go to each sensor in turn, twice."""
@@ -28,7 +20,7 @@ OUT = Path(bumpymap.__file__).parent / "data" / "models" / "stripes.json"
 
 def look(index: int, name: str) -> SectorStack:
     """Cut the scan of one scene into sectors."""
-    seen = simulate(make_scene(SEED, index), SENSORS[name], index)
+    seen = simulate_scan(make_scene(SEED, index), SENSORS[name], index)
     there = (seen.points != 0).any(axis=1)
     return polar_sectors(Scan(seen.points[there], label=seen.label[there].astype(np.uint16)))
 
@@ -42,22 +34,22 @@ def main() -> None:
     save_stripes(model, OUT)
     print(f"{model.sectors:,} traversable sectors of {model.scans} scans")
     classed = [classify_filter(stack, model) for stack in stacks]
-    klass = np.concatenate([one.klass for one in classed])
+    class_id = np.concatenate([one.class_id for one in classed])
     variance, residual, label = (
         np.concatenate([getattr(stack, column) for stack in stacks]) for column in ("variance", "residual", "label")
     )
     for number in (*range(CLASSES), NOT_TRAVERSABLE):
-        own = klass == number
+        own = class_id == number
         centre = "" if number == NOT_TRAVERSABLE else f"{model.centres[number]:.2f}"
         print(f"| {number} | {centre} | {own.sum():,} | {variance[own].mean():.4f} | {np.nanmean(residual[own]):.4f} |")
     for name in (Label.TREE, Label.ASPHALT):
-        counts = [int(((klass == number) & (label == name)).sum()) for number in (*range(CLASSES), NOT_TRAVERSABLE)]
+        counts = [int(((class_id == number) & (label == name)).sum()) for number in (*range(CLASSES), NOT_TRAVERSABLE)]
         print(f"{name.name}: of class 0, 1, 2, not traversable: {counts}")
     for name in names:
         own = [(stack, one) for (_, sensor), stack, one in zip(places, stacks, classed, strict=True) if sensor == name]
         alone = fit_stripes([stack for stack, _ in own])
         same = np.concatenate(
-            [(classify_filter(stack, alone).klass == one.klass)[stack.traversable] for stack, one in own]
+            [(classify_filter(stack, alone).class_id == one.class_id)[stack.traversable] for stack, one in own]
         )
         print(f"| {name} | {' | '.join(f'{centre:.2f}' for centre in alone.centres)} | {100 * same.mean():.1f} % |")
 

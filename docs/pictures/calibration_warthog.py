@@ -8,8 +8,8 @@ import numpy as np
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-from bumpymap.calibration import Calibration
-from bumpymap.types import CLASS_NAMES
+from bumpymap.core.types import CLASS_NAMES
+from bumpymap.rating.calibration import Calibration
 
 OUT = Path(__file__).parents[1] / "pages" / "img" / "calibration_warthog.png"
 COLOURS = ("#2a7f62", "#3b73b9", "#c77c11", "#b03a48")
@@ -31,9 +31,9 @@ def main() -> None:
         upper.plot(z_range, c_r, "o-", color=colour, markersize=4, label=texture)
         lower.plot(z_range, failed, "o-", color=colour, markersize=4)
     edges = [4e-3, *calibration.class_limits, 2.5]
-    for klass, name in enumerate(CLASS_NAMES):
-        middle = np.sqrt(edges[klass] * edges[klass + 1])
-        upper.text(1.01, middle, f"{klass} {name}", transform=upper.get_yaxis_transform(), va="center", color="0.35")
+    for class_id, name in enumerate(CLASS_NAMES):
+        middle = np.sqrt(edges[class_id] * edges[class_id + 1])
+        upper.text(1.01, middle, f"{class_id} {name}", transform=upper.get_yaxis_transform(), va="center", color="0.35")
     for limit in calibration.class_limits:
         upper.axhline(limit, color="0.5", linewidth=0.8, linestyle="--")
     upper.set(xscale="log", yscale="log", ylim=(edges[0], edges[-1]), ylabel="C_r [rad/m]")

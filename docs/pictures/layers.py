@@ -16,7 +16,7 @@ import rasterio
 from matplotlib.colors import LightSource, ListedColormap, LogNorm
 from matplotlib.patches import Patch
 
-from bumpymap.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Reason
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Reason
 
 
 def draw(folder: Path, picture: Path) -> None:
@@ -25,7 +25,7 @@ def draw(folder: Path, picture: Path) -> None:
         heights, step = raster.read(1), raster.transform.a
         box = raster.bounds
     with rasterio.open(folder / "class.tif") as raster:
-        klass, reason = raster.read(1), raster.read(2)
+        class_id, reason = raster.read(1), raster.read(2)
         colours = [tuple(c / 255 for c in raster.colormap(1)[k]) for k in range(4)]
     with rasterio.open(folder / "roughness.tif") as raster:
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
@@ -37,7 +37,9 @@ def draw(folder: Path, picture: Path) -> None:
     light = LightSource(azdeg=315, altdeg=45).hillshade(filled, dx=step, dy=step, fraction=1.0)
     shade.imshow(np.where(np.isnan(heights), np.nan, light), cmap="gray", extent=extent)
     shade.set_title("heightmap.tif, hillshade")
-    rated.imshow(np.ma.masked_equal(klass, NO_CLASS), cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, extent=extent)
+    rated.imshow(
+        np.ma.masked_equal(class_id, NO_CLASS), cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, extent=extent
+    )
     rated.set_title("class.tif")
     rated.legend(
         handles=[Patch(color=colours[k], label=f"{k} {CLASS_NAMES[k]}") for k in range(4)],

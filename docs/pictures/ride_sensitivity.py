@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.textures import make_textures
-from bumpymap.vehicle.drive import DriveSettings, drive
-from bumpymap.vehicle.model import Physics
-from bumpymap.vehicle.profile import VehicleProfile, load_profile
-from bumpymap.vehicle.terrain import PatchGround
+from bumpymap.lab.simulate.drive import DriveSettings, drive
+from bumpymap.lab.simulate.model import Physics
+from bumpymap.lab.simulate.terrain import PatchGround
+from bumpymap.rating.textures import make_textures
+from bumpymap.rating.vehicle.profile import VehicleProfile, load_profile
 
 PATCHES = 24
 Z_RANGE_M = 0.3

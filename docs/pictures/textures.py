@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from bumpymap.textures import make_textures
-from bumpymap.types import TEXTURES
+from bumpymap.core.types import TEXTURES
+from bumpymap.rating.textures import make_textures
 
 
 def draw(picture: Path, columns: int = 10, seed: int = 7) -> None:

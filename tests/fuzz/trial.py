@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bumpymap.readers
-from bumpymap.errors import BumpymapError
-from bumpymap.readers import Tally, open_survey
+from bumpymap.core.errors import BumpymapError
+from bumpymap.readers import PointStats, open_survey
 
 __all__ = ["Verdict", "judged", "read_whole"]
 
@@ -52,7 +52,7 @@ def read_whole(path: Path) -> Verdict:
     """Read a survey front to back, then in small pieces back to front: both must say the same."""
     try:
         reader = open_survey(path)
-        points = sum(cloud.easting.size for cloud in reader.chunks())
+        points = sum(cloud.easting.size for cloud in reader.clouds())
         seen = points + sum(reader.dropped.values())
         if seen != reader.info.point_count:
             return Verdict("short", "chunks", f"promised {reader.info.point_count}, saw {seen}")
@@ -74,9 +74,9 @@ def _in_pieces(reader) -> tuple[int, str]:
     """Points that count, read in small pieces back to front, and why the file was refused that way."""
     batches = {}
     try:
-        for piece in reversed(reader.pieces(_SMALL)):
-            batches[piece.index] = reader.convert(piece, reader.fetch(piece))
-        tally = Tally()
+        for chunk in reversed(reader.chunks(_SMALL)):
+            batches[chunk.index] = reader.convert(chunk, reader.fetch(chunk))
+        tally = PointStats()
         for index in sorted(batches):
             tally = tally.merge(batches[index].tally)
         reader.judge(tally)

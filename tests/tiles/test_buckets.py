@@ -4,10 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from bumpytiles import Grid, Pack, Room, TileBuckets, TooManyPointsError, group_points
+from bumpytiles import Grid, MemoryLimits, Pack, TileBuckets, TooManyPointsError, group_points
 
 GRID = Grid(3.0)
 
@@ -45,7 +44,7 @@ def in_memory(columns):
 def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, points, block_points):
     columns = survey(seed)
     scratch = tmp_path_factory.mktemp("scratch")
-    buckets = TileBuckets(GRID, Room(points, block_points, scratch))
+    buckets = TileBuckets(GRID, MemoryLimits(points, block_points, scratch))
     for lot, chunk in enumerate(chunks(columns, size)):
         buckets.take(group_points(GRID, *chunk), lot)
     assert flat(buckets.blocks()) == in_memory(columns)
@@ -54,7 +53,7 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
 
 
 def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
-    buckets = TileBuckets(GRID, Room(300, 10_000, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(300, 10_000, tmp_path))
     columns = survey(1)
     for lot, chunk in enumerate(chunks(columns, 100)):
         buckets.take(group_points(GRID, *chunk), lot // 2)
@@ -69,7 +68,7 @@ def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
 
 def test_what_is_not_settled_can_be_forgotten(tmp_path):
     good, bad = survey(2, 500), survey(3, 1500)
-    buckets = TileBuckets(GRID, Room(200, 10_000, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(200, 10_000, tmp_path))
     lot = 0
     for chunk in chunks(good, 100):
         buckets.take(group_points(GRID, *chunk), lot)
@@ -89,7 +88,7 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     def finish(keys):
         finished.extend(tile for key in keys for tile in flat(buckets.block(key)))
 
-    room = Room(500, 10_000, tmp_path, complete=lambda key: key[1] < 5 and west_is_read, finish=finish)
+    room = MemoryLimits(500, 10_000, tmp_path, complete=lambda key: key[1] < 5 and west_is_read, finish=finish)
     buckets = TileBuckets(GRID, room)
     west_is_read = False
     for lot, chunk in enumerate(chunks(west, 100)):
@@ -106,7 +105,7 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
 
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
     n = 500
-    buckets = TileBuckets(GRID, Room(100, 400, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(100, 400, tmp_path))
     buckets.add(np.linspace(0, 2.9, n), np.zeros(n), np.zeros(n), np.zeros(n, bool))
     with pytest.raises(TooManyPointsError, match=r"tile \(0, 0\) holds 500 points"):
         list(buckets.blocks())

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from bumpytiles import BLOCK_TILES, Column, Grid, Mosaic, Pack, PackError, PackWriter, TileWindow
+from bumpytiles import BLOCK_TILES, Column, Grid, Pack, PackError, PackWriter, TileTable, TileWindow
 
 COLUMNS = (Column("col", "<i8"), Column("row", "<i8"), Column("value", "<f4", (2,)))
 
@@ -66,22 +65,22 @@ tiles = st.sets(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=
 
 @given(tiles, st.integers(-45, 45), st.integers(-45, 45), st.integers(1, 60), st.integers(1, 60))
 def test_a_window_of_a_mosaic_is_a_window_of_all_tiles(chosen, col, row, cols, rows):
-    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
-    assert mosaic.tiles == len(chosen)
+    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
+    assert table.tiles == len(chosen)
     window = TileWindow(col, row, cols, rows)
     inside = [(c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows]
     expected = sorted(inside, key=lambda tile: (-tile[1], tile[0]))
-    found = mosaic.read(["value"], window)
+    found = table.read(["value"], window)
     assert list(zip(found["col"].tolist(), found["row"].tolist(), strict=True)) == expected
     assert found["value"].tolist() == [list(tile) for tile in expected]
 
 
 @given(tiles, st.integers(1, 600))
 def test_strips_hold_each_tile_once(chosen, most):
-    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
     held = []
-    for strip in mosaic.strips(most):
-        found = mosaic.read([], strip)
+    for strip in table.strips(most):
+        found = table.read([], strip)
         held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
         blocks = {(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in held[-len(found["col"]) :]}
         assert len(found["col"]) <= most or len(blocks) == 1
@@ -91,50 +90,50 @@ def test_strips_hold_each_tile_once(chosen, most):
 @given(tiles)
 def test_the_window_of_a_mosaic_is_tight(chosen):
     col, row = np.array(sorted(chosen)).T
-    assert Mosaic.of(Grid(), columns_of(sorted(chosen))).window == TileWindow.around(col, row)
+    assert TileTable.of(Grid(), columns_of(sorted(chosen))).window == TileWindow.around(col, row)
 
 
 def test_packs_join(tmp_path):
     first = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)])})
     second = write(tmp_path / "b", {(0, 1): columns_of([(17, 2)])})
-    assert Mosaic(Grid(), [first, second]).read([])["col"].tolist() == [1, 17]
+    assert TileTable(Grid(), [first, second]).read([])["col"].tolist() == [1, 17]
 
 
 def test_a_mosaic_without_tiles_is_refused():
     with pytest.raises(ValueError, match="at least one tile"):
-        Mosaic(Grid(), [])
+        TileTable(Grid(), [])
     with pytest.raises(ValueError, match="at least one tile"):
-        Mosaic.of(Grid(), columns_of([]))
+        TileTable.of(Grid(), columns_of([]))
 
 
 def test_blocks_without_tiles_do_not_count(tmp_path):
     pack = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})
-    mosaic = Mosaic(Grid(), [pack])
-    assert mosaic.window == TileWindow(1, 2, 1, 1)
-    assert not mosaic.holds(TileWindow(144, 144, 16, 16))
+    table = TileTable(Grid(), [pack])
+    assert table.window == TileWindow(1, 2, 1, 1)
+    assert not table.holds(TileWindow(144, 144, 16, 16))
 
 
 @given(tiles, st.integers(-45, 45), st.integers(-45, 45), st.integers(1, 60), st.integers(1, 60), st.integers(1, 600))
 def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, rows, most):
-    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
     window = TileWindow(col, row, cols, rows)
     held, corners = [], []
-    for strip in mosaic.strips(most, window):
-        found = mosaic.read([], strip)
+    for strip in table.strips(most, window):
+        found = table.read([], strip)
         held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
         corners.append((-strip.row, strip.col))
     assert corners == sorted(corners)
     assert sorted(held) == sorted((c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows)
-    assert mosaic.holds(window) >= bool(held)
+    assert table.holds(window) >= bool(held)
 
 
 @given(tiles, st.integers(-45, 45), st.integers(-45, 45))
 def test_a_block_holds_what_it_has(chosen, col, row):
-    mosaic = Mosaic.of(Grid(), columns_of(sorted(chosen)))
+    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
     block = TileWindow(col * BLOCK_TILES, row * BLOCK_TILES, BLOCK_TILES, BLOCK_TILES)
-    assert mosaic.holds(block) == ((row, col) in {(r // BLOCK_TILES, c // BLOCK_TILES) for c, r in chosen})
+    assert table.holds(block) == ((row, col) in {(r // BLOCK_TILES, c // BLOCK_TILES) for c, r in chosen})
 
 
 def test_the_same_tile_twice_is_refused():
     with pytest.raises(ValueError, match="same tile"):
-        Mosaic.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])
+        TileTable.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])

@@ -13,7 +13,7 @@ from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.pack import BlockKey, Pack, PackWriter
 from bumpytiles.split import BLOCK_TILES, POINT_COLUMNS, Part, Run, TilePoints, group_points, sort_block
 
-__all__ = ["Room", "TileBuckets", "TooManyPointsError"]
+__all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
 _TILES = BLOCK_TILES**2
 _SLICE = 1 << 20
@@ -29,7 +29,7 @@ class TooManyPointsError(Exception):
 
 
 @dataclass(slots=True)
-class Room:
+class MemoryLimits:
     """How much may wait in memory, and what happens beyond."""
 
     points: int
@@ -92,7 +92,7 @@ class TileBuckets:
     [(0, 2), (1, 1)]
     """
 
-    def __init__(self, grid: Grid, room: Room | None = None, packs: Iterable[Pack] = ()) -> None:
+    def __init__(self, grid: Grid, room: MemoryLimits | None = None, packs: Iterable[Pack] = ()) -> None:
         self.grid = grid
         self.room = room
         self.packs: list[Pack] = list(packs)
@@ -225,7 +225,7 @@ class TileBuckets:
     def _held(self, key: BlockKey) -> list[tuple[Run, int]]:
         return self._waiting.index.get(key, [])
 
-    def _make_room(self, room: Room) -> None:
+    def _make_room(self, room: MemoryLimits) -> None:
         """Finish what is complete, then send the older half of what waits to disk."""
         self._settle()
         chosen = self._oldest(room.points // 2)

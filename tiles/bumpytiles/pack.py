@@ -80,8 +80,8 @@ class PackWriter:
         self._index.append((*key, rows, self._at))
         for column in self._columns:
             size = 0
-            for piece in columns[column.name]:
-                size += self._file.write(_bytes(np.ascontiguousarray(piece, dtype=column.dtype)))
+            for chunk in columns[column.name]:
+                size += self._file.write(_bytes(np.ascontiguousarray(chunk, dtype=column.dtype)))
             if size != rows * column.row_bytes:
                 raise ValueError(f"column {column.name} holds {size} bytes; {rows} rows need {rows * column.row_bytes}")
             self._at += size

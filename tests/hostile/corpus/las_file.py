@@ -106,13 +106,13 @@ def cloud(count, seed=0):
     return np.column_stack([x, y, z]) + ORIGIN
 
 
-def las_file(xyz, *, minor, fmt, chunks=None, vlrs=(), evlrs=(), klass=2, withheld=False, wkt_bit=False):
+def las_file(xyz, *, minor, fmt, chunks=None, vlrs=(), evlrs=(), class_id=2, withheld=False, wkt_bit=False):
     """Bytes of a valid file.
 
     ``chunks``: None writes LAS; a number writes LAZ in chunks of so many points; a list of numbers writes LAZ in
     chunks of those many.
     """
-    body = _records(np.asarray(xyz, float), fmt, klass, withheld=withheld)
+    body = _records(np.asarray(xyz, float), fmt, class_id, withheld=withheld)
     vlrs = list(vlrs)
     if chunks is not None:
         laz = _laszip_record(fmt, chunks)
@@ -153,12 +153,12 @@ def _header(xyz, minor, fmt, record_length, points_at, vlr_count, compressed):
     return head
 
 
-def _records(xyz, fmt, klass, *, withheld):
+def _records(xyz, fmt, class_id, *, withheld):
     points = np.zeros(len(xyz), np.dtype(_POINTS[fmt]))
     for axis, name in enumerate("xyz"):
         points[name] = np.round((xyz[:, axis] - ORIGIN[axis]) / SCALE)
     points["intensity"] = points["x"] % 997
-    points["class"] = klass
+    points["class"] = class_id
     points["gps"] = np.arange(len(xyz)) * 1e-4
     if fmt in {3, 7}:
         points["red"] = points["z"] % 251

@@ -1,0 +1,5 @@
+"""What all rooms share: records, settings, errors, files that appear whole, progress, child processes, CRS."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

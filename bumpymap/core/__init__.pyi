@@ -1,0 +1,134 @@
+from .config import (
+    BOTH as BOTH,
+    Compat as Compat,
+    CsfSettings as CsfSettings,
+    FeatureSettings as FeatureSettings,
+    Ground as Ground,
+    MapConfig as MapConfig,
+    NameOrFile as NameOrFile,
+    Rating as Rating,
+    ZUnit as ZUnit,
+    decide_ground as decide_ground,
+)
+from .crs.reproject import (
+    Place as Place,
+    describe_crs as describe_crs,
+    reproject_command as reproject_command,
+    utm_epsg as utm_epsg,
+)
+from .crs.settle import (
+    CrsStatement as CrsStatement,
+    common_georeference as common_georeference,
+    crs_from_epsg as crs_from_epsg,
+    georeference as georeference,
+    horizontal_of as horizontal_of,
+    linear_unit as linear_unit,
+    parse_crs as parse_crs,
+    same_crs as same_crs,
+    scale_note as scale_note,
+    statement_from_wkt as statement_from_wkt,
+    unit_name as unit_name,
+)
+from .crs.vertical import (
+    vertical_of as vertical_of,
+    with_vertical as with_vertical,
+)
+from .errors import (
+    BadInputError as BadInputError,
+    BumpymapError as BumpymapError,
+    OutputError as OutputError,
+    UsageError as UsageError,
+    causes as causes,
+    wanting as wanting,
+)
+from .files import (
+    STAGED as STAGED,
+    atomic as atomic,
+    in_utf8 as in_utf8,
+    move_together as move_together,
+    no_empty_folder as no_empty_folder,
+    take_away as take_away,
+    together as together,
+)
+from .interrupts import (
+    Terminated as Terminated,
+    interruptible as interruptible,
+    shielded as shielded,
+)
+from .json_text import (
+    parse_json as parse_json,
+)
+from .lock import (
+    locked as locked,
+)
+from .onnx_file import (
+    metadata_of as metadata_of,
+    read_network as read_network,
+    session as session,
+    shipped_network as shipped_network,
+)
+from .ply_file import (
+    PLY_TYPES as PLY_TYPES,
+    write_vertices as write_vertices,
+)
+from .progress import (
+    Progress as Progress,
+    SilentProgress as SilentProgress,
+    Steps as Steps,
+    Stopwatch as Stopwatch,
+    counted as counted,
+)
+from .run_folder import (
+    Kept as Kept,
+    RunFolder as RunFolder,
+    is_own_folder as is_own_folder,
+    read_record as read_record,
+    refuse_broken_off as refuse_broken_off,
+    tidy as tidy,
+    what_is_kept as what_is_kept,
+    writing_in as writing_in,
+)
+from .run_spec import (
+    as_done as as_done,
+    differences as differences,
+    flat_settings as flat_settings,
+    same_content as same_content,
+)
+from .scan_types import (
+    CLASSES as CLASSES,
+    NOT_TRAVERSABLE as NOT_TRAVERSABLE,
+    ClassedSectors as ClassedSectors,
+    Dropped as Dropped,
+    PolarSettings as PolarSettings,
+    Scan as Scan,
+    ScanMethod as ScanMethod,
+    SectorStack as SectorStack,
+)
+from .settings_file import (
+    read_settings_file as read_settings_file,
+    why_no_path as why_no_path,
+)
+from .toml_file import (
+    read_toml as read_toml,
+    shown as shown,
+    shown_names as shown_names,
+)
+from .types import (
+    BANDS as BANDS,
+    CLASS_NAMES as CLASS_NAMES,
+    FAIL_SHARE as FAIL_SHARE,
+    NO_CLASS as NO_CLASS,
+    PASSABLE_COLUMNS as PASSABLE_COLUMNS,
+    REASON_TEXT as REASON_TEXT,
+    TEXTURES as TEXTURES,
+    CostMap as CostMap,
+    CostRule as CostRule,
+    CostTable as CostTable,
+    Georeference as Georeference,
+    PatchStack as PatchStack,
+    PointCloud as PointCloud,
+    Reason as Reason,
+    Texture as Texture,
+    TextureMap as TextureMap,
+    tile_columns as tile_columns,
+)

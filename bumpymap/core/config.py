@@ -1,0 +1,197 @@
+"""Settings: one tree of defaults that works with no file. Unknown keys are refused; nothing changes during a run."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+from bumpymap.core.errors import BadInputError, UsageError
+
+__all__ = [
+    "BOTH",
+    "Compat",
+    "CsfSettings",
+    "FeatureSettings",
+    "Ground",
+    "MapConfig",
+    "NameOrFile",
+    "Rating",
+    "ZUnit",
+    "decide_ground",
+    "names_a_file",
+]
+
+Ground = Literal["auto", "all", "class", "csf"]
+Compat = Literal["none", "paper"]
+Rating = Literal["ride", "table"]
+ZUnit = Literal["m", "ft", "us-ft"]
+NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
+"""The path of a file in settings starts at their folder."""
+
+BOTH = (
+    "--resume goes on with a run that was broken off, --overwrite starts anew: give one of them. A run that was begun "
+    "with --overwrite goes on with --resume alone"
+)
+_CLASSIFIED_SHARE = 0.5
+"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureSettings:
+    """How tiles are measured and when they cannot be judged."""
+
+    min_points: int = 30
+    """Fewer points: reason 2."""
+    min_coverage: float = 0.25
+    """Smaller share of pixels with a point: reason 3."""
+    max_hole: float = 1.0
+    """A pixel farther than this from every pixel with a point: reason 3, m."""
+    ransac_threshold: float = 0.1
+    """Points within this of a plane are its inliers, m."""
+    stray_gap: float = 0.5
+    """A stray point is cut off from all others by more than this (and more than their spread), m."""
+    stray_points: int = 3
+    """At most so many strays above, and so many below, are looked for."""
+    stray_share: float = 0.01
+    """A larger share of strays among the points: reason 5, the relief cannot be told from noise."""
+
+    def __post_init__(self) -> None:
+        _at_least("min_points", self.min_points, 3)
+        _within("min_coverage", self.min_coverage, 0.0, 1.0)
+        _within("max_hole", self.max_hole, 0.0, 1e6)
+        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6)
+        _within("stray_gap", self.stray_gap, 0.0, 1e6)
+        _at_least("stray_points", self.stray_points, 0)
+        _within("stray_share", self.stray_share, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CsfSettings:
+    """How ground is found by the cloth simulation filter (``ground = "csf"``)."""
+
+    cloth_resolution: float = 0.5
+    """Side of a mesh of the cloth, m."""
+    class_threshold: float = 0.5
+    """Points within this of the cloth are ground, m."""
+    rigidness: int = 3
+    """How stiff the cloth is: 1 follows steep slopes, 3 bridges wide objects."""
+    slope_smooth: bool = True
+    """Lower what the cloth leaves hanging at the foot of slopes."""
+
+    def __post_init__(self) -> None:
+        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0)
+        _within("class_threshold", self.class_threshold, 0.01, 10.0)
+        _within("rigidness", self.rigidness, 1, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class MapConfig:
+    """Everything that a ``map`` run depends on."""
+
+    surveys: tuple[Path | str, ...]
+    """Files and folders; texts are fsspec URLs."""
+    out: Path
+    """Folder of the products."""
+    tile_size: float = 3.0
+    """Side of a tile, m."""
+    pixels: int = 15
+    """Pixels along a side of a tile."""
+    ground: Ground = "auto"
+    """Which points count: all, class 2 alone, class 2 where most tiles have such points, or what a cloth finds."""
+    rating: Rating = "ride"
+    """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
+    compat: Compat = "none"
+    """``paper``: rate by the rules of the paper."""
+    vehicle: NameOrFile = "warthog"
+    """A vehicle whose calibration ships, or the TOML file of one, with its calibration beside it."""
+    calibration: Path | None = None
+    """A calibration file; instead of ``vehicle``."""
+    model: Path | None = None
+    """A texture network; instead of the one that ships."""
+    crs: str | None = None
+    """CRS for surveys that have none (or a wrong one)."""
+    z_unit: ZUnit | None = None
+    """Unit of heights, where the survey's CRS does not say or says it wrong."""
+    local: bool = False
+    """Accept coordinates without a CRS."""
+    trust_points: bool = False
+    """Go on where a header's extent contradicts the points."""
+    skip_bad: bool = False
+    """Go on without the files that cannot be read."""
+    overwrite: bool = False
+    """Replace the products of an earlier run."""
+    resume: bool = False
+    """Go on with a run that was broken off."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads of this machine; ``workers`` share them out."""
+    memory: str = "1GB"
+    """Memory to use over what the interpreter and its libraries take; of each worker, where there are workers."""
+    scratch: Path | None = None
+    """Folder for points that memory cannot hold; None: in the folder of the products."""
+    workers: int | None = None
+    """Worker processes on this machine; None: everything in this process."""
+    scheduler: str | None = None
+    """Address of a dask.distributed scheduler, whose workers are used."""
+    tls_config: Path | None = None
+    """File that names the certificates for a scheduler whose address starts with ``tls://``."""
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+    csf: CsfSettings = field(default_factory=CsfSettings)
+
+    def __post_init__(self) -> None:
+        _within("tile_size", self.tile_size, 0.05, 1000.0)
+        _within("pixels", self.pixels, 3, 255)
+        _at_least("threads", self.threads, 1)
+        _one_of("ground", self.ground, get_args(Ground))
+        _one_of("rating", self.rating, get_args(Rating))
+        _one_of("compat", self.compat, get_args(Compat))
+        if self.z_unit is not None:
+            _one_of("z_unit", self.z_unit, get_args(ZUnit))
+        if self.workers is not None:
+            _at_least("workers", self.workers, 1)
+        if self.resume and self.overwrite:
+            raise UsageError(BOTH)
+        if self.workers is not None and self.scheduler is not None:
+            raise UsageError(
+                f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
+                "on this machine, a scheduler has its own"
+            )
+        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
+        if encrypted and self.tls_config is None:
+            raise UsageError(
+                f"scheduler is {self.scheduler!r}, which wants certificates: give --tls-config FILE, a file that names "
+                "them (ca, cert, key)"
+            )
+        if self.tls_config is not None and not encrypted:
+            raise UsageError(
+                f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
+                "scheduler whose address starts with tls://"
+            )
+
+
+def names_a_file(text: str) -> bool:
+    """Tell whether a `NameOrFile` means a file: it ends in ``.toml``, or names a folder."""
+    return text.endswith(".toml") or "/" in text
+
+
+def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
+    """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
+    if ground == "all":
+        return False
+    if ground == "class" and not flagged:
+        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+    return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
+
+
+def _within(name: str, value: float, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
+
+
+def _at_least(name: str, value: int, low: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < low:
+        raise UsageError(f"{name} is {value!r}; it must be a whole number, at least {low}")
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

@@ -1,0 +1,331 @@
+"""Settle the CRS and units of a file, and of the files of a run.
+
+A file's own statement is a ``CrsStatement``. ``--crs`` wins over it; ``--z-unit`` wins over every unit of height. The
+result keeps the vertical part too, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused with
+the command that reprojects the file.
+"""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from pyproj import CRS, Proj, get_units_map
+from pyproj.exceptions import CRSError, ProjError
+
+from bumpymap.core.crs.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
+from bumpymap.core.crs.vertical import in_metres, same_zero, vertical_of, with_vertical
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.types import Georeference
+
+__all__ = [
+    "CrsStatement",
+    "common_georeference",
+    "crs_from_epsg",
+    "georeference",
+    "horizontal_of",
+    "linear_unit",
+    "parse_crs",
+    "same_crs",
+    "scale_note",
+    "statement_from_wkt",
+    "unit_name",
+]
+
+_log = logging.getLogger(__name__)
+
+_US_FOOT = 1200 / 3937
+_UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
+_Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
+_SCALE_TOLERANCE = 0.01
+_LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
+"""Metres; the units of EPSG lie well inside, from the millimetre to the nautical mile."""
+
+
+@dataclass(frozen=True, slots=True)
+class CrsStatement:
+    """What a file says of its CRS and units."""
+
+    crs: CRS | None = None
+    """As written, the vertical part too; None where it says nothing that can be worked out."""
+    metres_per_unit: float | None = None
+    """Horizontal unit where it is stated apart from the CRS."""
+    metres_per_unit_z: float | None = None
+    """Unit of height where it is stated apart from the CRS."""
+    trouble: str = ""
+    """Why the statement cannot be believed; empty where it can."""
+    notes: tuple[str, ...] = ()
+
+
+class _HasGeoreference(Protocol):
+    @property
+    def path(self) -> Path | str: ...
+    @property
+    def georeference(self) -> Georeference: ...
+
+
+def parse_crs(text: str) -> CRS:
+    """Read what the user gave as ``--crs``. Raises UsageError where PROJ does not know it."""
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise UsageError(
+            f"--crs '{text}' is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or WKT"
+        ) from error
+
+
+def statement_from_wkt(text: str) -> CrsStatement:
+    """Read a WKT record; what PROJ cannot parse becomes ``trouble``."""
+    try:
+        return CrsStatement(CRS.from_wkt(text))
+    except CRSError:
+        shown = text if len(text) <= 60 else text[:57] + "..."
+        return CrsStatement(trouble=f"its WKT record cannot be understood ({shown!r})")
+
+
+def crs_from_epsg(code: int) -> CRS | None:
+    """Look a code up; None where PROJ does not know it."""
+    try:
+        return CRS.from_epsg(code)
+    except CRSError:
+        return None
+
+
+def linear_unit(code: int) -> float | None:
+    """Metres in a unit of length by its EPSG code, such as 9003; None where there is no such unit."""
+    for unit in get_units_map(auth_name="EPSG", category="linear").values():
+        if unit.code == str(code):
+            return _exact(unit.conv_factor)
+    return None
+
+
+def unit_name(metres_per_unit: float) -> str:
+    """Name a unit for people."""
+    return _UNITS.get(metres_per_unit, f"unit of {metres_per_unit:g} m")
+
+
+def georeference(
+    place: Place, statement: CrsStatement, user_crs: str | None, z_unit: str | None
+) -> tuple[Georeference, tuple[str, ...]]:
+    """Settle CRS and units of one file.
+
+    Parameters
+    ----------
+    place : Place
+    statement : CrsStatement
+        What the file says.
+    user_crs : str or None
+        ``--crs``.
+    z_unit : {"m", "ft", "us-ft"} or None
+        ``--z-unit``.
+
+    Returns
+    -------
+    Georeference
+        ``crs`` is the horizontal CRS, or a compound one with the vertical CRS that is stated beside it; None where
+        nothing is known or the CRS is a local one.
+    tuple of str
+        What the user should know.
+
+    Raises
+    ------
+    BadInputError
+        The file's statement cannot be believed and ``user_crs`` is None, or the CRS is not a projected one.
+    UsageError
+        ``user_crs`` is no CRS.
+    """
+    user = None if user_crs is None else parse_crs(user_crs)
+    if user is None and statement.trouble:
+        raise BadInputError(f"the CRS of {place.path} is unclear: {statement.trouble}. {SAY_CRS}")
+    notes = list(statement.notes) if user is None else _conflict(user, statement)
+    crs = user or statement.crs
+    if crs is not None:
+        refuse_unprojected(place, crs, from_user=user is not None)
+        _refuse_units(place, crs, from_user=user is not None)
+    unit = _unit(crs) or statement.metres_per_unit or 1.0
+    unit_z = _Z_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
+    if not math.isclose(unit, unit_z, rel_tol=1e-5):
+        notes.append(f"heights are in another unit ({unit_name(unit_z)}) than easting and northing ({unit_name(unit)})")
+    horizontal = horizontal_of(crs) if crs is not None else None
+    if horizontal is None and crs is not None:
+        notes.append(f"its CRS '{crs.name}' is a local one: bumpymap treats it as no CRS")
+    elif horizontal is not None and place.middle is not None:
+        notes += scale_note(horizontal, place.middle)
+    vertical = None if horizontal is None else _vertical_crs(user, statement.crs)
+    if horizontal is None or vertical is None:
+        return Georeference(horizontal, unit, unit_z), tuple(notes)
+    if not in_metres(vertical):
+        notes.append(f"{describe_crs(vertical)} is not in metres, as heights in the layers are: they do not carry it")
+    return Georeference(with_vertical(horizontal, vertical, crs), unit, unit_z), tuple(notes)
+
+
+def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
+    """Vertical part of ``--crs``; that of the file where ``--crs`` has none and does not contradict the file."""
+    vertical = None if user is None else vertical_of(user)
+    if own is None or vertical is not None:
+        return vertical
+    ours, theirs = None if user is None else horizontal_of(user), horizontal_of(own)
+    agreed = user is None or (ours is not None and theirs is not None and same_crs(ours, theirs))
+    return vertical_of(own) if agreed else None
+
+
+def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
+    """Refuse a projected CRS whose unit is no length: PROJ takes whatever a text says."""
+    factors = [axis.unit_conversion_factor for axis in crs.axis_info]
+    wrong = next((factor for factor in factors if not _LEAST_UNIT <= factor <= _LARGEST_UNIT), None)
+    if wrong is None:
+        return
+    if from_user:
+        raise UsageError(
+            f"--crs '{crs.name}' has a unit of {wrong:g} m, which is none. Give a code such as EPSG:32614, a PROJ "
+            "string or WKT with units"
+        )
+    raise BadInputError(
+        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has a unit of {wrong:g} m, which is none. {SAY_CRS}"
+    )
+
+
+def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
+    if statement.trouble:
+        return [f"its own CRS was set aside for --crs: {statement.trouble}"]
+    if statement.crs is None:
+        return []
+    ours, theirs = horizontal_of(user), horizontal_of(statement.crs)
+    if ours is not None and theirs is not None and same_crs(ours, theirs):
+        return []
+    return [f"the file says its CRS is {describe_crs(statement.crs)}; --crs says {describe_crs(user)}, and wins"]
+
+
+def same_crs(first: CRS, second: CRS) -> bool:
+    """Whether two horizontal CRS are one, however they are spelled."""
+    if first == second or first.equals(second, ignore_axis_order=True):
+        return True
+    stated, matched = _code(first), first.to_epsg()
+    return (stated != "" and stated == _code(second)) or (matched is not None and matched == second.to_epsg())
+
+
+def _code(crs: CRS) -> str:
+    """Return the code that a CRS itself states, not one that PROJ finds like it; empty where it states none."""
+    stated = crs.to_json_dict().get("id", {})
+    return f"{stated['authority']}:{stated['code']}" if stated else ""
+
+
+def _exact(factor: float) -> float:
+    """Snap a unit that was written with few digits, so that one unit gives one set of bits."""
+    return next((known for known in _UNITS if math.isclose(factor, known, rel_tol=1e-9)), factor)
+
+
+def _unit(crs: CRS | None) -> float | None:
+    return None if crs is None else _exact(crs.axis_info[0].unit_conversion_factor)
+
+
+def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:
+    """Find the unit of height that the file states; it stands under ``--crs`` unless that denies its other unit."""
+    own = statement.metres_per_unit or _unit(statement.crs)
+    denied = own is not None and not math.isclose(own, unit, rel_tol=1e-5)
+    stated = None if statement.metres_per_unit_z is None else _exact(statement.metres_per_unit_z)
+    return None if denied else stated or _vertical_unit(statement.crs)
+
+
+def _vertical_unit(crs: CRS | None) -> float | None:
+    if crs is None or len(crs.axis_info) < 3:
+        return None
+    return _exact(crs.axis_info[2].unit_conversion_factor)
+
+
+def horizontal_of(crs: CRS) -> CRS | None:
+    """Easting and northing alone; None for a local (engineering) CRS."""
+    if crs.is_compound:
+        return horizontal_of(crs.sub_crs_list[0])
+    if crs.is_bound and crs.source_crs is not None and _code(crs.source_crs):
+        # A TOWGS84 clause around a CRS with a code: PROJ knows better ways to WGS 84.
+        return horizontal_of(crs.source_crs)
+    if not crs.is_projected:
+        return None
+    return crs if len(crs.axis_info) == 2 else crs.to_2d()
+
+
+def scale_note(crs: CRS, middle: tuple[float, float, float]) -> list[str]:
+    """Say so where a metre of the CRS is not a metre on the ground (Web Mercator: 1.4 m at 45 degrees)."""
+    try:
+        proj = Proj(crs)
+        longitude, latitude = proj(middle[0], middle[1], inverse=True, errcheck=True)
+        scale = proj.get_factors(longitude, latitude, errcheck=True).meridional_scale
+    except (ProjError, CRSError):
+        return [f"its coordinates lie outside the area where {crs.name} can be used: is the CRS right?"]
+    if abs(scale - 1) <= _SCALE_TOLERANCE:
+        return []
+    note = (
+        f"one metre of {crs.name} is {1 / scale:.3f} m on the ground here: tiles are that much smaller and slopes "
+        "steeper than they seem. Reproject to the local UTM zone for a true map"
+    )
+    return [note]
+
+
+def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
+    """Georeference that all files of a run share.
+
+    Units may differ from file to file, since each is converted by its own; the first file's (by path) are returned.
+    Where only some state a vertical CRS, none is returned, with a warning.
+
+    Raises
+    ------
+    BadInputError
+        Files have different CRS, or only some have one, or their heights count from different zeros; lists which has
+        what.
+    """
+    ordered = sorted(infos, key=lambda info: str(info.path))
+    if not ordered:
+        raise BadInputError("no survey was given; name a point cloud file or a folder of them")
+    first = ordered[0].georeference
+    held = [info.georeference.crs for info in ordered]
+    flat = [None if crs is None else horizontal_of(crs) for crs in held]
+    if all(_agree(flat[0], crs) for crs in flat):
+        crs = _common_crs(ordered, held)
+        return first if crs is held[0] else replace(first, crs=crs)
+    advice = (
+        f"{SAY_CRS} if that is right for all of them"
+        if any(crs is None for crs in held)
+        else "Reproject them to one CRS, or map them in separate runs; --crs sets one for all if the files are wrong"
+    )
+    raise BadInputError("the files are not in one CRS:", *_listed(ordered, held), advice)
+
+
+def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> CRS | None:
+    """CRS of files whose horizontal ones agree: with a vertical part where all of them have that."""
+    vertical = [None if crs is None else vertical_of(crs) for crs in held]
+    stated = [crs for crs in vertical if crs is not None]
+    if not all(same_zero(stated[0], crs) for crs in stated):
+        raise BadInputError(
+            "the heights of the files are not in one vertical CRS:",
+            *_listed(ordered, held),
+            "Reproject them to one, or map them in separate runs; --crs with a vertical part, such as "
+            "EPSG:32614+5703, sets one for all if the files are wrong",
+        )
+    if stated and len(stated) < len(held):
+        _log.warning(
+            "%d of %d files state a vertical CRS (%s), so the layers carry none. --crs with a vertical part, such as "
+            "EPSG:32614+5703, sets one for all",
+            len(stated),
+            len(held),
+            describe_crs(stated[0]),
+        )
+        return None if held[0] is None else horizontal_of(held[0])
+    # Files in metres and in feet from one zero: all heights are metres by now.
+    metric = (crs for crs, own in zip(held, vertical, strict=True) if own is not None and in_metres(own))
+    return next(metric, held[0])
+
+
+def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> list[str]:
+    lines = [
+        f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
+    ]
+    return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
+
+
+def _agree(first: CRS | None, second: CRS | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return same_crs(first, second)

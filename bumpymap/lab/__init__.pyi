@@ -1,0 +1,139 @@
+from .evaluate.findings import (
+    Findings as Findings,
+)
+from .evaluate.pictures import (
+    require_matplotlib as require_matplotlib,
+)
+from .evaluate.report import (
+    REPORT as REPORT,
+    write_report as write_report,
+)
+from .evaluate.run import (
+    evaluate_library as evaluate_library,
+    evaluate_survey as evaluate_survey,
+)
+from .evaluate.scan.report import (
+    write_scan_report as write_scan_report,
+)
+from .evaluate.scan.run import (
+    evaluate_scans as evaluate_scans,
+    made_up as made_up,
+    read_frames as read_frames,
+)
+from .evaluate.scan.settings import (
+    ScanEvaluateSettings as ScanEvaluateSettings,
+)
+from .evaluate.scan.timing import (
+    require_plain as require_plain,
+)
+from .evaluate.settings import (
+    EvaluateSettings as EvaluateSettings,
+)
+from .evaluate.subject import (
+    Subject as Subject,
+)
+from .evaluate.survey import (
+    open_readers as open_readers,
+)
+from .evaluate.tables import (
+    number as number,
+    percent as percent,
+)
+from .evaluate.trial import (
+    Crew as Crew,
+)
+from .simulate.calibrate import (
+    calibrate as calibrate,
+)
+from .simulate.checks import (
+    all_checks as all_checks,
+)
+from .simulate.journal import (
+    Journal as Journal,
+)
+from .simulate.library import (
+    library_terrains as library_terrains,
+)
+from .simulate.model import (
+    require_dart as require_dart,
+)
+from .simulate.plan import (
+    CalibrationSettings as CalibrationSettings,
+)
+from .simulate.ride_fit import (
+    fit_ride as fit_ride,
+)
+from .train.make import (
+    MadeModel as MadeModel,
+    make_model as make_model,
+)
+from .train.model import (
+    NetworkSettings as NetworkSettings,
+)
+from .train.scan.evaluate import (
+    even_accuracy as even_accuracy,
+)
+from .train.scan.make import (
+    MadeScanModel as MadeScanModel,
+    make_scan_model as make_scan_model,
+)
+from .train.scan.train import (
+    ScanTrainSettings as ScanTrainSettings,
+)
+from .train.train import (
+    EpochReport as EpochReport,
+    TrainSettings as TrainSettings,
+)
+from .worlds.sample._surfaces import (
+    CROWN as CROWN,
+    KERB_HEIGHT as KERB_HEIGHT,
+    RAMP_SLOPE_DEG as RAMP_SLOPE_DEG,
+    WASHBOARD_AMPLITUDE as WASHBOARD_AMPLITUDE,
+    WASHBOARD_LENGTH as WASHBOARD_LENGTH,
+)
+from .worlds.sample.files import (
+    SampleFiles as SampleFiles,
+    make_quarry_survey as make_quarry_survey,
+)
+from .worlds.sample.site import (
+    EPSG as EPSG,
+    ZONES as ZONES,
+    QuarrySite as QuarrySite,
+    Zone as Zone,
+)
+from .worlds.sample.survey import (
+    NOISE_SIGMA as NOISE_SIGMA,
+    SurveyPoints as SurveyPoints,
+    sample_survey as sample_survey,
+)
+from .worlds.scans.folder import (
+    write_folder as write_folder,
+)
+from .worlds.scans.lidar import (
+    SimulatedScan as SimulatedScan,
+    load_open3d as load_open3d,
+    simulate_scan as simulate_scan,
+)
+from .worlds.scans.overhead import (
+    look_down as look_down,
+)
+from .worlds.scans.scene import (
+    THEMES as THEMES,
+    Scene as Scene,
+    make_scene as make_scene,
+)
+from .worlds.scans.sensor import (
+    SENSORS as SENSORS,
+    Sensor as Sensor,
+    draw_sensor as draw_sensor,
+)
+from .worlds.terrains.library import (
+    KINDS as KINDS,
+    Terrain as Terrain,
+    make_terrain as make_terrain,
+)
+from .worlds.terrains.survey import (
+    ScanEffects as ScanEffects,
+    TerrainPoints as TerrainPoints,
+    survey_terrain as survey_terrain,
+)

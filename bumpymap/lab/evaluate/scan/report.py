@@ -1,0 +1,135 @@
+"""The report on scans: Markdown for people, JSON for machines."""
+
+import json
+import math
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from bumpymap.core import atomic
+from bumpymap.lab.evaluate.findings import plain_record
+from bumpymap.lab.evaluate.report import REPORT
+from bumpymap.lab.evaluate.scan.run import ScanFindings
+from bumpymap.lab.evaluate.scan.tally import ClassRow
+from bumpymap.lab.evaluate.scan.timing import PAPER_SECTOR_MS
+from bumpymap.lab.evaluate.tables import number, percent, table
+
+__all__ = ["scan_markdown", "write_scan_report"]
+
+_RECORD = "report.json"
+_PAPER_ACCURACY = 0.8324
+
+
+def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
+    """Write ``report.md`` and ``report.json``; the report comes last."""
+    record: dict[str, Any] = {"format": "bumpymap-scan-evaluation", "version": 1}
+    with atomic(out / _RECORD) as temporary:
+        text = json.dumps(record | plain_record(asdict(findings)), indent=1, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    with atomic(out / REPORT) as temporary:
+        temporary.write_text(scan_markdown(findings), encoding="utf-8")
+    return [out / REPORT, out / _RECORD]
+
+
+def scan_markdown(findings: ScanFindings) -> str:
+    """Return the text of the report."""
+    facts = findings.facts
+    lines = [
+        "# Can the classes of scans be trusted?",
+        "",
+        _opening(facts),
+        "",
+        "## What the classes hold",
+        "",
+        "The paper's Tables IV and V.",
+        "",
+        *_class_lines(findings),
+    ]
+    if findings.accuracy:
+        lines += ["## Beside the labels", "", *_accuracy_lines(findings)]
+    lines += ["## Turned", "", _TURNED, "", *_turned_lines(findings)]
+    lines += ["## What a scan costs", "", _COSTS, "", *_cost_lines(findings)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _opening(facts: dict[str, Any]) -> str:
+    centres = ", ".join(f"{centre:.2f}" for centre in facts["filter"]["centres"])
+    return (
+        f"{facts['scans']} scans, {facts['sectors']:,} sectors that can be driven on, {facts['labelled']:,} of them "
+        f"labelled. Filter method: centres at {centres} stripes. Learned method: network {facts['network']}."
+    )
+
+
+_TURNED = "Share of the points that keep their class when the scan turns about z by random angles."
+_COSTS = (
+    "From points in memory to classed sectors, medians; times a sector are processor times. *Plain* does the same work "
+    "for the filter method sector by sector with scikit-learn, SciPy and scikit-image, timed in the same run."
+)
+
+
+def _class_lines(findings: ScanFindings) -> list[str]:
+    rows = []
+    for method, classes in findings.classes.items():
+        for row in classes:
+            values = (*row.stripes, *row.variance, *row.residual)
+            rows.append([method, str(row.class_id), str(row.sectors), percent(row.share), *map(number, values)])
+    header = ("method", "class", "sectors", "share", "stripes, median", "mean", "variance [m2], median", "mean")
+    said = [f"- {_order(name, rows_)}" for name, rows_ in findings.classes.items()]
+    return [*table((*header, "residual [m], median", "mean"), rows), *said, ""]
+
+
+def _order(method: str, rows: list[ClassRow]) -> str:
+    """Say whether measures rise, and stripes fall, from class to class; classes without sectors do not count."""
+    there = [row for row in rows if row.sectors]
+    wrong = [
+        f"{kind} {name}"
+        for name, sign in (("stripes", -1), ("variance", 1), ("residual", 1))
+        for place, kind in enumerate(("median", "mean"))
+        if any(
+            sign * (getattr(after, name)[place] - getattr(before, name)[place]) <= 0
+            for before, after in pairwise(there)
+        )
+    ]
+    if not wrong:
+        return f"`{method}`: variance and residual rise from class to class, stripes fall, medians and means alike."
+    return f"`{method}`: not in order from class to class: {', '.join(wrong)}."
+
+
+def _accuracy_lines(findings: ScanFindings) -> list[str]:
+    rows = [
+        [method, percent(found.right), percent(found.even), percent(_PAPER_ACCURACY) if method == "learned" else "-"]
+        for method, found in findings.accuracy.items()
+    ]
+    lines = table(("method", "right", "every class counted alike", "the paper's, on RELLIS-3D"), rows)
+    for method, found in findings.accuracy.items():
+        counts = [[f"labelled {class_id}", *map(str, line)] for class_id, line in enumerate(found.confusion)]
+        lines += table((f"`{method}`", "found 0", "found 1", "found 2"), counts)
+    return lines
+
+
+def _turned_lines(findings: ScanFindings) -> list[str]:
+    rows = [[method, percent(mean), percent(least)] for method, (mean, least) in findings.kept.items()]
+    return table(("method", "mean over the scans", "least of a scan"), rows)
+
+
+def _cost_lines(findings: ScanFindings) -> list[str]:
+    plain = findings.plain.sector_ms if findings.plain else math.nan
+    rows = [
+        [
+            cost.method,
+            f"{cost.points:,}",
+            str(cost.sectors),
+            number(cost.scan_ms),
+            number(cost.processor_ms),
+            number(cost.sector_ms),
+            number(cost.peak_mb),
+            number(PAPER_SECTOR_MS[cost.method]),
+            number(plain / cost.sector_ms) if cost.method == "filter" else "-",
+        ]
+        for cost in findings.costs
+    ]
+    header = ("method", "points", "sectors", "scan [ms]", "processor [ms]", "a sector [ms]", "most memory [MB]")
+    more = ("the paper's sector [ms]", "plain over ours")
+    said = f"Plain: {number(plain)} ms a sector over {findings.plain.sectors} sectors." if findings.plain else ""
+    return [*table((*header, *more), rows), said, ""]

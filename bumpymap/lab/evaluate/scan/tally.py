@@ -1,0 +1,115 @@
+"""What the sectors of each class are like (the paper's Tables IV and V), and whether labels agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CLASSES, ClassedSectors
+from bumpymap.scan import classes_of_labels
+
+__all__ = ["Accuracy", "ClassRow", "SectorTable", "accuracy_of", "class_rows", "join_sectors"]
+
+Floats = NDArray[np.float64]
+_MEASURES = ("stripes", "variance", "residual")
+
+
+@dataclass(frozen=True, slots=True)
+class SectorTable:
+    """The sectors of many scans that the gate lets through: one row each."""
+
+    class_id: dict[str, NDArray[np.uint8]]
+    """Method -> (n,) class."""
+    truth: NDArray[np.int16]
+    """(n,) class of the most frequent label; -1 without one."""
+    stripes: Floats
+    """(n,)"""
+    variance: Floats
+    """(n,) m^2"""
+    residual: Floats
+    """(n,) m"""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassRow:
+    """The sectors of one class, as one method has it."""
+
+    class_id: int
+    sectors: int
+    share: float
+    """Of the sectors that the gate lets through, 0..1."""
+    stripes: tuple[float, float]
+    """Median and mean; NaN without sectors."""
+    variance: tuple[float, float]
+    """m^2"""
+    residual: tuple[float, float]
+    """m"""
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Classes beside labels."""
+
+    confusion: list[list[int]]
+    """``[class of the label][class that was found]``, sectors."""
+    right: float
+    """Share of right answers; NaN without labels."""
+    even: float
+    """The same if every class that is there were as frequent."""
+
+
+def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
+    """Gather the traversable sectors of one or more scans, classed by the same methods; the filter is one of them."""
+    stacks = [next(iter(methods.values())).sectors for methods in classed]
+    open_to = [stack.traversable for stack in stacks]
+
+    def gathered(values: Sequence[NDArray[np.generic]]) -> NDArray[np.float64]:
+        return np.concatenate([value[gate] for value, gate in zip(values, open_to, strict=True)]).astype(np.float64)
+
+    return SectorTable(
+        class_id={
+            method: np.concatenate(
+                [methods[method].class_id[gate] for methods, gate in zip(classed, open_to, strict=True)]
+            )
+            for method in classed[0]
+        },
+        truth=np.concatenate(
+            [classes_of_labels(stack.label[gate]) for stack, gate in zip(stacks, open_to, strict=True)]
+        ),
+        stripes=gathered([_stripes(methods) for methods in classed]),
+        variance=gathered([stack.variance for stack in stacks]),
+        residual=gathered([stack.residual for stack in stacks]),
+    )
+
+
+def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
+    """Take the count of the method that counts them."""
+    return next(found.stripes for found in methods.values() if found.stripes is not None)
+
+
+def class_rows(table: SectorTable, method: str) -> list[ClassRow]:
+    """Sum up the sectors of each class."""
+    class_id = table.class_id[method]
+    rows = []
+    for number in range(CLASSES):
+        own = class_id == number
+        values = [_middle(getattr(table, name)[own]) for name in _MEASURES]
+        rows.append(ClassRow(number, int(own.sum()), float(own.mean()) if len(own) else float("nan"), *values))
+    return rows
+
+
+def _middle(values: Floats) -> tuple[float, float]:
+    return (float(np.median(values)), float(values.mean())) if len(values) else (float("nan"), float("nan"))
+
+
+def accuracy_of(table: SectorTable, method: str) -> Accuracy:
+    """Compare classes with labels over the sectors that have one."""
+    known = table.truth >= 0
+    truth, found = table.truth[known].astype(np.int64), table.class_id[method][known].astype(np.int64)
+    counts = np.bincount(truth * CLASSES + found, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
+    totals = counts.sum(axis=1)
+    there = totals > 0
+    right = float(np.trace(counts) / totals.sum()) if there.any() else float("nan")
+    even = float((np.diag(counts)[there] / totals[there]).mean()) if there.any() else float("nan")
+    return Accuracy(counts.tolist(), right, even)

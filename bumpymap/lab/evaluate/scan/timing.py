@@ -1,0 +1,105 @@
+"""What a scan costs from points in memory to classed sectors, beside the plain way and the paper's figures."""
+
+import importlib.util
+import time
+import tracemalloc
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bumpymap.core import ClassedSectors, Scan, UsageError
+from bumpymap.lab.evaluate.scan.plain import plain_classes
+from bumpymap.scan import StripeModel
+
+__all__ = ["PAPER_SECTOR_MS", "MethodCost", "PlainCost", "method_costs", "plain_cost", "require_plain"]
+
+PAPER_SECTOR_MS = {"filter": 3.228, "learned": 7.626}
+"""The paper's times a sector."""
+
+
+def require_plain(*, simulates: bool) -> None:
+    """Raise UsageError where a library is missing that the evaluation takes: before the work, not after."""
+    wanted = {"sklearn": "scikit-learn", "skimage": "scikit-image"} | ({"open3d": "open3d"} if simulates else {})
+    missing = [name for module, name in wanted.items() if importlib.util.find_spec(module) is None]
+    if missing:
+        extras = "scan,o3d" if simulates else "scan"
+        raise UsageError(f"evaluate --scans needs {' and '.join(missing)}: pip install 'bumpymap[{extras}]'")
+
+
+@dataclass(frozen=True, slots=True)
+class MethodCost:
+    """One method on one scan."""
+
+    method: str
+    points: int
+    sectors: int
+    scan_ms: float
+    """By the clock, median of the repeats."""
+    processor_ms: float
+    """Processor time of all threads, median of the repeats."""
+    peak_mb: float
+    """Most memory that Python allocated beside the scan."""
+
+    @property
+    def sector_ms(self) -> float:
+        """Processor time a sector."""
+        return self.processor_ms / self.sectors if self.sectors else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class PlainCost:
+    """The plain way on the same scan."""
+
+    sectors: int
+    processor_ms: float
+    """Of the whole scan, once."""
+
+    @property
+    def sector_ms(self) -> float:
+        """Processor time a sector."""
+        return self.processor_ms / self.sectors if self.sectors else float("nan")
+
+
+def method_costs(
+    scan: Scan, methods: Mapping[str, Callable[[Scan], ClassedSectors]], repeats: Iterable[int]
+) -> list[MethodCost]:
+    """Time every method in every repeat, by turns, so that what else the machine does falls on all alike."""
+    for classify in methods.values():
+        classify(scan)
+    clock: dict[str, list[int]] = {name: [] for name in methods}
+    processor: dict[str, list[int]] = {name: [] for name in methods}
+    sectors = 0
+    for _ in repeats:
+        for name, classify in methods.items():
+            begin, spent = time.perf_counter_ns(), time.process_time_ns()
+            sectors = len(classify(scan).class_id)
+            clock[name].append(time.perf_counter_ns() - begin)
+            processor[name].append(time.process_time_ns() - spent)
+    return [
+        MethodCost(
+            name,
+            len(scan.points),
+            sectors,
+            float(np.median(clock[name])) / 1e6,
+            float(np.median(processor[name])) / 1e6,
+            _peak_mb(classify, scan),
+        )
+        for name, classify in methods.items()
+    ]
+
+
+def plain_cost(scan: Scan, model: StripeModel) -> PlainCost:
+    """Time the plain way, once."""
+    begin = time.process_time_ns()
+    sectors, _ = plain_classes(scan, model)
+    return PlainCost(sectors, (time.process_time_ns() - begin) / 1e6)
+
+
+def _peak_mb(classify: Callable[[Scan], ClassedSectors], scan: Scan) -> float:
+    tracemalloc.start()
+    try:
+        classify(scan)
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()

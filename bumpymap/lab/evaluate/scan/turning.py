@@ -1,0 +1,31 @@
+"""Turned scans: the class of the ground must not hang on which way the robot looks."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bumpymap.core import ClassedSectors, Scan
+from bumpymap.scan import point_classes
+
+__all__ = ["kept_share", "turned"]
+
+
+def turned(scan: Scan, angle: float) -> Scan:
+    """Turn a scan about z, by ``angle`` radians counter-clockwise."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    about_z = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return replace(scan, points=(scan.points.astype(np.float64) @ about_z.T).astype(np.float32))
+
+
+def kept_share(scan: Scan, classify: Callable[[Scan], ClassedSectors], angles: Sequence[float]) -> float:
+    """Share of the points that keep their class when the scan turns, mean over the angles; NaN without points."""
+    if not len(scan.points):
+        return float("nan")
+    still = point_classes(scan, classify(scan))
+    shares = []
+    for angle in angles:
+        other = turned(scan, angle)
+        shares.append(float(np.mean(point_classes(other, classify(other)) == still)))
+    return float(np.mean(shares))

@@ -1,0 +1,120 @@
+"""What is judged: a vehicle's calibration, and the ways in which it rates tiles."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CostMap, Georeference, PatchStack, Rating, TextureMap
+from bumpymap.rating import Calibration, Prediction, RideModel, TextureModel, VehicleProfile, classify, rate, roll_over
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["MAPPED", "NoisyRide", "Rate", "Subject", "Verdict"]
+
+Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
+MAPPED = ("ride", "table")
+"""Ratings that ``map`` offers."""
+_PLACELESS = Georeference(None)
+
+
+class NoisyRide(RideModel):
+    """The ride model with the scan's noise left in: it sees the ground that is driven, not what lies behind it."""
+
+    def predict(self, patches: PatchStack) -> Prediction:
+        """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
+        rides = roll_over(patches.relief_map, self.operator)
+        pixel_points = patches.count / patches.grid.pixels**2
+        none = np.zeros(len(patches.count))
+        return self.correction.predict(rides, patches.slope.astype(np.float64), none, pixel_points)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one rating says of n tiles; as in `CostMap`."""
+
+    class_id: NDArray[np.uint8]
+    c_r: NDArray[np.float64]
+    c_r_low: NDArray[np.float64]
+    c_r_high: NDArray[np.float64]
+    p_fail: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, cost_map: CostMap) -> "Verdict":
+        """Take what a map says."""
+        floats = [getattr(cost_map, f.name).astype(np.float64) for f in fields(cls)[1:]]
+        return cls(cost_map.class_id, *floats)
+
+    @classmethod
+    def join(cls, parts: "Sequence[Verdict]") -> "Verdict":
+        """Put tiles together."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Verdict":
+        """Choose tiles."""
+        return Verdict(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A calibrated vehicle and its ratings."""
+
+    calibration: Calibration
+    profile: VehicleProfile
+    ratings: Mapping[str, Rate]
+    """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``."""
+    textures: TextureModel
+    ride: RideModel | None = None
+    """The model behind ``ride``."""
+
+    @classmethod
+    def of(cls, calibration: Calibration, textures: TextureModel, rating: Rating) -> "Subject":
+        """Make the ratings of a calibration.
+
+        Raises
+        ------
+        UsageError
+            It holds no ride model and that is wanted, or the texture network is for other tiles.
+        """
+        textures.require_grid(calibration.tile_size, calibration.pixels)
+        profile = VehicleProfile.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+
+        def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:
+            return rate(patches, seen, calibration, place)
+
+        if rating == "table":
+            return cls(calibration, profile, {"table": by_table}, textures)
+        ride = RideModel(calibration)
+        ratings: dict[str, Rate] = {"ride": ride.rate, "ride_raw": NoisyRide(calibration).rate, "table": by_table}
+        return cls(calibration, profile, ratings, textures, ride)
+
+    @property
+    def name(self) -> str:
+        """Name of the vehicle."""
+        return str(self.calibration.vehicle["name"])
+
+    @property
+    def key(self) -> str:
+        """Name of the vehicle and eight digits of its profile: what its drives depend on, not how it is rated."""
+        text = json.dumps(self.calibration.vehicle, sort_keys=True)
+        return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+    @property
+    def main(self) -> str:
+        """The rating that patches are chosen by."""
+        return "ride" if "ride" in self.ratings else "table"
+
+    def judge(self, patches: PatchStack, names: "Sequence[str] | None" = None) -> dict[str, Verdict]:
+        """Rate tiles in the named ways; in all by default."""
+        seen = classify(patches, self.textures)
+        return {
+            name: Verdict.of(rating(patches, seen, _PLACELESS))
+            for name, rating in self.ratings.items()
+            if names is None or name in names
+        }

@@ -1,0 +1,175 @@
+"""The tiles of a survey: its points wait by block, in memory or on disk, and are measured block by block."""
+
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from os.path import lexists
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    BadInputError,
+    FeatureSettings,
+    Ground,
+    OutputError,
+    PatchStack,
+    Progress,
+    UsageError,
+    common_georeference,
+    decide_ground,
+    take_away,
+)
+from bumpymap.patches import join_stacks, measure
+from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
+from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints, group_points
+
+__all__ = ["Survey", "gather", "open_readers", "take"]
+
+_MOST_POINTS = 10_000_000
+"""Points that wait in memory (26 bytes each); the others wait on disk."""
+_BLOCK_POINTS = 10_000_000
+
+Ints = NDArray[np.int64]
+
+
+def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bool) -> list[SurveyReader]:
+    """Open survey files; settle on one CRS.
+
+    Raises
+    ------
+    BadInputError
+        A file that cannot be read, files of different CRS, or none while ``local`` is False.
+    """
+    readers = [open_survey(path, options) for path in find_surveys(surveys)]
+    if common_georeference([reader.info for reader in readers]).crs is None and not local:
+        raise BadInputError(
+            f"{readers[0].info.path} has no CRS, so the unit of its coordinates is unknown. Pass --crs EPSG:CODE, "
+            "or --local where they are metres"
+        )
+    return readers
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """All points of a survey, by block."""
+
+    buckets: TileBuckets
+    ground_only: bool
+    """Points of class 2 alone are measured."""
+    features: FeatureSettings
+
+    @property
+    def grid(self) -> Grid:
+        """The tiles."""
+        return self.buckets.grid
+
+    @property
+    def blocks(self) -> int:
+        """How many there are."""
+        return len(self.buckets)
+
+    def points(self) -> Iterator[TilePoints]:
+        """Points of each block (of a share of it, where it is dense), south-west first."""
+        return self.buckets.blocks()
+
+    def measured(self, points: TilePoints) -> PatchStack:
+        """Measure tiles."""
+        return measure(points, self.features, ground_only=self.ground_only)
+
+    def patches(self, col: Ints, row: Ints) -> PatchStack:
+        """Measure chosen tiles (at least one, all of which hold points), in the order in which they are asked for."""
+        wanted = set(zip(col.tolist(), row.tolist(), strict=True))
+        keys = sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted})
+        stacks = []
+        for key in keys:
+            for points in self.buckets.block(key):
+                stack = self.measured(points)
+                own = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
+                stacks.append(take(stack, np.array([tile in wanted for tile in own])))
+        joined = join_stacks(stacks)
+        place = {tile: i for i, tile in enumerate(zip(joined.col.tolist(), joined.row.tolist(), strict=True))}
+        return take(joined, np.array([place[tile] for tile in zip(col.tolist(), row.tolist(), strict=True)]))
+
+
+def take(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
+    """Choose tiles of a stack."""
+    return PatchStack(patches.grid, *(getattr(patches, f.name)[rows] for f in fields(PatchStack) if f.name != "grid"))
+
+
+@contextmanager
+def gather(
+    readers: Sequence[SurveyReader],
+    ground: Ground,
+    grid: Grid,
+    features: FeatureSettings,
+    folder: Path,
+    progress: Progress,
+) -> Iterator[Survey]:
+    """Read surveys; their points stay at hand for the body of the ``with``.
+
+    Parameters
+    ----------
+    readers : sequence of SurveyReader
+    ground : Ground
+    grid : Grid
+    features : FeatureSettings
+    folder : Path
+        Where points wait that memory has no room for; they are gone at the end.
+    told : Progress
+
+    Raises
+    ------
+    BadInputError
+        A file is damaged, or no point is left.
+    OutputError
+        The disk is full.
+    """
+    try:
+        with _scratch(folder) as scratch:
+            buckets = TileBuckets(grid, MemoryLimits(_MOST_POINTS, _BLOCK_POINTS, scratch))
+            progress.start("reading points", sum(reader.info.point_count for reader in readers))
+            lot = 0
+            for reader in readers:
+                lot = _read(reader, buckets, lot, progress)
+            if not len(buckets):
+                raise BadInputError("no point is left: every point is withheld, noise or without return")
+            yield Survey(buckets, _ground_only(buckets, ground), features)
+    except OSError as error:
+        raise OutputError(f"cannot keep points in {folder} meanwhile: {error}. Choose another --out") from error
+
+
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Path]:
+    """Give an empty folder; what a killed run left in it goes away too."""
+    scratch = folder / ".points"
+    if lexists(scratch):
+        take_away(scratch)
+    scratch.mkdir(mode=0o700)
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, progress: Progress) -> int:
+    """Read a file into buckets; gives the number of the next lot."""
+    tally = PointStats()
+    for chunk in reader.chunks():
+        batch = reader.convert(chunk, reader.fetch(chunk))
+        cloud = batch.cloud
+        tally = tally.merge(batch.tally)
+        buckets.take(group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), lot)
+        progress.advance(chunk.points)
+        lot += 1
+    reader.judge(tally)
+    return lot
+
+
+def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
+    if ground == "csf":
+        raise UsageError("--ground csf is for map alone. Use --ground all or class here")
+    # Of one tile, a share is what a count is of many.
+    return decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())

@@ -1,0 +1,91 @@
+"""What a tile costs: time and memory of each step, from points in memory to a rated tile, on one thread."""
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from bumpymap.core import Georeference, PatchStack, Progress, counted
+from bumpymap.lab.evaluate.subject import MAPPED, Subject
+from bumpymap.lab.evaluate.survey import Survey
+from bumpymap.rating import classify
+
+__all__ = ["PAPER", "StepCost", "step_costs"]
+
+_LEAST_TILES = 256
+_REPEATS = 7
+PAPER = {
+    "heightmap_ms": 12.257,
+    "heightmap_kb": 0.084,
+    "variance_and_residual_ms": 41.027,
+}
+"""The paper's Table II, per patch."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepCost:
+    """One step over a batch of tiles."""
+
+    step: str
+    tiles: int
+    points: int
+    processor_ms: float
+    """Processor time a tile, median of the repeats."""
+    peak_kb: float
+    """Most memory that the step allocated beside its input, a tile, its result included."""
+    result_kb: float
+    """Size of the result, a tile."""
+
+
+def step_costs(survey: Survey, subject: Subject, progress: Progress) -> list[StepCost]:
+    """Time the steps on one batch of tiles: the first block that holds enough of them, or the fullest one.
+
+    Processor time, not the clock's: another program on the machine takes nothing from it.
+    """
+    points = next(survey.points())
+    for candidate in survey.points():
+        if len(candidate.col) > len(points.col):
+            points = candidate
+        if len(points.col) >= _LEAST_TILES:
+            break
+    patches = survey.measured(points)
+    textures = classify(patches, subject.textures)
+    steps: dict[str, Callable[[], Any]] = {
+        "measure": lambda: survey.measured(points),
+        "texture": lambda: classify(patches, subject.textures),
+    }
+    for name in MAPPED:
+        if name in subject.ratings:
+            rating = subject.ratings[name]
+            steps[name] = lambda rating=rating: rating(patches, textures, Georeference(None))  # type: ignore[misc]
+    tiles, count = len(points.col), int(patches.count.sum())
+    progress.start("timing steps", len(steps))
+    timed = counted(steps.items(), progress)
+    return [StepCost(name, tiles, count, *_cost(step, patches, tiles)) for name, step in timed]
+
+
+def _cost(step: Callable[[], Any], patches: PatchStack, tiles: int) -> tuple[float, float, float]:
+    """Milliseconds, peak kB and result kB a tile."""
+    result = step()
+    spent = []
+    for _ in range(_REPEATS):
+        begin = time.process_time_ns()
+        step()
+        spent.append(time.process_time_ns() - begin)
+    tracemalloc.start()
+    try:
+        step()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    own = {id(getattr(patches, f.name)) for f in fields(PatchStack)}
+    size = sum(_bytes(getattr(result, f.name), own) for f in fields(result))
+    return float(np.median(spent)) / 1e6 / tiles, peak / 1000 / tiles, size / 1000 / tiles
+
+
+def _bytes(value: Any, own: set[int]) -> int:
+    """Bytes of an array that is not part of the input."""
+    return int(value.nbytes) if isinstance(value, np.ndarray) and id(value) not in own else 0

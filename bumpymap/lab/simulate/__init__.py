@@ -1,0 +1,5 @@
+"""Drives a vehicle over simulated terrain and writes a calibration. Driving needs the extra ``sim``."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

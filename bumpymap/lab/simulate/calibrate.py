@@ -1,0 +1,57 @@
+"""From a vehicle profile to its calibration: drive textures x z range and the terrain library, then sum up."""
+
+from functools import partial
+
+from bumpymap.lab.simulate.journal import Journal
+from bumpymap.lab.simulate.library import FitRide
+from bumpymap.lab.simulate.model import require_dart
+from bumpymap.lab.simulate.plan import CalibrationSettings, run_job
+from bumpymap.lab.simulate.pool import Progress, drive_jobs
+from bumpymap.lab.simulate.summary import summarise
+from bumpymap.rating import Calibration
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    settings: CalibrationSettings,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: Journal | None = None,
+    discard_other: bool = False,
+    command: str = "",
+    fit: FitRide | None = None,
+) -> Calibration:
+    """Drive a vehicle over simulated terrain and sum up what each kind of ground costs it.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    progress : callable, optional
+        Called with (finished drives, all drives) after every patch.
+    workers : int
+        Processes; the result does not depend on it.
+    journal : Journal, optional
+        Where driven patches are noted, and taken from when a run was interrupted.
+    discard_other : bool
+        Throw away a journal of other settings instead of refusing it.
+    command : str
+        How to make the file again; noted in it.
+    fit : callable, optional
+        Fits the ride model to the drives over the terrain library; without it the calibration has none.
+
+    Returns
+    -------
+    Calibration
+    """
+    require_dart()
+    results = drive_jobs(
+        partial(run_job, settings),
+        list(settings.jobs()),
+        progress,
+        workers=workers,
+        journal=journal,
+        discard_other=discard_other,
+    )
+    return summarise(settings, results, command, fit)

@@ -1,0 +1,114 @@
+"""The progress file of many drives: one JSON line a driven patch, so that an interrupted run can go on."""
+
+import errno
+import json
+import logging
+import os
+import stat
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TextIO
+
+from bumpymap.core import OutputError, atomic, parse_json
+from bumpymap.lab.simulate.patch import PatchDrives
+
+__all__ = ["Journal", "Key"]
+
+_FORMAT = "bumpymap-drives-progress"
+_LOG = logging.getLogger(__name__)
+
+Key = tuple[str | int, ...]
+"""Names a patch among those of one run."""
+
+
+class Journal:
+    """Driven patches beside the output. The first line holds the settings; drives of other settings are not reused.
+
+    Settings and versions are all that is compared: a change of the code that moves no number does not cost a run.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+        self._path = path
+        self._header = json.dumps({"format": _FORMAT, "settings": settings}, sort_keys=True)
+
+    def resume(self, *, discard_other: bool) -> dict[Key, PatchDrives]:
+        """Open the file and return the patches that an earlier run with the same settings drove.
+
+        A line that was cut off in the middle, by a power cut say, is dropped with all that follows.
+
+        Raises
+        ------
+        OutputError
+            The file is of other settings and ``discard_other`` is False, or the folder cannot be written.
+        """
+        try:
+            lines = self._lines()
+            if lines and lines[0] != self._header:
+                if not discard_other:
+                    raise OutputError(
+                        f"{self._path} holds the progress of a run with other settings or versions; "
+                        "go on with those settings, or start anew with --overwrite"
+                    )
+                lines = []
+            driven = _read_patches(lines[1:])
+            kept = [self._header, *(_line(key, drives) for key, drives in driven.items())]
+            with atomic(self._path) as temporary:  # a full disk must not cost what was driven
+                temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise OutputError(f"cannot use the progress file {self._path}: {error}") from error
+        if driven:
+            _LOG.info("going on with %d driven patches of %s", len(driven), self._path)
+        return driven
+
+    def add(self, key: Key, drives: PatchDrives) -> None:
+        """Note a driven patch; it is on the disk when this returns."""
+        try:
+            with self._opened(os.O_WRONLY | os.O_APPEND) as file:
+                file.write(_line(key, drives) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise OutputError(f"cannot write the progress file {self._path}: {error}") from error
+
+    def remove(self) -> None:
+        """Delete the file: the run is complete."""
+        self._path.unlink(missing_ok=True)
+
+    def _lines(self) -> list[str]:
+        try:
+            with self._opened(os.O_RDONLY) as file:
+                return file.read().splitlines()
+        except FileNotFoundError:
+            return []
+
+    def _opened(self, flags: int) -> TextIO:
+        """Open the file; refuses a link, whose target would be written to."""
+        try:
+            descriptor = os.open(self._path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        except OSError as error:
+            if error.errno != errno.ELOOP:
+                raise
+            raise OutputError(
+                f"{self._path} is a link, and is left alone: the progress of a run is noted there. Take it away, or "
+                "choose another --out"
+            ) from error
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            os.close(descriptor)
+            raise OutputError(f"{self._path} is no file. Take it away, or choose another --out")
+        return os.fdopen(descriptor, "a" if flags & os.O_APPEND else "r", encoding="utf-8")
+
+
+def _line(key: Key, drives: PatchDrives) -> str:
+    return json.dumps({"patch": key, **asdict(drives)}, allow_nan=False)
+
+
+def _read_patches(lines: list[str]) -> dict[Key, PatchDrives]:
+    driven: dict[Key, PatchDrives] = {}
+    for line in lines:
+        try:
+            record = parse_json(line)
+            driven[tuple(record["patch"])] = PatchDrives(tuple(record["outcome"]), tuple(record["c_r"]))
+        except (ValueError, KeyError, TypeError):
+            _LOG.warning("the progress file ends in a damaged line; %d driven patches before it are kept", len(driven))
+            break
+    return driven

@@ -1,0 +1,121 @@
+"""The drives over the terrain library: as records, in a calibration file and out of it, and beside their ground.
+
+A calibration keeps the records, not the ground: that is made again from the seed. So a ride model can be fitted anew
+from the file, without driving and to the same bits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any, Protocol
+
+from bumpymap.core import BadInputError
+from bumpymap.lab.simulate.journal import Key
+from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
+from bumpymap.lab.worlds import KINDS, Terrain
+from bumpymap.rating import Calibration, DrivenTerrain, VehicleProfile
+
+__all__ = ["FitRide", "driven_library", "library_ground", "library_record", "library_terrains", "read_library"]
+
+_COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
+
+
+class FitRide(Protocol):
+    """Fits a ride model to driven terrains."""
+
+    def __call__(
+        self, profile: VehicleProfile, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+    ) -> dict[str, Any]:
+        """Fit.
+
+        Parameters
+        ----------
+        profile : VehicleProfile
+        terrains : sequence, length n
+            The ground that was driven.
+        driven : sequence, length n
+            What the drives over it gave.
+
+        Returns
+        -------
+        dict
+            Plain JSON: the calibration's ``ride``.
+        """
+
+
+def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
+    """Sum up the library's part of the drives, kind by kind; C_r to six digits, as a file has it."""
+    return tuple(
+        _driven(kind, index, results["library", kind, index]) for kind in KINDS for index in range(settings.terrains)
+    )
+
+
+def library_ground(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> list[Terrain]:
+    """Make the ground of driven terrains again."""
+    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
+
+
+def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
+    """Return what a calibration file holds: kind -> column -> one value a terrain, in the order of the index."""
+    record: dict[str, dict[str, list[Any]]] = {}
+    for terrain in driven:
+        columns = record.setdefault(terrain.kind, {name: [] for name in _COLUMNS})
+        values = asdict(terrain)
+        for name, column in columns.items():
+            column.append(values[name])
+    return record
+
+
+def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
+    """Read the driven terrains out of a calibration.
+
+    Raises
+    ------
+    BadInputError
+        The record is damaged.
+    """
+    try:
+        return tuple(
+            DrivenTerrain(kind, index, **dict(zip(_COLUMNS, values, strict=True)))
+            for kind, columns in calibration.settings["library"].items()
+            for index, values in enumerate(zip(*(columns[name] for name in _COLUMNS), strict=True))
+        )
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(
+            f"the calibration {calibration.id} has no sound record of the terrain library: {error!r}. "
+            "Make it again with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
+        ) from error
+
+
+def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
+    """Ground and drives of the terrain library that a calibration was made with: what a fit takes.
+
+    Raises
+    ------
+    BadInputError
+        The record is damaged.
+    """
+    driven = library_terrains(calibration)
+    settings = CalibrationSettings(
+        VehicleProfile.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        seed=calibration.settings["seed"],
+        tile_size=calibration.tile_size,
+        pixels=calibration.pixels,
+    )
+    return library_ground(settings, driven), driven
+
+
+def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:
+    return DrivenTerrain(
+        kind=kind,
+        index=index,
+        c_r=_six_digits(drives.mean_c_r),
+        c_r_error=_six_digits(drives.standard_error),
+        completed=len(drives.completed),
+        stuck=drives.outcome.count("stuck"),
+        rolled=drives.outcome.count("rolled"),
+    )
+
+
+def _six_digits(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.6g}")

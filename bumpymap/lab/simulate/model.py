@@ -1,0 +1,277 @@
+"""The vehicle and its ground in DART: the only module that speaks to the physics engine.
+
+DART is asked for what was found to work: ODE's collision detector, spheres for wheels (every other pair of detector
+and wheel is slower, or wrong on meshes), VELOCITY actuators, sleeping off. A terrain can reach the engine only through
+a file; it lives in a temporary folder for a moment.
+"""
+
+import struct
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import OutputError, UsageError
+from bumpymap.lab.simulate.terrain import Ground, Strip, strip_triangles
+from bumpymap.rating import VehicleProfile
+
+__all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
+
+_GRAVITY = 9.80665
+_CLEARANCE_M = 0.001
+_BODY_SHARE = 0.3
+"""Height of the body over its length; it matters only to a vehicle that has rolled over."""
+_URDF = (
+    '<robot name="ground"><link name="ground"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
+    "</robot>"
+)
+_OTHER_FOLDER = "set TMPDIR to a folder with room and a plain name"
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """Settings of the engine."""
+
+    time_step: float = 0.002
+    """s."""
+    friction: float = 0.9
+    """Coulomb coefficient between wheel and ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the chassis is, and how fast it pitches."""
+
+    easting: float
+    northing: float
+    heading: float
+    """Of the forward axis, radians from east to north."""
+    tilt: float
+    """Angle between the chassis' upward axis and the vertical, rad."""
+    pitch_rate: float
+    """Angular velocity about the chassis' own left axis, rad/s: what a gyroscope on board reads."""
+
+
+class VehicleModel(Protocol):
+    """A vehicle on its ground."""
+
+    def command(self, left_mps: float, right_mps: float) -> None:
+        """Set the speed of the tyres on either side."""
+
+    def advance(self, steps: int) -> None:
+        """Let ``steps`` time steps pass."""
+
+    def pose(self) -> Pose:
+        """Return the present state of the chassis."""
+
+
+def require_dart() -> Any:
+    """Import dartpy.
+
+    Raises
+    ------
+    UsageError
+        It is not installed.
+    """
+    try:
+        import dartpy
+    except ImportError as error:
+        raise UsageError(
+            "driving a vehicle needs the DART physics engine, which is not installed; pip install 'bumpymap[sim]'"
+        ) from error
+    return dartpy
+
+
+class DartVehicle:
+    """A vehicle that stands at the start of a strip of ground, looking along it."""
+
+    def __init__(self, profile: VehicleProfile, ground: Ground, strip: Strip, physics: Physics) -> None:
+        self._dart = require_dart()
+        self._radius = profile.wheel.radius_m
+        self._world = self._make_world(physics)
+        self._world.addSkeleton(self._load_ground(strip_triangles(ground, strip), physics))
+        robot = self._dart.dynamics.Skeleton("vehicle")
+        self._wheels: dict[str, list[Any]] = {"left": [], "right": []}
+        self._chassis = self._build(robot, profile, physics)
+        robot.disableSelfCollisionCheck()
+        position = self._dart.math.Isometry3()
+        rotation, translation = standing_pose(profile, ground, strip)
+        position.set_rotation(rotation)
+        position.set_translation(translation)
+        robot.getRootJoint().setPositions(self._dart.dynamics.FreeJoint.convertToPositions(position))
+        self._world.addSkeleton(robot)
+
+    def command(self, left_mps: float, right_mps: float) -> None:
+        """Set the speed of the tyres on either side."""
+        for side, speed in (("left", left_mps), ("right", right_mps)):
+            for joint in self._wheels[side]:
+                joint.setCommand(0, speed / self._radius)
+
+    def advance(self, steps: int) -> None:
+        """Let ``steps`` time steps pass; the commands hold."""
+        for _ in range(steps):
+            self._world.step(False)
+
+    def pose(self) -> Pose:
+        """Return the present state of the chassis."""
+        matrix = self._chassis.getWorldTransform().matrix()
+        return Pose(
+            easting=float(matrix[0, 3]),
+            northing=float(matrix[1, 3]),
+            heading=float(np.arctan2(matrix[1, 0], matrix[0, 0])),
+            tilt=float(np.arccos(np.clip(matrix[2, 2], -1.0, 1.0))),
+            pitch_rate=float(self._chassis.getSpatialVelocity()[1]),
+        )
+
+    def _make_world(self, physics: Physics) -> Any:
+        world = self._dart.simulation.World()
+        world.setGravity([0.0, 0.0, -_GRAVITY])
+        world.setTimeStep(physics.time_step)
+        world.setCollisionDetector(self._dart.simulation.CollisionDetectorType.ODE)
+        sleeping = world.getDeactivationOptions()
+        sleeping.mEnabled = False
+        world.setDeactivationOptions(sleeping)
+        return world
+
+    def _load_ground(self, triangles: NDArray[np.float32], physics: Physics) -> Any:
+        """Give the engine a mesh: written, parsed and unlinked."""
+        options = self._dart.utils.DartLoaderOptions()
+        options.mDefaultRootJointType = self._dart.utils.DartLoaderRootJointType.FIXED
+        loader = self._dart.utils.DartLoader()
+        loader.setOptions(options)
+        try:
+            with tempfile.TemporaryDirectory(prefix="bumpymap-") as folder:
+                path = Path(folder) / "ground.stl"
+                path.write_bytes(stl_bytes(triangles))
+                # Not as_uri(): DART does not decode %20.
+                urdf = _URDF.format(escape("file://" + path.as_posix(), {'"': "&quot;"}))
+                skeleton = loader.parseSkeletonString(urdf, self._dart.common.Uri(""))
+        except OSError as error:
+            raise OutputError(f"cannot write the ground to a temporary file: {error}; {_OTHER_FOLDER}") from error
+        if skeleton is None:
+            raise OutputError(f"the physics engine cannot read {path}; {_OTHER_FOLDER}")
+        self._set_surface(skeleton.getBodyNode(0).getShapeNode(0), physics)
+        return skeleton
+
+    def _build(self, robot: Any, profile: VehicleProfile, physics: Physics) -> Any:
+        """Chassis, two rockers, four wheels; returns the chassis."""
+        _, chassis = robot.createFreeJointAndBodyNodePair()
+        chassis.setInertia(self._inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
+        self._add_belly(chassis, profile, physics)
+        for side, left in (("left", profile.track_m / 2), ("right", -profile.track_m / 2)):
+            pivot, rocker = robot.createRevoluteJointAndBodyNodePair(chassis)
+            rocker.setInertia(self._inertia(profile.rocker.mass_kg, profile.rocker.inertia_kgm2))
+            self._hinge(pivot, (0.0, left, -profile.chassis.com_height_m))
+            pivot.setLimitEnforcement(True)
+            pivot.setPositionLowerLimit(0, -profile.rocker.limit_rad)
+            pivot.setPositionUpperLimit(0, profile.rocker.limit_rad)
+            pivot.setSpringStiffness(0, profile.rocker.stiffness_nm_per_rad)
+            pivot.setDampingCoefficient(0, profile.rocker.damping_nms_per_rad)
+            for forward in (profile.wheelbase_m / 2, -profile.wheelbase_m / 2):
+                axle, wheel = robot.createRevoluteJointAndBodyNodePair(rocker)
+                wheel.setInertia(self._inertia(profile.wheel.mass_kg, wheel_inertia(profile)))
+                self._hinge(axle, (forward, 0.0, 0.0))
+                axle.setActuatorType(self._dart.dynamics.ActuatorType.VELOCITY)
+                shape = wheel.createShapeNode(self._dart.dynamics.SphereShape(profile.wheel.radius_m))
+                shape.createCollisionAspect()
+                shape.createDynamicsAspect()
+                self._set_surface(shape, physics)
+                self._wheels[side].append(axle)
+        return chassis
+
+    def _add_belly(self, chassis: Any, profile: VehicleProfile, physics: Physics) -> None:
+        """Give the chassis a body that strikes the ground: a box from the belly up."""
+        belly = profile.belly
+        size = [belly.length_m, belly.width_m, _BODY_SHARE * belly.length_m]
+        node = chassis.createShapeNode(self._dart.dynamics.BoxShape(size))
+        node.createCollisionAspect()
+        node.createDynamicsAspect()
+        place = self._dart.math.Isometry3()
+        place.set_translation([0.0, 0.0, _belly_height(profile) + size[2] / 2])
+        node.setRelativeTransform(place)
+        self._set_surface(node, physics)
+
+    def _hinge(self, joint: Any, place: tuple[float, float, float]) -> None:
+        """Put a joint about the left axis at a place of the parent body."""
+        joint.setAxis([0.0, 1.0, 0.0])
+        frame = self._dart.math.Isometry3()
+        frame.set_translation(place)
+        joint.setTransformFromParentBodyNode(frame)
+
+    def _inertia(self, mass: float, moments: tuple[float, float, float]) -> Any:
+        return self._dart.dynamics.Inertia(mass, [0.0, 0.0, 0.0], np.diag(moments))
+
+    @staticmethod
+    def _set_surface(shape: Any, physics: Physics) -> None:
+        surface = shape.getDynamicsAspect()
+        surface.setFrictionCoeff(physics.friction)
+        surface.setRestitutionCoeff(0.0)
+
+
+def wheel_inertia(profile: VehicleProfile) -> tuple[float, float, float]:
+    """Moments of a solid cylinder about its forward, left (axle) and upward axis, kg m^2."""
+    wheel = profile.wheel
+    across = wheel.mass_kg * (3 * wheel.radius_m**2 + wheel.width_m**2) / 12
+    return across, wheel.mass_kg * wheel.radius_m**2 / 2, across
+
+
+def standing_pose(
+    profile: VehicleProfile, ground: Ground, strip: Strip
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How the vehicle is put down: along the strip, level with the ground's mean slope, a hair above its bumps.
+
+    Neither wheels nor belly begin inside the ground: a vehicle that stands on a rock stands on it.
+
+    Returns
+    -------
+    array (3, 3)
+        Rotation whose columns are the forward, left and upward axis.
+    array (3,)
+        Place of the chassis' centre of mass, m.
+    """
+    east, north = ground.gradient
+    cos, sin = np.cos(strip.heading), np.sin(strip.heading)
+    upward = np.array([-east, -north, 1.0]) / np.sqrt(1 + east**2 + north**2)
+    forward = np.array([cos, sin, east * cos + north * sin])
+    forward /= np.linalg.norm(forward)
+    rotation = np.stack([forward, np.cross(upward, forward), upward], axis=1)
+    half_base, half_track, down = profile.wheelbase_m / 2, profile.track_m / 2, -profile.chassis.com_height_m
+    wheels = np.array([[x, y, down] for x in (half_base, -half_base) for y in (half_track, -half_track)]) @ rotation.T
+    radius = profile.wheel.radius_m
+    offset = np.linspace(-radius, radius, 25)
+    dx, dy = (axis.ravel() for axis in np.meshgrid(offset, offset))
+    under = dx**2 + dy**2 <= radius**2
+    dx, dy = dx[under], dy[under]
+    easting = strip.easting + wheels[:, :1] + dx
+    northing = strip.northing + wheels[:, 1:2] + dy
+    centre = ground.height(easting, northing) + np.sqrt(radius**2 - dx**2 - dy**2)
+    belly = belly_points(profile) @ rotation.T
+    rise = ground.height(strip.easting + belly[:, 0], strip.northing + belly[:, 1]) - belly[:, 2]
+    upward_m = max(float((centre.max(axis=1) - wheels[:, 2]).max()), float(rise.max())) + _CLEARANCE_M
+    return rotation, np.array([strip.easting, strip.northing, upward_m])
+
+
+def belly_points(profile: VehicleProfile) -> NDArray[np.float64]:
+    """Points (n, 3) of the underside from the centre of mass, forward, left, upward, m."""
+    belly = profile.belly
+    along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
+    return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
+
+
+def _belly_height(profile: VehicleProfile) -> float:
+    """Height of the underside over the centre of mass, m: mostly negative."""
+    return profile.belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
+
+
+def stl_bytes(triangles: NDArray[np.float32]) -> bytes:
+    """Binary STL of triangles, (n, 3, 3) float32."""
+    record = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+    body = np.zeros(len(triangles), dtype=record)
+    body["corner"] = triangles
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    body["normal"] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return b"bumpymap".ljust(80) + struct.pack("<I", len(body)) + bytes(body.tobytes())

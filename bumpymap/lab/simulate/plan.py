@@ -1,0 +1,172 @@
+"""What a calibration drives: settings, and the jobs they spell out. A job depends on nothing but the settings.
+
+There are two kinds of jobs. The table's cells are the paper's way: one of four textures, scaled to a height range. The
+terrain library is where the ride model is fitted: ground of many kinds, as high and as steep as it comes.
+"""
+
+import math
+import platform
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from bumpymap.core import TEXTURES, UsageError
+from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.journal import Key
+from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
+from bumpymap.lab.worlds import KINDS, Terrain, make_terrain
+from bumpymap.rating import VehicleProfile, make_textures
+
+__all__ = ["CalibrationSettings", "LibraryJob", "TableJob", "library_terrain", "log_spaced", "run_job"]
+
+_LIBRARY_STREAM = len(TEXTURES)
+"""First number of the random streams of library drives: the index of no texture."""
+_LIBRARY_WHEEL_M = 0.3
+"""The library's heights are made for wheels of this radius; those of others are scaled."""
+
+
+def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
+    """``count`` values from ``lowest`` to ``highest`` in equal ratios, three digits each."""
+    return tuple(float(f"{value:.3g}") for value in np.geomspace(lowest, highest, count))
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSettings:
+    """Everything that decides the numbers of a calibration."""
+
+    profile: VehicleProfile
+    seed: int = 1
+    patches: int = 8
+    """Patches of one cell of the table (texture and z range)."""
+    starts: int = 3
+    """Drives over one patch of the table, each from its own start and heading."""
+    z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
+    """max - min of the table's plane-removed patches, m."""
+    terrains: int = 24
+    """Terrains of each kind of the library."""
+    terrain_starts: int = 8
+    """Drives over one terrain."""
+    tile_size: float = 3.0
+    """Side of a patch, m."""
+    pixels: int = 15
+    drive: DriveSettings = field(default_factory=DriveSettings)
+
+    def __post_init__(self) -> None:
+        lowest = {"seed": 0, "patches": 2, "starts": 1, "terrains": 1, "terrain_starts": 2, "pixels": 4}
+        for name, least in lowest.items():
+            if getattr(self, name) < least:
+                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+        if not (math.isfinite(self.tile_size) and self.tile_size > 0):
+            raise UsageError(f"tile size is {self.tile_size}; it must be a positive number of metres")
+        if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
+            raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise")
+
+    def quick(self) -> "CalibrationSettings":
+        """Return the same with a quarter of the drives: enough for a ride model, rough in the table."""
+        z_range = log_spaced(self.z_range[0], self.z_range[-1], 6)
+        return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
+
+    @property
+    def height_scale(self) -> float:
+        """What the library's heights are multiplied by: what a wheel climbs grows with its radius."""
+        return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
+
+    @property
+    def total_drives(self) -> int:
+        """Number of drives of the whole calibration."""
+        return sum(job.starts for job in self.jobs())
+
+    def jobs(self) -> Iterator["TableJob | LibraryJob"]:
+        """Every job: the table cell by cell, then the library kind by kind."""
+        for texture in range(len(TEXTURES)):
+            for z in range(len(self.z_range)):
+                for patch in range(self.patches):
+                    yield TableJob(texture, z, patch, self.starts)
+        for kind in KINDS:
+            for index in range(self.terrains):
+                yield LibraryJob(kind, index, self.terrain_starts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what decides the numbers, with the versions of what computes them, as JSON has it."""
+        return {
+            "vehicle": self.profile.to_dict(),
+            "seed": self.seed,
+            "patches": self.patches,
+            "starts": self.starts,
+            "z_range": list(self.z_range),
+            "terrains": self.terrains,
+            "terrain_starts": self.terrain_starts,
+            "tile_size": self.tile_size,
+            "pixels": self.pixels,
+            "drive": asdict(self.drive),
+            "versions": {
+                **{name: version(name) for name in ("bumpymap", "dartpy", "numpy")},
+                "python": platform.python_version(),
+                "machine": platform.machine(),
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class TableJob:
+    """One patch of the table: indices of texture, z range and patch."""
+
+    texture: int
+    z: int
+    patch: int
+    starts: int
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("table", self.texture, self.z, self.patch)
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryJob:
+    """One terrain of the library."""
+
+    kind: str
+    index: int
+    starts: int
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("library", self.kind, self.index)
+
+
+def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
+    """Make a terrain of the library as high and as steep as suits the vehicle."""
+    return make_terrain(
+        kind,
+        settings.seed,
+        index,
+        height_scale=settings.height_scale,
+        slope_limit_deg=settings.profile.slope_limit_deg,
+        tile_size=settings.tile_size,
+        pixels=settings.pixels,
+    )
+
+
+def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchDrives:
+    """Make the ground of a job and drive over it.
+
+    Ground and starts have random streams of their own, derived from the seed and the job's indices: which process runs
+    the job, and what ran before it, changes nothing.
+    """
+    if isinstance(job, TableJob):
+        stream: tuple[int, ...] = (job.texture, job.z, job.patch)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
+        patch = make_textures(TEXTURES[job.texture], 1, rng, settings.pixels)[0]
+        heights = patch.astype(np.float64) * settings.z_range[job.z]
+    else:
+        stream = (_LIBRARY_STREAM, KINDS.index(job.kind), job.index)
+        heights = library_terrain(settings, job.kind, job.index).heights
+    effort = Effort.fixed(job.starts)
+    return drive_patch(
+        settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
+    )

@@ -1,0 +1,177 @@
+"""From the drives of all jobs to the table, class limits and class means of a calibration.
+
+The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of the C_r of the terrain
+library. The planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error
+of C_r least are those that cost a planner least when it knows no more than the class. They are taken over terrains that
+the vehicle can cross: on the others C_r is that of the survivors, and p_fail speaks for the ground.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
+from bumpymap.lab.simulate.journal import Key
+from bumpymap.lab.simulate.library import FitRide, driven_library, library_ground, library_record
+from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.plan import CalibrationSettings
+from bumpymap.rating import MOST_FAILED, Calibration, DrivenTerrain
+
+__all__ = ["class_limits", "natural_breaks", "summarise"]
+
+_RULE = (
+    "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
+    "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
+    "1.2 times the vehicle's limit, all terrains on which at least 3/4 of the drives were completed; limits rounded to "
+    "0.001 rad/m"
+)
+
+
+def summarise(
+    settings: CalibrationSettings, results: Mapping[Key, PatchDrives], command: str = "", fit: FitRide | None = None
+) -> Calibration:
+    """Sum up the drives of every job of the settings.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    results : mapping
+        Key of a job -> its drives.
+    command : str
+        Noted in the calibration.
+    fit : callable, optional
+        Fits the ride model to the drives over the terrain library.
+    """
+    table = [
+        [
+            [results["table", texture, z, patch] for patch in range(settings.patches)]
+            for z in range(len(settings.z_range))
+        ]
+        for texture in range(len(TEXTURES))
+    ]
+    driven = driven_library(settings, results)
+    means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
+    p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
+    limits = class_limits(driven)
+    record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
+    record["library"] = library_record(driven)
+    return Calibration(
+        vehicle=record.pop("vehicle"),
+        tile_size=settings.tile_size,
+        pixels=settings.pixels,
+        textures=TEXTURES,
+        z_range=settings.z_range,
+        c_r=tuple(tuple(_mean(cell) for cell in line) for line in means),
+        c_r_log_sd=tuple(tuple(_log_sd(cell) for cell in line) for line in means),
+        p_fail=p_fail,
+        drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
+        class_limits=limits,
+        class_c_r=_class_means(driven, limits),
+        ride=fit(settings.profile, library_ground(settings, driven), driven) if fit else None,
+        settings=record,
+    )
+
+
+def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
+    """C_r between the classes, rad/m.
+
+    Parameters
+    ----------
+    driven : sequence
+        The terrains of the library.
+
+    Raises
+    ------
+    BumpymapError
+        The vehicle can cross too few of them, or hardly pitches on any.
+    """
+    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MOST_FAILED]
+    if len(set(crossable)) < len(CLASS_NAMES):
+        raise BumpymapError(
+            f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
+            f"{len(CLASS_NAMES)} with different C_r. Look for a wrong number in its profile: bumpymap calibrate "
+            "--check; or drive more terrains"
+        )
+    breaks = natural_breaks(np.array(crossable, dtype=np.float64), len(CLASS_NAMES))
+    low, middle, high = (round(limit, 3) for limit in breaks)
+    filled = set(np.searchsorted((low, middle, high), crossable, side="right").tolist())
+    if not 0 < low < middle < high or len(filled) < len(CLASS_NAMES):
+        raise BumpymapError(
+            f"the class limits come out as {low}, {middle}, {high} rad/m, too close together for four classes; "
+            "the vehicle hardly pitches on this ground"
+        )
+    return low, middle, high
+
+
+def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
+    """Limits of the split of numbers into groups with the least sum of squared differences to the group means.
+
+    Fisher's dynamic programme: the best split of the first i sorted numbers into k groups extends the best split of
+    the first j into k - 1. Exact, so there is no random start.
+
+    Parameters
+    ----------
+    values : array (n,)
+    groups : int
+        2 or more; there must be at least as many distinct numbers.
+
+    Returns
+    -------
+    list of float, length groups - 1
+        Half way between the means of neighbouring groups.
+    """
+    x = np.sort(values)
+    edges = _best_edges(x - x.mean(), groups)
+    centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
+    return [(a + b) / 2 for a, b in pairwise(centre)]
+
+
+def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
+    """Where the groups of sorted numbers begin, and the end: groups + 1 indices."""
+    n = len(x)
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    square = np.concatenate([[0.0], np.cumsum(x**2)])
+    best = np.full(n + 1, np.inf)
+    best[0] = 0.0
+    cut = np.zeros((groups, n + 1), dtype=np.int64)
+    for group in range(groups):
+        following = np.full(n + 1, np.inf)
+        for i in range(group + 1, n + 1):
+            j = np.arange(group, i)
+            spread = square[i] - square[j] - (total[i] - total[j]) ** 2 / (i - j)
+            cost = best[j] + np.maximum(spread, 0.0)
+            cut[group, i] = j[np.argmin(cost)]
+            following[i] = cost.min()
+        best = following
+    edges = [n]
+    for group in reversed(range(groups)):
+        edges.append(int(cut[group, edges[-1]]))
+    return edges[::-1]
+
+
+def _class_means(
+    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Mean C_r of all terrains of each class, those that few drives came through too."""
+    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
+    class_id = np.searchsorted(limits, known, side="right")
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
+    return a, b, c, d
+
+
+def _mean(cell: list[float | None]) -> float | None:
+    known = [value for value in cell if value is not None]
+    return math.fsum(known) / len(known) if known else None
+
+
+def _log_sd(cell: list[float | None]) -> float | None:
+    logs = [math.log(value) for value in cell if value is not None]
+    return float(np.std(logs, ddof=1)) if len(logs) > 1 else None
+
+
+def _failed(cell: list[PatchDrives]) -> float:
+    return sum(patch.failed for patch in cell) / sum(len(patch.outcome) for patch in cell)

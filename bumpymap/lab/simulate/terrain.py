@@ -1,0 +1,212 @@
+"""The ground under a drive: endless height functions, and the strip of it that the physics engine gets as a mesh.
+
+A patch is 3 m wide and a drive 10 m long, so the patch has to go on. Its least-squares plane goes on forever; what is
+left over is mirrored at the patch's edges (half-sample: the edge pixel comes twice). Mirroring the heights themselves
+would fold every slope into a ridge. Pixel centres carry the heights, and between them the ground is bilinear.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+
+__all__ = ["Ground", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
+
+_Floats = NDArray[np.float64]
+
+
+class Ground(Protocol):
+    """Endless ground."""
+
+    @property
+    def extent(self) -> float:
+        """Starts are drawn from a square of this side at the origin, m."""
+
+    @property
+    def spacing(self) -> float:
+        """Distance between the vertices of a mesh that is fine enough for this ground, m."""
+
+    @property
+    def gradient(self) -> tuple[float, float]:
+        """Mean slope to the east and to the north, m/m: how a vehicle is put on the ground."""
+
+    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+        """Heights of points, m; arrays of one shape."""
+
+
+def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
+    """Least-squares plane through a square heightmap.
+
+    Parameters
+    ----------
+    heights : array (pixels, pixels) float64
+        m, north row first.
+
+    Returns
+    -------
+    array (pixels, pixels) float64
+        The plane at the pixel centres, m.
+    (float, float)
+        Its slope to the east and to the north, m per pixel.
+    """
+    pixels = heights.shape[0]
+    axis = np.arange(pixels) - (pixels - 1) / 2
+    norm = pixels * float(axis @ axis) or 1.0
+    east = float(heights.sum(axis=0) @ axis) / norm
+    north = -float(heights.sum(axis=1) @ axis) / norm
+    plane = heights.mean() + east * axis[None, :] - north * axis[:, None]
+    return plane, (east, north)
+
+
+@dataclass(frozen=True, slots=True)
+class PatchGround:
+    """A patch that goes on forever: its plane plus its mirrored residual."""
+
+    residual: _Floats
+    """(pixels, pixels) heights with the plane taken off, m; south row first."""
+    tile_size: float
+    """Side of the patch, m."""
+    mean: float
+    """Height of the plane in the middle of the patch, m."""
+    gradient: tuple[float, float]
+    """Slope of the plane to the east and to the north, m/m."""
+
+    @classmethod
+    def from_heights(cls, heights: NDArray[np.floating], tile_size: float) -> "PatchGround":
+        """Make the ground of a heightmap.
+
+        Parameters
+        ----------
+        heights : array (pixels, pixels)
+            m, north row first, without NaN.
+        tile_size : float
+            Side of the patch, m.
+        """
+        values = np.asarray(heights, dtype=np.float64)
+        if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 2:
+            raise BadInputError(f"a patch of shape {values.shape}; it must be square, 2 x 2 pixels or more")
+        if not np.isfinite(values).all():
+            raise BadInputError(
+                f"a patch with {int((~np.isfinite(values)).sum())} pixels that are NaN or infinite; fill holes first"
+            )
+        plane, (east, north) = fit_plane(values)
+        per_metre = values.shape[0] / tile_size
+        residual = np.ascontiguousarray((values - plane)[::-1])
+        return cls(residual, tile_size, float(values.mean()), (east * per_metre, north * per_metre))
+
+    @property
+    def extent(self) -> float:
+        """The mirrored residual repeats after two patches, m."""
+        return 2 * self.tile_size
+
+    @property
+    def spacing(self) -> float:
+        """Half a pixel: pixel centres are vertices, so the mesh has the peaks of the bilinear ground, m."""
+        return self.tile_size / len(self.residual) / 2
+
+    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+        """Heights of points, m; the patch itself lies between 0 and ``tile_size`` on both axes."""
+        pixels = len(self.residual)
+        scale = pixels / self.tile_size
+        col, row = easting * scale - 0.5, northing * scale - 0.5
+        col_0, row_0 = np.floor(col).astype(np.int64), np.floor(row).astype(np.int64)
+        right, up = col - col_0, row - row_0
+        west, east = _mirrored(col_0, pixels), _mirrored(col_0 + 1, pixels)
+        south, north = _mirrored(row_0, pixels), _mirrored(row_0 + 1, pixels)
+        below = self.residual[south, west] * (1 - right) + self.residual[south, east] * right
+        above = self.residual[north, west] * (1 - right) + self.residual[north, east] * right
+        middle = self.tile_size / 2
+        plane = self.mean + self.gradient[0] * (easting - middle) + self.gradient[1] * (northing - middle)
+        return plane + below * (1 - up) + above * up
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneGround:
+    """A plane through the origin."""
+
+    gradient: tuple[float, float]
+    """Slope to the east and to the north, m/m."""
+    extent: float = 1.0
+    spacing: float = 0.5
+
+    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+        """Heights of points, m."""
+        return self.gradient[0] * easting + self.gradient[1] * northing
+
+
+@dataclass(frozen=True, slots=True)
+class SineGround:
+    """Waves that run to the east: the same in every northing."""
+
+    amplitude: float
+    """m."""
+    wavelength: float
+    """m."""
+    gradient: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def extent(self) -> float:
+        """One wave, m."""
+        return self.wavelength
+
+    @property
+    def spacing(self) -> float:
+        """Forty vertices a wave, m."""
+        return self.wavelength / 40
+
+    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+        """Heights of points, m."""
+        waves = self.amplitude * np.sin(2 * np.pi / self.wavelength * easting)
+        return np.broadcast_to(waves, np.broadcast_shapes(easting.shape, northing.shape)).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """The ground within ``half_width`` of a straight path, both ends prolonged by as much, in m and radians."""
+
+    easting: float
+    northing: float
+    heading: float
+    """Direction of the path, counted from east to north."""
+    length: float
+    half_width: float
+
+
+def strip_triangles(ground: Ground, strip: Strip) -> NDArray[np.float32]:
+    """Cut a strip of ground into triangles.
+
+    The vertices lie on a grid that is anchored at the ground's origin, not at the path: a patch is met by its own
+    pixels whatever the heading.
+
+    Returns
+    -------
+    array (n, 3, 3) float32
+        Triangle, corner, (easting, northing, upward) in m. Corners run counter-clockwise seen from above: ODE's
+        meshes have one side.
+    """
+    forward = np.array([np.cos(strip.heading), np.sin(strip.heading)])
+    start = np.array([strip.easting, strip.northing])
+    ends = np.stack([start - strip.half_width * forward, start + (strip.length + strip.half_width) * forward])
+    step = ground.spacing
+    first = np.floor((ends.min(axis=0) - strip.half_width) / step).astype(np.int64)
+    last = np.ceil((ends.max(axis=0) + strip.half_width) / step).astype(np.int64)
+    easting, northing = np.meshgrid(*(np.arange(a, b + 1) * step for a, b in zip(first, last, strict=True)))
+    vertices = np.stack([easting, northing, ground.height(easting, northing)], axis=-1).astype(np.float32)
+    middle = np.stack([easting[:-1, :-1], northing[:-1, :-1]], axis=-1) + step / 2 - start
+    along, across = middle @ forward, middle @ np.array([-forward[1], forward[0]])
+    reach = strip.half_width + step
+    keep = (along >= -reach) & (along <= strip.length + reach) & (np.abs(across) <= reach)
+    south_west, south_east = vertices[:-1, :-1][keep], vertices[:-1, 1:][keep]
+    north_west, north_east = vertices[1:, :-1][keep], vertices[1:, 1:][keep]
+    lower = np.stack([south_west, south_east, north_east], axis=1)
+    upper = np.stack([south_west, north_east, north_west], axis=1)
+    return np.concatenate([lower, upper])
+
+
+def _mirrored(index: NDArray[np.int64], pixels: int) -> NDArray[np.int64]:
+    """Half-sample mirroring: ... 1 0 | 0 1 ... n-1 | n-1 n-2 ..."""
+    wrapped = index % (2 * pixels)
+    return np.minimum(wrapped, 2 * pixels - 1 - wrapped)

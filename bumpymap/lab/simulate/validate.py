@@ -1,0 +1,99 @@
+"""Drive the patches of a survey: the truth that a map is compared with."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.journal import Journal, Key
+from bumpymap.lab.simulate.model import require_dart
+from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.pool import Progress, drive_jobs
+from bumpymap.rating import VehicleProfile
+
+__all__ = ["drive_patches"]
+
+
+@dataclass(frozen=True, slots=True)
+class _PatchJob:
+    key: Key
+    heights: NDArray[np.floating]
+    starts: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Common:
+    """What all jobs share."""
+
+    profile: VehicleProfile
+    tile_size: float
+    seed: int
+    effort: Effort
+    settings: DriveSettings | None
+
+
+def drive_patches(
+    profile: VehicleProfile,
+    patches: Mapping[Key, NDArray[np.floating]],
+    tile_size: float,
+    seed: int,
+    effort: Effort | None = None,
+    settings: DriveSettings | None = None,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: Journal | None = None,
+    discard_other: bool = False,
+) -> dict[Key, PatchDrives]:
+    """Drive many patches, each until its mean C_r is known well.
+
+    The starts of a patch follow from the seed and its key: other patches beside it, or another order, change nothing.
+
+    Parameters
+    ----------
+    profile : VehicleProfile
+    patches : mapping
+        Key, such as (col, row) of a tile -> heights (pixels, pixels), m, north row first, without NaN.
+    tile_size : float
+        m.
+    seed : int
+    effort, settings : optional
+        As in `drive_patch`.
+    progress, workers, journal, discard_other
+        As in `drive_jobs`; progress counts ``effort.least`` drives for a patch. The journal's settings must tell all
+        that decides the numbers, the survey too.
+
+    Returns
+    -------
+    dict
+        Key -> drives.
+    """
+    require_dart()
+    common = _Common(profile, tile_size, seed, effort or Effort(), settings)
+    jobs = [_PatchJob(key, heights, common.effort.least) for key, heights in patches.items()]
+    return drive_jobs(
+        partial(_drive, common), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
+    )
+
+
+def _drive(common: _Common, job: _PatchJob) -> PatchDrives:
+    return drive_patch(
+        common.profile,
+        job.heights,
+        common.tile_size,
+        common.seed,
+        common.effort,
+        common.settings,
+        stream=_stream(job.key),
+    )
+
+
+def _stream(key: Key) -> tuple[int, ...]:
+    """Numbers for a random stream; a key may hold texts and negative numbers, a stream may not."""
+    digest = hashlib.sha256(json.dumps(key).encode()).digest()
+    return tuple(int.from_bytes(digest[at : at + 4], "little") for at in (0, 4, 8))

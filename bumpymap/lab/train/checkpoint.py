@@ -1,0 +1,62 @@
+"""Checkpoints: a training that is broken off goes on from its last whole epoch."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from bumpymap.core import UsageError, atomic
+
+__all__ = ["restore", "save"]
+
+_log = logging.getLogger(__name__)
+
+
+def save(
+    checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer, epochs_done: int
+) -> None:
+    """Write where a training stands.
+
+    Parameters
+    ----------
+    checkpoint : Path
+        Appears whole or not at all.
+    record : dict
+        Plain values: all that decides the training. Another training does not go on from it.
+    net : Module
+    optimizer : Optimizer
+    epochs_done : int
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    state = {"record": record, "epochs_done": epochs_done}
+    with atomic(checkpoint, (RuntimeError,)) as part:
+        torch.save({**state, "network": net.state_dict(), "optimizer": optimizer.state_dict()}, part)
+
+
+def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer) -> int:
+    """Load what ``save`` wrote into a network and its optimizer; returns the number of epochs that are done.
+
+    Raises
+    ------
+    UsageError
+        The file is no checkpoint, or that of another training.
+    """
+    remedy = "Delete it, or choose another --out"
+    try:
+        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        found, done = state["record"], int(state["epochs_done"])
+    except Exception as error:  # torch raises many kinds for a file that is not its own
+        raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
+    if found != record:
+        different = ", ".join(f"{k} {found.get(k)} (now {v})" for k, v in record.items() if found.get(k) != v)
+        raise UsageError(f"{checkpoint} is of a training with other settings: {different}. {remedy}")
+    net.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    _log.info("going on from epoch %d in %s", done, checkpoint)
+    return done

@@ -1,0 +1,95 @@
+"""Patches to learn from and patches to be judged by. Everything follows from one seed."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import TEXTURES
+from bumpymap.lab.train.alter import ALL, LIGHT, NONE, Alterations, alter
+from bumpymap.rating import make_short_waves, make_textures
+
+__all__ = [
+    "LIGHT_EVERY",
+    "SHORT_WAVES",
+    "Samples",
+    "altered_copies",
+    "epoch_samples",
+    "training_patches",
+    "unseen_patches",
+    "unseen_short_waves",
+]
+
+# Second word of every generator's seed: no two uses ever share random numbers.
+_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
+
+SHORT_WAVES = 0.2
+"""Short regular waves that each epoch adds to the ``high_noise`` patches, as a share of these. In their place, they
+would make rubble rarer than the forms it is mistaken for."""
+LIGHT_EVERY = 7
+"""One in so many patches of an epoch is altered lightly: a network that only ever saw fully altered patches takes the
+grain of an untouched one for rubble. The others are altered as those are that networks are judged by: were strong blur
+rarer while learning, the network would too seldom see smooth rubble as rubble."""
+_HIGH_NOISE = TEXTURES.index("high_noise")
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Patches and what they are."""
+
+    patches: NDArray[np.float32]
+    """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
+    labels: NDArray[np.int64]
+    """(n,) index into ``TEXTURES``."""
+
+
+def training_patches(seed: int, patches_per_texture: int, pixels: int) -> Samples:
+    """Make the patches that the network learns from, textures in order."""
+    return _textures(seed, _TRAINING, patches_per_texture, pixels)
+
+
+def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
+    """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones.
+
+    Short regular waves, which no texture holds, come on top as ``high_noise``.
+    """
+    added = math.ceil(SHORT_WAVES * np.count_nonzero(training.labels == _HIGH_NOISE))
+    waves = make_short_waves(added, np.random.default_rng([seed, _WAVES, epoch]), training.patches.shape[-1])
+    patches = np.concatenate((training.patches, waves))
+    labels = np.concatenate((training.labels, np.full(added, _HIGH_NOISE)))
+    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(labels))
+    patches, labels = patches[order], labels[order]
+    lightly = np.arange(len(labels)) % LIGHT_EVERY == 0  # evenly spread, so that every batch holds some
+    rng = np.random.default_rng([seed, _EPOCH, epoch])
+    patches[lightly] = alter(patches[lightly], LIGHT, rng)
+    patches[~lightly] = alter(patches[~lightly], ALL, rng)
+    return Samples(patches, labels)
+
+
+def unseen_short_waves(seed: int, count: int, pixels: int) -> Samples:
+    """Make short regular waves from seeds that training never uses, with all alterations."""
+    rng = np.random.default_rng([seed, _UNSEEN_WAVES])
+    return Samples(alter(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
+
+
+def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> Samples:
+    """Make patches from seeds that training never uses, then alter them."""
+    fresh = _textures(seed, _UNSEEN, patches_per_texture, pixels)
+    if alterations == NONE:
+        return fresh
+    rng = np.random.default_rng([seed, _UNSEEN_ALTERED])
+    return Samples(alter(fresh.patches, alterations, rng), fresh.labels)
+
+
+def altered_copies(training: Samples, seed: int) -> Samples:
+    """Alter the training patches themselves: what the paper validated on. The alterations are none of the epochs'."""
+    return Samples(alter(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
+
+
+def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> Samples:
+    made = [
+        make_textures(texture, patches_per_texture, np.random.default_rng([seed, purpose, index]), pixels)
+        for index, texture in enumerate(TEXTURES)
+    ]
+    return Samples(np.concatenate(made), np.repeat(np.arange(len(TEXTURES)), patches_per_texture))

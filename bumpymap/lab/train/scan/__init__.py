@@ -1,0 +1,5 @@
+"""Trains the network for sectors of a scan and writes it as an ONNX file."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,230 @@
+"""Sectors to learn from and to be judged by: of made-up scenes, or of a labelled data set on disk."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, OutputError, PolarSettings, Scan, atomic
+from bumpymap.readers import find_frames, read_scan
+from bumpymap.scan import MEASURES, classes_of_labels, network_input, polar_sectors
+
+__all__ = [
+    "LENT",
+    "UNSEEN",
+    "Sectors",
+    "draw_epoch",
+    "folder_frames",
+    "folder_sectors",
+    "join",
+    "labelled_sectors",
+    "overhead_sectors",
+    "scene_scan",
+    "simulated_sectors",
+]
+
+UNSEEN = 1_000_000
+"""Scenes from this number on are never learned from."""
+LENT = ("coverage",)
+"""Measures that some sectors take from others while learning."""
+_LENT_SHARE = 0.15
+Told = Callable[[int, int], None]
+"""Gets how many scans are done, of how many."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sectors:
+    """Sectors whose class is known."""
+
+    patches: NDArray[np.float32]
+    """(n, CHANNELS, pixels, pixels)"""
+    measures: NDArray[np.float32]
+    """(n, len(MEASURES))"""
+    class_id: NDArray[np.int64]
+    """(n,) 0..2"""
+    label: NDArray[np.int16]
+    """(n,) the RELLIS-3D id behind the class."""
+    zone: NDArray[np.int16]
+    """(n,)"""
+    traversable: NDArray[np.bool_]
+    """(n,) True where the gate lets the sector through."""
+
+
+def join(parts: Sequence[Sectors]) -> Sectors:
+    """Put sectors (at least one set) together, in order."""
+    return Sectors(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Sectors)))
+
+
+def labelled_sectors(scan: Scan, turns: Iterable[float] = ()) -> Sectors:
+    """Cut a labelled scan into sectors and keep those with a class.
+
+    Parameters
+    ----------
+    scan : Scan
+        With labels.
+    turns : floats
+        The scan is cut once more after each of these turns [rad] about z, from the x axis on: the same ground in
+        other sectors.
+    """
+    cuts = [polar_sectors(scan)]
+    for turn in turns:
+        cos, sin = np.cos(turn), np.sin(turn)
+        about_z = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], np.float32)
+        cuts.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), PolarSettings(anchored=False)))
+    parts = []
+    for stack in cuts:
+        class_id = classes_of_labels(stack.label)
+        known = class_id >= 0
+        patches, measures = network_input(stack)
+        parts.append(
+            Sectors(
+                patches[known],
+                measures[known],
+                class_id[known].astype(np.int64),
+                stack.label[known],
+                stack.zone[known],
+                stack.traversable[known],
+            )
+        )
+    return join(parts)
+
+
+def scene_scan(seed: int, index: int) -> Scan:
+    """Simulate the scan of one made-up scene; every scene has another sensor."""
+    from bumpymap.lab.worlds import draw_sensor, make_scene, simulate_scan
+
+    sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
+    seen = simulate_scan(make_scene(seed, index), sensor, index)
+    there = seen.label > 0
+    return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
+
+
+def simulated_sectors(
+    seed: int, scenes: Sequence[int], turns: int = 0, keep: Path | None = None, progress: Told | None = None
+) -> Sectors:
+    """Sectors of made-up scenes, in order.
+
+    Parameters
+    ----------
+    seed : int
+        Of the set of scenes.
+    scenes : ints
+        Which of them.
+    turns : int
+        How often each scan is cut once more after a random turn.
+    keep : Path, optional
+        Folder that keeps the sectors of each scene, for a run that goes on after a break.
+    told : callable, optional
+        Hears of every scene that is done.
+    """
+    parts = []
+    for done, index in enumerate(scenes, start=1):
+        angles = np.random.default_rng([seed, index, 3]).uniform(0, 2 * np.pi, turns)
+        file = None if keep is None else keep / f"{seed}_{index}_{turns}.npz"
+        if file is not None and file.exists():
+            with np.load(file) as kept:
+                parts.append(Sectors(**kept))
+        else:
+            parts.append(labelled_sectors(scene_scan(seed, index), angles.tolist()))
+            if file is not None:
+                _keep(file, parts[-1])
+        if progress:
+            progress(done, len(scenes))
+    return join(parts)
+
+
+def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
+    """Sectors of the ground of made-up scenes (at least one), seen all over and partly heaped with blocks, in order."""
+    from bumpymap.lab.worlds import look_down, make_scene
+
+    parts = []
+    for index in scenes:
+        seen = look_down(make_scene(seed, index), index)
+        parts.append(labelled_sectors(Scan(seen.points, seen.intensity, seen.label.astype(np.uint16))))
+    return join(parts)
+
+
+def _keep(file: Path, sectors: Sectors) -> None:
+    if file.parent.is_symlink():
+        raise OutputError(f"{file.parent} is a link, and is left alone. Take it away, or choose another --out")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic(file) as beside:
+        np.savez(beside, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
+
+
+def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Frames of a data set in the layout of RELLIS-3D: those to learn from, and the last fifth of every sequence.
+
+    ``folder`` holds sequences (``00000``, ..), is one, or holds ``Rellis-3D``. Neighbouring frames show nearly the
+    same ground, so every tenth is enough of them and no frame near a border is on both sides of it.
+    """
+    inner = folder / "Rellis-3D"
+    root = inner if inner.is_dir() else folder
+    inside = root.iterdir() if root.is_dir() else []
+    sequences = sorted(path for path in inside if path.is_dir() and path.name.isdigit())
+    learn: list[Path] = []
+    unseen: list[Path] = []
+    for sequence in sequences or [root]:
+        frames = find_frames([sequence])
+        border = len(frames) - max(1, len(frames) // 5)
+        learn += frames[:border]
+        unseen += frames[border:]
+    if not learn:
+        raise BadInputError(f"{folder} holds {len(unseen)} frame(s); training needs 2 or more in a sequence")
+    return learn, unseen
+
+
+def folder_sectors(frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: Told | None = None) -> Sectors:
+    """Sectors of labelled frames on disk, in order.
+
+    Raises
+    ------
+    BadInputError
+        A frame has no labels, or none of them has a class.
+    """
+    parts = []
+    for done, frame in enumerate(frames, start=1):
+        scan = read_scan(frame)
+        if scan.label is None:
+            raise BadInputError(
+                f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
+                "beside its folder"
+            )
+        angles = np.random.default_rng([seed, done, 3]).uniform(0, 2 * np.pi, turns)
+        parts.append(labelled_sectors(scan, angles.tolist()))
+        if progress:
+            progress(done, len(frames))
+    joined = join(parts)
+    if not len(joined.class_id):
+        raise BadInputError(
+            f"no sector of {len(frames)} frames has a label with a class; the labels must be ids of RELLIS-3D"
+        )
+    return joined
+
+
+def draw_epoch(
+    sectors: Sectors, per_class: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Draw as many sectors of every class that is there, half of them mirrored in azimuth; shuffled.
+
+    A class with fewer sectors than that gives each of them as often as any other, give or take one. Some sectors take
+    their ``LENT`` measures from others, so that the network does not rest its answer on them alone: how full the
+    pixels are depends on the sensor more than relief does.
+    """
+    rows = []
+    for class_id in np.unique(sectors.class_id):
+        there = np.flatnonzero(sectors.class_id == class_id)
+        rounds = [rng.permutation(there) for _ in range(-(-per_class // len(there)))]
+        rows.append(np.concatenate(rounds)[:per_class])
+    order = rng.permutation(np.concatenate(rows))
+    patches = sectors.patches[order]
+    mirrored = rng.uniform(size=len(order)) < 0.5
+    patches[mirrored] = patches[mirrored][..., ::-1]
+    measures = sectors.measures[order]
+    for name in LENT:
+        column = MEASURES.index(name)
+        takes = np.flatnonzero(rng.uniform(size=len(order)) < _LENT_SHARE)
+        measures[takes, column] = measures[rng.permutation(takes), column]
+    return patches, measures, sectors.class_id[order]

@@ -1,0 +1,22 @@
+from .scans.lidar import (
+    simulate_scan as simulate_scan,
+)
+from .scans.overhead import (
+    look_down as look_down,
+)
+from .scans.scene import (
+    make_scene as make_scene,
+)
+from .scans.sensor import (
+    draw_sensor as draw_sensor,
+)
+from .terrains.library import (
+    FINE as FINE,
+    KINDS as KINDS,
+    Terrain as Terrain,
+    make_terrain as make_terrain,
+)
+from .terrains.survey import (
+    ScanEffects as ScanEffects,
+    survey_terrain as survey_terrain,
+)

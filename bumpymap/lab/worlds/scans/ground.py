@@ -1,0 +1,109 @@
+"""The ground of a scene: heights and labels anywhere, and the mesh that beams hit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.lab.worlds.scans._fields import Field, Floats, smoothstep
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.lab.worlds.scans.regions import Region, Way
+
+__all__ = ["Ground", "GroundSample", "ground_mesh"]
+
+_START_M = 0.4
+"""Where the mesh begins."""
+_STEP = 0.01
+"""Between corners of the mesh, share of their distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundSample:
+    """What the ground is at some places."""
+
+    z: Floats
+    """(n,) m; of the soil, not of the grass on it."""
+    label: NDArray[np.uint8]
+    """(n,) RELLIS-3D id."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Hills, bumps and fine relief, with regions of other ground laid over them in order."""
+
+    hills: Field
+    hills_m: float
+    """Standard deviation of hills, waves of 25 m and more."""
+    bumps: Field
+    bumps_m: float
+    """Standard deviation of bumps, waves of 2 to 20 m; ways are graded and have none."""
+    fine: Field
+    """Waves under 2 m."""
+    cover: Label
+    """Of what no region covers: grass or dirt."""
+    cover_rough_m: float
+    regions: tuple[Region, ...]
+    grass_m: float
+    """How tall the grass stands on average."""
+    grass_tufts: Field
+    grass_path_m: float
+    """Mean way of a beam through grass before a blade stops it."""
+
+    def sample(self, x: Floats, y: Floats) -> GroundSample:
+        """Heights and labels at places in metres from the origin."""
+        bumps = self.bumps_m * self.bumps.at(x, y)
+        z = self.hills_m * self.hills.at(x, y) + bumps
+        label = np.full(x.shape, self.cover, np.uint8)
+        rough = np.full(x.shape, self.cover_rough_m)
+        relief, floor = np.zeros_like(x), np.full(x.shape, -np.inf)
+        for region in self.regions:
+            reach = region.reach(x, y)
+            inside = reach < 1.0
+            if isinstance(region, Way):
+                z -= bumps * smoothstep(2.0 - reach)
+                relief[inside], floor[inside] = 0.0, -np.inf
+                relief += region.relief(x, y)
+            elif region.level_m is None:
+                relief += region.relief(x, y)
+                floor[inside] = -region.pool_m
+            else:
+                share = smoothstep((1.35 - reach) / 0.35)
+                z += share * (region.level_m - z)
+                relief *= 1 - share
+            label[inside] = region.label
+            rough[inside] = region.rough_m
+            if isinstance(region, Way) and region.kerb_m > 0:
+                kerb = region.on_kerb(region.across(x, y)) > 0
+                label[kerb], rough[kerb] = Label.CONCRETE, 0.002
+        return GroundSample(z + np.maximum(relief + rough * self.fine.at(x, y), floor), label)
+
+    def grass_height(self, x: Floats, y: Floats) -> Floats:
+        """How tall grass would stand there, m."""
+        tall: Floats = self.grass_m * np.clip(1.0 + 0.4 * self.grass_tufts.at(x, y), 0.15, 1.8)
+        return tall
+
+
+def ground_mesh(
+    ground: Ground, rng: np.random.Generator, end_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Mesh the ground around the origin: (n, 3) corners and (m, 3) triangles.
+
+    Rings widen with the distance, as beams do: 5 cm near 5 m, 50 cm near 50 m. Corners are shaken within their cells,
+    so that no line of the mesh agrees with a line of the scan.
+    """
+    around = round(2 * np.pi / _STEP)
+    rings = int(np.log(end_m / _START_M) / _STEP)
+    radius = _START_M * np.exp(_STEP * (np.arange(rings)[:, None] + rng.uniform(-0.2, 0.2, (rings, around))))
+    angle = 2 * np.pi / around * (np.arange(around)[None, :] + rng.uniform(-0.2, 0.2, (rings, around)))
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    corners = np.stack([x, y, ground.sample(x, y).z], axis=1).astype(np.float32)
+    here = np.arange(rings * around).reshape(rings, around)
+    right = np.roll(here, -1, axis=1)
+    quads = (here[:-1], right[:-1], here[1:], right[1:])
+    triangles = np.concatenate(
+        [
+            np.stack([quads[0], quads[2], quads[1]], axis=-1).reshape(-1, 3),
+            np.stack([quads[1], quads[2], quads[3]], axis=-1).reshape(-1, 3),
+        ]
+    )
+    return corners, triangles.astype(np.uint32)

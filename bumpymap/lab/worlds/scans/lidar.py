@@ -1,0 +1,168 @@
+"""The LiDAR: casts its beams into a scene and makes their returns as good or bad as real ones.
+
+What a beam meets is geometry (open3d casts the rays). What comes back is physics in three short rules: grass is a layer
+in which a beam is stopped after a random way; light falls with the square of the distance and with the angle, and what
+comes back too weak is no return; smooth wet surfaces throw pulses away.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import UsageError
+from bumpymap.lab.worlds.scans._fields import Floats
+from bumpymap.lab.worlds.scans.ground import ground_mesh
+from bumpymap.lab.worlds.scans.labels import ANSWERS, Label
+from bumpymap.lab.worlds.scans.scene import Scene
+from bumpymap.lab.worlds.scans.sensor import Sensor
+
+__all__ = ["SimulatedScan", "load_open3d", "simulate_scan"]
+
+_MARGIN_M = 5.0
+"""The ground goes on this much beyond the longest range."""
+_LEAST_COSINE = 0.05
+"""No ground is so smooth that grazing light sees less of it."""
+
+
+def load_open3d(what: str) -> Any:
+    """Import the library that casts rays: where it is installed, a library of the system may still be missing.
+
+    Parameters
+    ----------
+    what : str
+        What needs it, for the message.
+
+    Raises
+    ------
+    UsageError
+        It cannot be loaded; the message says what to install.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "open3d":
+            raise UsageError(f"{what} needs open3d. Install it with: pip install 'bumpymap[o3d]'") from error
+        raise UsageError(
+            f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs libraries of the system. "
+            "On Debian and Ubuntu: sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6"
+        ) from error
+    return open3d
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedScan:
+    """One turn of the sensor, line by line; a beam without return is at (0, 0, 0), as drivers write it."""
+
+    points: NDArray[np.float32]
+    """(lines * columns, 3) sensor frame, m."""
+    intensity: NDArray[np.float32]
+    """(lines * columns,) reflectivity as seen, 0..1."""
+    label: NDArray[np.uint32]
+    """(lines * columns,) RELLIS-3D id; 0 without return."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Hits:
+    """What the beams meet."""
+
+    distance: Floats
+    """(n,) m; inf where nothing is met."""
+    cosine: Floats
+    """(n,) between beam and normal, 0..1."""
+    label: NDArray[np.uint32]
+    """(n,)"""
+    turf: NDArray[np.bool_]
+    """(n,) True on ground that grass covers."""
+
+
+def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
+    """Look around in a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The sensor stands ``height_m`` over its origin.
+    sensor : Sensor
+        Beams, noise, tilt.
+    seed : int
+        Of noise and lost returns. The same arguments give the same bits on the same machine.
+
+    Returns
+    -------
+    SimulatedScan
+        One row a beam.
+    """
+    rng = np.random.default_rng([*scene.seed, seed, 1])
+    rays = sensor.directions()
+    level = rays @ sensor.to_level().T
+    eye = np.array([0.0, 0.0, float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m])
+    hits = _in_grass(scene, _cast(scene, sensor, eye, level, rng), eye, level, rng)
+    seen, intensity = _answers(hits, sensor, rng)
+    distance = np.where(seen, hits.distance, 0.0)
+    distance = np.where(seen, distance + sensor.noise_m * rng.standard_normal(len(rays)), 0.0)
+    return SimulatedScan(
+        (distance[:, None] * rays).astype(np.float32),
+        np.where(seen, intensity, 0.0).astype(np.float32),
+        np.where(seen, hits.label, 0).astype(np.uint32),
+    )
+
+
+def _cast(scene: Scene, sensor: Sensor, eye: Floats, level: Floats, rng: np.random.Generator) -> _Hits:
+    open3d = load_open3d("a simulated scan")
+    tensor: Any = open3d.core.Tensor
+    world = open3d.t.geometry.RaycastingScene(nthreads=1)
+    corners, triangles = ground_mesh(scene.ground, rng, sensor.end_m + _MARGIN_M)
+    labels = [int(Label.VOID)]
+    world.add_triangles(tensor(corners), tensor(triangles))
+    for kind in sorted({kind for kind, _ in scene.things}):
+        soup = np.concatenate([part for name, part in scene.things if name == kind]).reshape(-1, 3)
+        world.add_triangles(tensor(soup), tensor(np.arange(len(soup), dtype=np.uint32).reshape(-1, 3)))
+        labels.append(int(kind))
+    rays = np.concatenate([np.broadcast_to(eye, level.shape), level], axis=1).astype(np.float32)
+    found: dict[str, Any] = world.cast_rays(tensor(rays))
+    distance = found["t_hit"].numpy().astype(np.float64)
+    which = found["geometry_ids"].numpy()
+    hit = np.isfinite(distance)
+    label = np.zeros(len(rays), np.uint32)
+    label[hit] = np.array(labels, np.uint32)[which[hit]]
+    on_ground = hit & (which == 0)
+    place = eye + np.where(hit, distance, 0.0)[:, None] * level
+    label[on_ground] = scene.ground.sample(place[on_ground, 0], place[on_ground, 1]).label
+    normal = found["primitive_normals"].numpy().astype(np.float64)
+    cosine = np.clip(np.abs((normal * level).sum(axis=1)), 0.0, 1.0)
+    return _Hits(distance, cosine, label, on_ground & (label == Label.GRASS))
+
+
+def _in_grass(scene: Scene, hits: _Hits, eye: Floats, level: Floats, rng: np.random.Generator) -> _Hits:
+    """Stop beams on their way through the grass: the way into it is exponential with a mean of ``grass_path_m``."""
+    ground = scene.ground
+    way = rng.exponential(ground.grass_path_m, len(level))
+    rows = np.flatnonzero(hits.turf)
+    foot = eye + hits.distance[rows, None] * level[rows]
+    inside = ground.grass_height(foot[:, 0], foot[:, 1]) / np.maximum(hits.cosine[rows], _LEAST_COSINE)
+    inside = np.minimum(inside, 0.9 * hits.distance[rows])
+    distance, cosine = hits.distance.copy(), hits.cosine.copy()
+    stopped = way[rows] < inside
+    distance[rows] -= np.where(stopped, inside - way[rows], 0.0)
+    cosine[rows] = np.where(stopped, 0.5, cosine[rows])  # blades stand any way
+    return _Hits(distance, cosine, hits.label, hits.turf)
+
+
+def _answers(hits: _Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.bool_], Floats]:
+    """Which beams come back, and how bright."""
+    dark = np.zeros(256)
+    thrown = np.zeros(256)
+    for label, answer in ANSWERS.items():
+        dark[label] = rng.uniform(*answer.reflectivity)
+        thrown[label] = rng.uniform(*answer.mirror)
+    count = len(hits.distance)
+    bright = dark[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)
+    near = np.where(np.isfinite(hits.distance), np.maximum(hits.distance, 0.1), np.inf)
+    strength = bright / 0.1 * (sensor.reach_m / near) ** 2
+    # A mirror throws more away the flatter the light comes.
+    kept = 1.0 - thrown[hits.label] * (1.0 - 0.5 * hits.cosine)
+    seen = strength > np.exp(rng.normal(0.0, 0.35, count))
+    seen &= (rng.uniform(size=count) < kept) & (rng.uniform(size=count) >= sensor.lost)
+    return seen & (near <= sensor.end_m) & (near > 0.3), bright

@@ -1,0 +1,170 @@
+"""Where another kind of ground begins: blobs and ways, with what happens to the heights inside.
+
+Each region knows its ``reach`` at a place: below 1 inside, 1 on its margin, growing outwards.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
+from bumpymap.lab.worlds.scans.labels import Label
+
+__all__ = ["Blob", "Region", "Way", "make_blob", "make_way", "ruts"]
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """A patch of ground with a wavy margin: water, puddle, mud, rubble, bare dirt, a field of grass."""
+
+    label: Label
+    centre: tuple[float, float]
+    """m."""
+    radius_m: float
+    waves: tuple[tuple[float, float], ...]
+    """Amplitude (share of the radius) and phase of 2, 3, .. waves around the margin."""
+    rough_m: float
+    """Standard deviation of waves shorter than 2 m."""
+    level_m: float | None = None
+    """Height of what is as level as water; None for ground."""
+    pool_m: float = math.inf
+    """Water stands in what is deeper than this below the ground around."""
+    tracks: tuple[tuple[float, float, float, float], ...] = ()
+    """Wheel tracks through it: bearing, distance from the centre [m], depth [m], width of a rut [m]."""
+
+    def reach(self, x: Floats, y: Floats) -> Floats:
+        """Distance from the centre over the radius in that direction; over twice the radius only roughly."""
+        east, north = x - self.centre[0], y - self.centre[1]
+        away: Floats = np.hypot(east, north) / self.radius_m
+        near = away < 2.0 + sum(amplitude for amplitude, _ in self.waves)
+        bearing = np.arctan2(north[near], east[near])
+        size = np.ones_like(bearing)
+        for number, (amplitude, phase) in enumerate(self.waves, start=2):
+            size += amplitude * np.cos(number * bearing + phase)
+        away[near] /= size
+        return away
+
+    def relief(self, x: Floats, y: Floats) -> Floats:
+        """Heights of the wheel tracks, m; they fade out at the margin."""
+        whole = np.zeros_like(x)
+        if not self.tracks:
+            return whole
+        reach = self.reach(x, y)
+        near = reach < 1.15
+        x, y = x[near], y[near]
+        surface = np.zeros_like(x)
+        for bearing, offset, depth, width in self.tracks:
+            across = (x - self.centre[0]) * np.cos(bearing) + (y - self.centre[1]) * np.sin(bearing) - offset
+            along = (y - self.centre[1]) * np.cos(bearing) - (x - self.centre[0]) * np.sin(bearing)
+            surface += ruts(across + 0.8 * np.sin(along / 6.0 + offset), depth, width)
+        whole[near] = surface * np.clip((1.15 - reach[near]) / 0.25, 0.0, 1.0)
+        return whole
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A road or a track that winds across the scene."""
+
+    label: Label
+    bearing: tuple[float, float]
+    """Cosine and sine of its direction."""
+    offset_m: float
+    """How far its middle passes from the origin."""
+    bends: tuple[tuple[float, float, float], ...]
+    """Amplitude [m], wave number [rad/m] and phase of its bends."""
+    half_width_m: float
+    rough_m: float
+    crown_m: float = 0.0
+    """How much the middle lies above the sides."""
+    rut_m: float = 0.0
+    """Depth of the two wheel ruts."""
+    kerb_m: float = 0.0
+    """Height of concrete kerbs on both sides; 0 without."""
+
+    def across(self, x: Floats, y: Floats) -> Floats:
+        """Signed distance from the middle line, m."""
+        along = x * self.bearing[0] + y * self.bearing[1]
+        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
+        slope = np.zeros_like(x)
+        for amplitude, number, phase in self.bends:
+            side = side - amplitude * np.sin(number * along + phase)
+            slope += amplitude * number * np.cos(number * along + phase)
+        away: Floats = side / np.hypot(1.0, slope)
+        return away
+
+    def reach(self, x: Floats, y: Floats) -> Floats:
+        """Distance from the middle over half the width."""
+        return np.abs(self.across(x, y)) / self.half_width_m
+
+    def relief(self, x: Floats, y: Floats) -> Floats:
+        """Heights of crown, ruts and kerbs, m."""
+        across = self.across(x, y)
+        surface = self.crown_m * np.clip(1 - (across / self.half_width_m) ** 2, 0.0, 1.0)
+        if self.rut_m > 0:
+            surface += ruts(across, self.rut_m, 0.22)
+        if self.kerb_m > 0:
+            surface += self.kerb_m * self.on_kerb(across)
+        return surface
+
+    def on_kerb(self, across: Floats) -> Floats:
+        """1 on a kerb, 0 elsewhere."""
+        beyond = np.abs(across) - self.half_width_m
+        on: Floats = ((beyond >= 0) & (beyond < 0.25)).astype(np.float64)
+        return on if self.kerb_m > 0 else np.zeros_like(across)
+
+
+Region = Blob | Way
+
+
+def ruts(across: Floats, depth_m: float, width_m: float) -> Floats:
+    """Two grooves 1.5 m apart with low banks beside them."""
+    surface = np.zeros_like(across)
+    for middle in (-0.75, 0.75):
+        away = (across - middle) / width_m
+        surface += depth_m * (0.35 * np.exp(-((np.abs(away) - 2.0) ** 2)) - np.exp(-(away**2)))
+    return surface
+
+
+def make_blob(
+    rng: np.random.Generator,
+    label: Label,
+    centre: tuple[float, float],
+    radius_m: float,
+    rough_m: float,
+    level_m: float | None = None,
+) -> Blob:
+    """Draw the margin of a blob; mud gets wheel tracks all over, with water in the deepest."""
+    waves = tuple((float(rng.uniform(0, 0.3 / n)), float(rng.uniform(0, 2 * np.pi))) for n in (2, 3, 4, 5))
+    pool = math.inf
+    tracks: tuple[tuple[float, float, float, float], ...] = ()
+    if label == Label.MUD:
+        deepest, pool = log_uniform(rng, 0.15, 0.4), float(rng.uniform(0.08, 0.25))
+        count = int(np.clip(radius_m * rng.uniform(0.8, 1.4), 2, 20))
+        main = rng.uniform(0, np.pi)
+        tracks = tuple(
+            (
+                main + float(rng.normal(0, 0.3)),
+                float(rng.uniform(-0.9, 0.9)) * radius_m,
+                deepest * float(rng.uniform(0.4, 1.0)),
+                float(rng.uniform(0.15, 0.3)),
+            )
+            for _ in range(count)
+        )
+    return Blob(label, centre, radius_m, waves, rough_m, level_m, pool, tracks)
+
+
+def make_way(rng: np.random.Generator, label: Label, offset_m: float) -> Way:
+    """Draw a road of asphalt or concrete, or a track of dirt."""
+    bearing = rng.uniform(0, 2 * np.pi)
+    bends = tuple(
+        (float(rng.uniform(0, 5)), 2 * np.pi / float(rng.uniform(60, 150)), float(rng.uniform(0, 2 * np.pi)))
+        for _ in range(2)
+    )
+    line = (float(np.cos(bearing)), float(np.sin(bearing)))
+    if label == Label.DIRT:
+        width, rough = float(rng.uniform(1.3, 2.5)), log_uniform(rng, 0.004, 0.025)
+        return Way(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.07))
+    kerb = float(rng.uniform(0.08, 0.16)) if rng.uniform() < 0.4 else 0.0
+    width, rough = float(rng.uniform(2.5, 5.5)), log_uniform(rng, 0.001, 0.005)
+    return Way(label, line, offset_m, bends, width, rough, float(rng.uniform(0.02, 0.1)), 0.0, kerb)

@@ -1,0 +1,212 @@
+"""Scenes: ground with regions on it and things standing on it, drawn from one seed. The sensor stands at the origin."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bumpymap.core import UsageError
+from bumpymap.lab.worlds.scans._fields import Floats, log_uniform, make_field
+from bumpymap.lab.worlds.scans._solids import Soup
+from bumpymap.lab.worlds.scans.ground import Ground
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.lab.worlds.scans.objects import barrier, block_field, fence, person, stone_field, vehicle
+from bumpymap.lab.worlds.scans.plants import bush, herb, tree
+from bumpymap.lab.worlds.scans.regions import Blob, Region, make_blob, make_way
+
+__all__ = ["THEMES", "Scene", "Theme", "make_scene"]
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """How much of what a scene holds: upper ends, each scene draws from 0 to them (regions: whole numbers)."""
+
+    ways: int = 1
+    mud: int = 1
+    water: int = 0
+    puddles: int = 2
+    rubble: int = 0
+    bare: int = 1
+    herbs: int = 40
+    """Low plants that annotators take for grass."""
+    bushes: int = 25
+    trees: int = 12
+    persons: int = 3
+    vehicles: int = 2
+    fences: int = 1
+    barriers: int = 1
+    grassy: float = 0.7
+    """Probability that grass, not dirt, covers what no region does."""
+    floor_m: tuple[float, float] = (0.003, 0.03)
+    """Standard deviation of roots, tussocks and clods on grass and dirt, from and to, m."""
+
+
+THEMES = {
+    "meadow": Theme(ways=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0),
+    "forest": Theme(mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04)),
+    "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
+    "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
+    "quarry": Theme(
+        mud=0, rubble=9, puddles=3, herbs=10, bushes=8, trees=10, vehicles=8, barriers=4, persons=4, grassy=0.15
+    ),
+    "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
+    "yard": Theme(
+        mud=0, ways=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A place outdoors."""
+
+    theme: str
+    ground: Ground
+    things: tuple[tuple[Label, Soup], ...]
+    """What stands on the ground: label and triangles (m, 3, 3), m."""
+    seed: tuple[int, ...] = field(default=())
+    """What it was drawn from."""
+
+
+def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
+    """Draw a scene.
+
+    Parameters
+    ----------
+    seed, index : int
+        Of the set of scenes, and of the scene in it. The same pair gives the same bits.
+    theme : str, optional
+        One of ``THEMES``; None takes them in turn.
+
+    Raises
+    ------
+    UsageError
+        No such theme.
+    """
+    name = list(THEMES)[index % len(THEMES)] if theme is None else theme
+    if name not in THEMES:
+        raise UsageError(f"theme is '{name}'; it must be one of {', '.join(THEMES)}")
+    rng = np.random.default_rng([seed, index, 0])
+    ground = _draw_ground(rng, THEMES[name])
+    return Scene(name, ground, tuple(_draw_things(rng, THEMES[name], ground)), (seed, index))
+
+
+def _up_to(rng: np.random.Generator, most: float) -> int:
+    return int(rng.integers(0, int(most) + 1))
+
+
+def _place(rng: np.random.Generator, nearest: float, farthest: float) -> tuple[float, float]:
+    """Draw a place; the distance is drawn evenly, so that near ground is as varied as far ground."""
+    away, bearing = rng.uniform(nearest, farthest), rng.uniform(0, 2 * np.pi)
+    return float(away * np.cos(bearing)), float(away * np.sin(bearing))
+
+
+def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
+    cover = Label.GRASS if rng.uniform() < theme.grassy else Label.DIRT
+    bare = Ground(
+        hills=make_field(rng, 256, 1.0, 1.0, (25.0, 200.0)),
+        hills_m=log_uniform(rng, 0.1, 2.0),
+        bumps=make_field(rng, 512, 0.25, 0.8, (2.0, 20.0)),
+        bumps_m=log_uniform(rng, 0.02, 0.15),
+        fine=make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
+        cover=cover,
+        cover_rough_m=log_uniform(rng, *theme.floor_m),
+        regions=(),
+        grass_m=log_uniform(rng, 0.03, 0.3),
+        grass_tufts=make_field(rng, 512, 0.1, 0.4, (0.3, 8.0)),
+        grass_path_m=log_uniform(rng, 0.08, 0.4),
+    )
+    regions: list[Region] = []
+    other = Label.DIRT if cover == Label.GRASS else Label.GRASS
+    for label, most, farthest, sizes, rough in (
+        (other, theme.bare, 40, (6, 25), theme.floor_m),
+        (Label.MUD, theme.mud, 30, (5, 22), (0.05, 0.1)),
+        (Label.RUBBLE, theme.rubble, 30, (5, 20), (0.03, 0.1)),
+    ):
+        regions += [
+            make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
+            for _ in range(_up_to(rng, most))
+        ]
+    for number in range(_up_to(rng, theme.ways)):
+        label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
+        regions.append(make_way(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
+    regions += _draw_water(rng, theme, bare)
+    return Ground(**{**{name: getattr(bare, name) for name in bare.__slots__}, "regions": tuple(regions)})
+
+
+def _draw_water(rng: np.random.Generator, theme: Theme, bare: Ground) -> list[Region]:
+    """Ponds and puddles, each as level as its lowest bank; the robot stands in none."""
+    drawn: list[Region] = []
+    origin = np.zeros(1)
+    kinds = [(Label.WATER, (6.0, 28.0), (8, 40))] * _up_to(rng, theme.water)
+    kinds += [(Label.PUDDLE, (0.8, 3.5), (4, 20))] * _up_to(rng, theme.puddles)
+    for label, sizes, places in kinds:
+        radius = rng.uniform(*sizes)
+        blob = make_blob(rng, label, _place(rng, *places), radius, log_uniform(rng, 0.001, 0.012), 0.0)
+        bearing = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        bank = bare.sample(blob.centre[0] + radius * np.cos(bearing), blob.centre[1] + radius * np.sin(bearing)).z
+        if blob.reach(origin, origin)[0] < 1.5:
+            continue
+        level = float(bank.min()) - rng.uniform(0.0, 0.25 if label == Label.WATER else 0.05)
+        drawn.append(Blob(label, blob.centre, radius, blob.waves, blob.rough_m, level))
+    return drawn
+
+
+def _draw_things(rng: np.random.Generator, theme: Theme, ground: Ground) -> list[tuple[Label, Soup]]:
+    def height(x: Floats, y: Floats) -> Floats:
+        return ground.sample(x, y).z
+
+    things: list[tuple[Label, Soup]] = []
+    for label, places in (
+        (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0)),
+        (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0)),
+        (Label.TREE, _spots(rng, _up_to(rng, theme.trees), 4.5, 105.0)),
+        (Label.PERSON, _spots(rng, _up_to(rng, theme.persons), 4.0, 25.0)),
+        (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 70.0)),
+    ):
+        z = height(places[:, 0], places[:, 1])
+        things += [(label, _grow(rng, label, np.array([*place, up]))) for place, up in zip(places, z, strict=True)]
+    for label, most, build in ((Label.FENCE, theme.fences, fence), (Label.BARRIER, theme.barriers, barrier)):
+        lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
+        things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
+    for region in ground.regions:
+        if region.label == Label.RUBBLE and isinstance(region, Blob):
+            build_field = stone_field if rng.uniform() < 0.35 else block_field
+            things.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
+    return [(label, soup) for label, soup in things if len(soup)]
+
+
+def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Soup:
+    match label:
+        case Label.GRASS:
+            return herb(rng, base, log_uniform(rng, 0.1, 0.4))
+        case Label.BUSH:
+            return bush(rng, base, log_uniform(rng, 0.4, 2.5))
+        case Label.TREE:
+            return tree(rng, base, log_uniform(rng, 2.5, 14.0))
+        case Label.PERSON:
+            return person(rng, base)
+    return vehicle(rng, base)
+
+
+def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:
+    """Places (count, 2), many of them in clumps: plants grow and people stand together."""
+    spots: list[tuple[float, float]] = []
+    while len(spots) < count:
+        x, y = _place(rng, nearest, farthest)
+        clump = int(rng.integers(3, 30)) if rng.uniform() < 0.4 else 1
+        wide = 0.7 * np.sqrt(clump) * rng.uniform(0.6, 1.5)
+        for _ in range(clump):
+            east, north = x + rng.normal(0, wide), y + rng.normal(0, wide)
+            if np.hypot(east, north) > nearest:
+                spots.append((float(east), float(north)))
+    return np.array(spots[:count]).reshape(-1, 2)
+
+
+def _inside(rng: np.random.Generator, blob: Blob, ground: Ground) -> Floats:
+    """Places in a blob for its stones, not under the robot and not where a way or a puddle lies over it."""
+    count = int(4 * blob.radius_m**2 * rng.uniform(1.0, 2.5))
+    places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
+    x, y = places[:, 0], places[:, 1]
+    free = (blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)
+    chosen: Floats = places[free]
+    return chosen

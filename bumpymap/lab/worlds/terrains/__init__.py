@@ -1,0 +1,5 @@
+"""Seeded ground of many kinds, as a surface, a heightmap or the points that a survey has of it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

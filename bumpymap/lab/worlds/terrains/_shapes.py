@@ -1,0 +1,206 @@
+"""The recipes: what each kind of ground looks like, in metres.
+
+Each recipe gives a surface over the square of a tile, sampled finer than a pixel. Sizes along the ground are those of
+the real thing; heights are drawn over a wide range, from what no vehicle feels to what stops one, because a
+calibration has to know both. Lengths follow what is published on unpaved roads, fields and quarries: washboard of 0.4
+to 1.6 m, wheel ruts 1.2 to 1.8 m apart, furrows of 0.4 to 1 m.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import TEXTURES, Texture
+from bumpymap.rating import make_textures
+
+__all__ = ["ON_ROUGH_GROUND", "SHAPES", "fractal", "log_uniform"]
+
+Floats = NDArray[np.float64]
+Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
+"""(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""
+
+_LONGEST_WAVE = 6.0
+"""Fractal ground has no wave longer than this, m: a tile's plane takes it off."""
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def fractal(rng: np.random.Generator, x: Floats, hurst: float, rms: float) -> Floats:
+    """Self-affine ground: power spectral density k^-(2 H + 2), standard deviation ``rms`` [m] about its own plane.
+
+    Made on a square four times as wide, of which a corner is used, so that opposite edges know nothing of each other.
+    """
+    n = x.shape[0]
+    wide, step = 4 * n, float(x[0, 1] - x[0, 0])
+    waves = np.fft.fftfreq(wide, step)
+    k = np.hypot(*np.meshgrid(waves, waves))
+    gain = np.where(k > 1 / _LONGEST_WAVE, np.maximum(k, 1e-9) ** -(hurst + 1), 0.0)
+    white = np.fft.fft2(rng.standard_normal((wide, wide)))
+    surface = np.fft.ifft2(white * gain).real[:n, :n]
+    axis = np.arange(n) - (n - 1) / 2
+    norm = n * float(axis @ axis)
+    surface = surface - surface.mean()
+    surface -= np.outer(np.ones(n), axis) * (surface.sum(axis=0) @ axis / norm)
+    surface -= np.outer(axis, np.ones(n)) * (surface.sum(axis=1) @ axis / norm)
+    scaled: Floats = surface * (rms / surface.std())
+    return scaled
+
+
+def _across(rng: np.random.Generator, x: Floats, y: Floats) -> Floats:
+    """Distance from a line through the middle, at a random bearing, m."""
+    turn = rng.uniform(0, 2 * np.pi)
+    away: Floats = np.cos(turn) * x + np.sin(turn) * y
+    return away
+
+
+def _spots(rng: np.random.Generator, count: int, x: Floats) -> Floats:
+    """Draw places in and just beside the tile, (count, 2), m."""
+    half = 1.1 * float(np.abs(x).max())
+    return rng.uniform(-half, half, (count, 2))
+
+
+def _texture(name: Texture) -> Shape:
+    """One of the paper's four forms, bilinear between its pixels; relief 0.02 to 3 m."""
+
+    def shape(rng: np.random.Generator, x: Floats, _y: Floats, fine: int) -> Floats:
+        pixels = x.shape[0] // fine
+        patch = make_textures(name, 1, rng, pixels)[0].astype(np.float64)
+        place = (np.arange(x.shape[0]) + 0.5) / fine - 0.5
+        low = np.clip(np.floor(place).astype(np.int64), 0, pixels - 2)
+        part = np.clip(place - low, 0.0, 1.0)
+        rows = patch[low] * (1 - part)[:, None] + patch[low + 1] * part[:, None]
+        surface: Floats = rows[:, low] * (1 - part) + rows[:, low + 1] * part
+        return surface * log_uniform(rng, 0.02, 3.0)
+
+    return shape
+
+
+def _fractal(hurst: float) -> Shape:
+    """Natural ground of one roughness exponent; standard deviation 3 mm to 0.5 m."""
+    return lambda rng, x, _y, _fine: fractal(rng, x, hurst, log_uniform(rng, 0.003, 0.5))
+
+
+def _washboard(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Waves across the way, 4 to 60 mm high either way and no steeper than traffic leaves them."""
+    length = log_uniform(rng, 0.4, 1.6)
+    height = log_uniform(rng, 0.004, min(0.06, 0.08 * length))
+    phase = 2 * np.pi * _across(rng, x, y) / length + rng.uniform(0, 2 * np.pi)
+    waves: Floats = np.sin(phase) + rng.uniform(0, 0.3) * np.sin(2 * phase + rng.uniform(0, 2 * np.pi))
+    return height * waves
+
+
+def _ruts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two grooves with low banks beside them, 3 cm to 0.6 m deep."""
+    away = _across(rng, x, y)
+    gap, width, depth = rng.uniform(1.2, 1.8), rng.uniform(0.1, 0.2), log_uniform(rng, 0.03, 0.6)
+    middle = rng.uniform(-0.6, 0.6)
+    surface = np.zeros_like(x)
+    for side in (middle - gap / 2, middle + gap / 2):
+        for place, height in ((side, -1.0), (side - 2 * width, 0.3), (side + 2 * width, 0.3)):
+            surface += depth * height * np.exp(-(((away - place) / width) ** 2))
+    return surface
+
+
+def _potholes(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """One to five holes with steep sides, 0.15 to 0.6 m in radius, 3 cm to 0.7 m deep."""
+    surface = np.zeros_like(x)
+    for east, north in _spots(rng, int(rng.integers(1, 6)), x):
+        radius, depth = log_uniform(rng, 0.15, 0.6), log_uniform(rng, 0.03, 0.7)
+        surface -= depth * np.exp(-((np.hypot(x - east, y - north) / radius) ** 4))
+    return surface
+
+
+def _stones(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Half ellipsoids on flat ground, the largest 6 cm to 0.8 m in radius."""
+    surface = np.zeros_like(x)
+    largest = log_uniform(rng, 0.06, 0.8)
+    for east, north in _spots(rng, 1 + int(rng.poisson(rng.uniform(3, 30))), x):
+        radius = largest * rng.uniform(0.3, 1.0)
+        height, wide = radius * rng.uniform(0.4, 0.9), radius * rng.uniform(0.7, 1.3)
+        inside = 1 - ((x - east) / radius) ** 2 - ((y - north) / wide) ** 2
+        surface = np.maximum(surface, height * np.sqrt(np.maximum(inside, 0.0)))
+    return surface
+
+
+def _rise(away: Floats, height: float, place: float) -> Floats:
+    """One step up, some centimetres wide."""
+    step: Floats = height / (1 + np.exp(-np.clip((away - place) / 0.015, -50, 50)))
+    return step
+
+
+def _kerb(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """One step of 3 cm to 0.8 m."""
+    return _rise(_across(rng, x, y), log_uniform(rng, 0.03, 0.8), rng.uniform(-1, 1))
+
+
+def _steps(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two to four parallel steps of one height, up or down."""
+    away, height = _across(rng, x, y), log_uniform(rng, 0.03, 0.5)
+    surface = np.zeros_like(x)
+    for place in rng.uniform(-1.5, 1.5, int(rng.integers(2, 5))):
+        surface += _rise(away, height * float(rng.choice([-1, 1])), place)
+    return surface
+
+
+def _furrows(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Ploughed ground: parallel ridges of 2 cm to 0.4 m with clods on them."""
+    away = _across(rng, x, y)
+    length, height = rng.uniform(0.4, 1.0), log_uniform(rng, 0.02, 0.4)
+    ridge = np.abs(np.mod(away / length + rng.uniform(), 1) - 0.5) * 4 - 1
+    surface: Floats = height / 2 * np.sin(np.pi / 2 * ridge) + fractal(rng, x, 0.4, 0.15 * height)
+    return surface
+
+
+def _tufts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Tussocks of grass, 8 to 25 cm wide, the tallest 4 cm to 0.7 m."""
+    surface = np.zeros_like(x)
+    tallest = log_uniform(rng, 0.04, 0.7)
+    for east, north in _spots(rng, 1 + int(rng.poisson(rng.uniform(5, 45))), x):
+        width, height = rng.uniform(0.08, 0.25), tallest * rng.uniform(0.3, 1.0)
+        tuft = height * np.exp(-((x - east) ** 2 + (y - north) ** 2) / width**2)
+        surface = np.maximum(surface, tuft)
+    return surface
+
+
+def _margin(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Where smooth ground meets rough ground inside one tile."""
+    away = _across(rng, x, y)
+    rough = 1 / (1 + np.exp(-np.clip((away - rng.uniform(-0.8, 0.8)) / rng.uniform(0.05, 0.4), -50, 50)))
+    wild = fractal(rng, x, rng.uniform(0.2, 0.8), log_uniform(rng, 0.02, 0.5))
+    smooth = fractal(rng, x, 0.5, log_uniform(rng, 0.002, 0.02))
+    surface: Floats = rough * wild + (1 - rough) * smooth
+    return surface
+
+
+def _ditch(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two slopes that meet in a bottom or on a crest, more or less rounded."""
+    away = _across(rng, x, y)
+    bend = float(np.subtract(*rng.uniform(-0.5, 0.5, 2))) * log_uniform(rng, 0.1, 2.5)
+    surface: Floats = bend / 2 * np.hypot(away - rng.uniform(-1, 1), rng.uniform(0.05, 0.5))
+    return surface
+
+
+SHAPES: dict[str, Shape] = {
+    **{name: _texture(name) for name in TEXTURES},
+    "fractal_2": _fractal(0.2),
+    "fractal_5": _fractal(0.5),
+    "fractal_8": _fractal(0.8),
+    "washboard": _washboard,
+    "ruts": _ruts,
+    "potholes": _potholes,
+    "stones": _stones,
+    "kerb": _kerb,
+    "steps": _steps,
+    "furrows": _furrows,
+    "tufts": _tufts,
+    "margin": _margin,
+    "ditch": _ditch,
+}
+"""Name -> recipe."""
+
+ON_ROUGH_GROUND = frozenset({"washboard", "ruts", "potholes", "stones", "kerb", "steps", "tufts", "ditch"})
+"""Kinds that describe a thing and not the ground around it; that is fractal, 1 to 12 mm."""

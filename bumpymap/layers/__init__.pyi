@@ -1,0 +1,97 @@
+from .complete import (
+    complete_record as complete_record,
+    is_complete as is_complete,
+    refuse_replacing as refuse_replacing,
+)
+from .folder import (
+    PRODUCT_NAMES as PRODUCT_NAMES,
+    check_folder as check_folder,
+    write_products as write_products,
+)
+from .geotiff import (
+    CLASS_COLOURS as CLASS_COLOURS,
+    write_classes as write_classes,
+    write_cost as write_cost,
+    write_heightmap as write_heightmap,
+    write_roughness as write_roughness,
+)
+from .manifest import (
+    MANIFEST_NAME as MANIFEST_NAME,
+    complete_manifest as complete_manifest,
+    describe_file as describe_file,
+    describe_input as describe_input,
+    software_versions as software_versions,
+    write_manifest as write_manifest,
+)
+from .placement import (
+    MAX_PIXELS as MAX_PIXELS,
+    MAX_TILES as MAX_TILES,
+    Placement as Placement,
+    check_extent as check_extent,
+)
+from .regions import (
+    Regions as Regions,
+    dissolve as dissolve,
+)
+from .scan.folder import (
+    GATHERED as GATHERED,
+    MANIFEST as MANIFEST,
+    MAP_FOLDER as MAP_FOLDER,
+    TABLE as TABLE,
+    check_scan_folder as check_scan_folder,
+    drop_older as drop_older,
+    sync as sync,
+    writing as writing,
+)
+from .scan.frame import (
+    has_files as has_files,
+    write_frame as write_frame,
+)
+from .scan.gather import (
+    Gathered as Gathered,
+    ground_points as ground_points,
+    open_gathered as open_gathered,
+)
+from .scan.manifest import (
+    write_scan_manifest as write_scan_manifest,
+)
+from .scan.names import (
+    FRAME_FILES as FRAME_FILES,
+    FRAME_FOLDER as FRAME_FOLDER,
+    Frame as Frame,
+    name_frames as name_frames,
+    spread_out as spread_out,
+)
+from .scan.part import (
+    FramePart as FramePart,
+    finished_parts as finished_parts,
+    load_part as load_part,
+    part_path as part_path,
+    save_part as save_part,
+)
+from .scan.report import (
+    FrameReport as FrameReport,
+    report_frame as report_frame,
+    why_empty as why_empty,
+)
+from .scan.style import (
+    COLOURS as COLOURS,
+    NAMES as NAMES,
+)
+from .scan.table import (
+    SectorTable as SectorTable,
+    open_table as open_table,
+    sector_rows as sector_rows,
+)
+from .summary import (
+    MapSummary as MapSummary,
+    summarise as summarise,
+)
+from .table import (
+    write_tiles as write_tiles,
+)
+from .vector import (
+    GeoJsonPlace as GeoJsonPlace,
+    flatgeobuf_writer as flatgeobuf_writer,
+    geojson_writer as geojson_writer,
+)

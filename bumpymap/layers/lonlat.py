@@ -1,0 +1,143 @@
+"""Outlines of regions in the survey's CRS, and on the globe: WGS 84 longitude and latitude."""
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from bumpymap.core import BadInputError
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.regions import Regions
+
+__all__ = ["BoundingBox", "globe_transformer", "outlines_in_crs", "outlines_on_globe"]
+
+_TRIES = 33
+"""Points along each side of the raster that are tried before the work."""
+
+_SEGMENT = 32
+"""Longest straight piece of an outline, tiles. The middle of a 96 m side moves by at most 1.2 mm on the way to
+longitude and latitude (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
+
+
+def outlines_in_crs(regions: Regions) -> NDArray[np.object_]:
+    """Outlines in units of the survey's CRS, (m,) polygons."""
+    outlines: NDArray[np.object_] = shapely.transform(regions.outlines, regions.placement.to_crs)
+    return outlines
+
+
+def globe_transformer(placement: Placement) -> Transformer:
+    """Give what turns the survey's CRS into WGS 84 longitude and latitude, after a try all over the raster.
+
+    Raises
+    ------
+    BadInputError
+        No CRS, or one that has no known relation to longitude and latitude here.
+    """
+    transformer = _transformer(placement.horizontal_crs)
+    window = placement.window
+    cols, rows = np.meshgrid(
+        np.linspace(window.col, window.col + window.cols, _TRIES),
+        np.linspace(window.row, window.row + window.rows, _TRIES),
+    )
+    if not np.isfinite(transformer.transform(placement.to_crs(cols.ravel()), placement.to_crs(rows.ravel()))).all():
+        raise _outside(placement)
+    return transformer
+
+
+def outlines_on_globe(regions: Regions, to_degrees: Transformer, decimals: int = 7) -> NDArray[np.object_]:
+    """Outlines in WGS 84 longitude and latitude, right-hand rings, cut where they cross the antimeridian.
+
+    Parameters
+    ----------
+    regions : Regions
+        Of a survey whose CRS is known.
+    to_degrees : Transformer
+        From `globe_transformer`.
+    decimals : int
+        Coordinates are rounded to so many; 7 are 1 cm.
+
+    Returns
+    -------
+    array (m,) of polygons, or multipolygons where one was cut
+
+    Raises
+    ------
+    BadInputError
+        The CRS has no known relation to longitude and latitude.
+    """
+
+    def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(decimals)
+
+    placed = shapely.transform(shapely.segmentize(regions.outlines, _SEGMENT), regions.placement.to_crs)
+    outlines: NDArray[np.object_] = shapely.transform(placed, move)
+    if not np.isfinite(shapely.bounds(outlines)).all():
+        raise _outside(regions.placement)
+    return _cut_at_antimeridian(outlines, decimals)
+
+
+class BoundingBox:
+    """The smallest box around outlines that come bit by bit."""
+
+    def __init__(self) -> None:
+        self._boxes = np.empty((0, 4))
+
+    def add(self, outlines: NDArray[np.object_]) -> None:
+        """Take some more outlines in; those east of longitude 0 are kept apart from those west of it."""
+        boxes = np.concatenate([self._boxes, shapely.bounds(shapely.get_parts(outlines))])
+        sides = [boxes[boxes[:, 0] > 0], boxes[boxes[:, 0] <= 0]]
+        self._boxes = np.array([[*side[:, :2].min(0), *side[:, 2:].max(0)] for side in sides if len(side)])
+
+    def sides(self) -> list[float]:
+        """West, south, east, north."""
+        return [*map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))]
+
+    def sides_on_globe(self) -> list[float]:
+        """Give the same in degrees; where the antimeridian is inside, west is the greater one (RFC 7946 5.2)."""
+        west, south, east, north = self.sides()
+        if west < -90.0 and east > 90.0 and len(self._boxes) == 2:
+            west, east = float(self._boxes[0, 0]), float(self._boxes[1, 2])
+        return [west, south, east, north]
+
+
+def _outside(placement: Placement) -> BadInputError:
+    return BadInputError(
+        f"the survey's coordinates lie outside of what its CRS ({placement.horizontal_crs}) can turn into "
+        "longitude and latitude. Pass the right one with --crs EPSG:CODE, or --local"
+    )
+
+
+def _transformer(crs: CRS | None) -> Transformer:
+    if crs is None:
+        raise BadInputError(
+            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass --crs EPSG:CODE, "
+            "or --local to write it in the survey's own coordinates"
+        )
+    try:
+        return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
+    except ProjError as error:
+        raise BadInputError(
+            f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
+            "say where on Earth it is. Pass another with --crs EPSG:CODE, or --local to keep its own coordinates"
+        ) from error
+
+
+def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArray[np.object_]:
+    bounds = shapely.bounds(outlines)
+    crossing = bounds[:, 2] - bounds[:, 0] > 180.0
+    if not crossing.any():
+        return outlines
+
+    def unwrap(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([np.where(points[:, 0] < 0, points[:, 0] + 360.0, points[:, 0]), points[:, 1]])
+
+    whole = shapely.transform(outlines[crossing], unwrap)
+    west_side = shapely.intersection(whole, shapely.box(0.0, -90.0, 180.0, 90.0))
+    east_side = shapely.intersection(whole, shapely.box(180.0, -90.0, 360.0, 90.0))
+    west_side = shapely.transform(west_side, lambda points: points.round(decimals))
+    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(decimals))
+    parts = [shapely.get_parts(shapely.normalize(pair)) for pair in zip(west_side, east_side, strict=True)]
+    cut = outlines.copy()
+    cut[crossing] = [shapely.reverse(shapely.multipolygons(part)) for part in parts]
+    return cut

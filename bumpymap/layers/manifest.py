@@ -1,0 +1,207 @@
+"""run.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+
+import hashlib
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from pyproj import CRS, proj_version_str
+
+from bumpymap.core import BadInputError, CostTable, atomic
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.summary import MapSummary
+
+__all__ = [
+    "MANIFEST_NAME",
+    "complete_manifest",
+    "describe_file",
+    "describe_input",
+    "software_versions",
+    "write_manifest",
+]
+
+MANIFEST_NAME = "run.json"
+_FORMAT = "bumpymap-run"
+_VERSION = 1
+_PACKAGES = (
+    "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
+    "rasterio", "scipy", "shapely",
+)  # fmt: skip
+
+
+def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
+    """Write a manifest as JSON, whole or not at all.
+
+    Records, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. The bytes of a file name
+    that are no UTF-8 stand as Python has them, as escaped surrogates (udce9 behind a backslash is the byte E9):
+    `os.fsencode` of what `json` reads is the name again.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    """
+    text = json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic(path) as temporary:
+        temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def complete_manifest(
+    manifest: Mapping[str, Any],
+    table: CostTable,
+    summary: MapSummary,
+    inputs: Sequence[Mapping[str, Any]],
+    files: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Add to a run's own record what can be told from its map and files.
+
+    Parameters
+    ----------
+    manifest : mapping
+        What the run knows: settings, model, calibration, timings. Its entries are kept.
+    mosaic : CostTable
+        The map.
+    summary : MapSummary
+        Of that map.
+    inputs, files : sequences of mappings
+        From `describe_input` and `describe_file`.
+
+    Returns
+    -------
+    dict
+        With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files`` beside.
+    """
+    place, grid = table.georeference, table.tiles.grid
+    crs = Placement.of(table).crs_of_heights
+    return {
+        "format": _FORMAT,
+        "version": _VERSION,
+        **manifest,
+        "inputs": list(inputs),
+        "versions": software_versions() | dict(manifest.get("versions", {})),
+        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
+        "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
+        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+        "cost": {
+            "ride_weight_m_per_rad": table.rule.ride_weight,
+            "fail_weight_m": table.rule.fail_weight,
+            "drive_m": table.rule.drive_m,
+            "slope_limit_deg": table.rule.slope_limit_deg,
+        },
+        "counts": {
+            "tiles": summary.tiles,
+            "classified": summary.tiles - summary.unknown,
+            "unknown": summary.unknown,
+            "passable": summary.passable,
+            "points": summary.points,
+            "by_class": summary.classes,
+            "by_reason": summary.reasons,
+            "median_c_r": summary.median_c_r,
+            "median_slope": summary.median_slope,
+            "median_count": summary.median_count,
+        },
+        "files": [dict(file) for file in files],
+    }
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of everything that has a say in the numbers."""
+    versions = {"python": platform.python_version(), "gdal": rasterio.__gdal_version__, "proj": proj_version_str}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return dict(sorted(versions.items()))
+
+
+def describe_file(path: Path) -> dict[str, Any]:
+    """Size in bytes and SHA-256 of a file.
+
+    Raises
+    ------
+    BadInputError
+        It cannot be read, or changes meanwhile.
+    """
+    size, _, digest = _hashed(path)
+    return {"path": str(path), "bytes": size, "sha256": digest}
+
+
+def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Add size and checksum to what a run knows of an input.
+
+    A record that has size and checksum already (None where nobody knows, as for a URL) is not read again.
+
+    Parameters
+    ----------
+    record : mapping
+        ``path``; where they are known, ``bytes`` and ``mtime_ns`` (a text) of the file that was read.
+
+    Raises
+    ------
+    BadInputError
+        It cannot be read, or is another file than the one that was read: its checksum would not be that of the map.
+    """
+    known = dict(record)
+    if {"bytes", "sha256"} <= known.keys():
+        return known
+    path = Path(known["path"])
+    size, changed, digest = _hashed(path)
+    if known.get("bytes", size) != size or known.get("mtime_ns", changed) != changed:
+        raise _changed(path)
+    return {"path": str(path), "bytes": size, "sha256": digest} | known
+
+
+def _hashed(path: Path) -> tuple[int, str, str]:
+    """Size, time of change and SHA-256 of a file that stays the same meanwhile."""
+    try:
+        with path.open("rb") as file:
+            before = os.fstat(file.fileno())
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            after = os.fstat(file.fileno())
+    except OSError as error:
+        raise BadInputError(f"cannot read {path} to take its checksum: {error}") from error
+    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+        raise _changed(path)
+    return before.st_size, str(before.st_mtime_ns), digest
+
+
+def _changed(path: Path) -> BadInputError:
+    return BadInputError(
+        f"{path} changed while the run went on, so its checksum would not be that of what was read; nothing was "
+        "written. Run again once nothing writes to it any more, or on a copy"
+    )
+
+
+def _code(crs: CRS) -> str | None:
+    """Such as EPSG:32614, or EPSG:32614+5703 where the two parts have codes and their whole has none."""
+    authority = crs.to_authority()
+    if authority is not None:
+        return ":".join(authority)
+    parts = [part.to_authority() for part in crs.sub_crs_list] if crs.is_compound else []
+    if not parts or any(part is None or part[0] != "EPSG" for part in parts):
+        return None
+    return "EPSG:" + "+".join(part[1] for part in parts)
+
+
+def _plain(value: Any) -> Any:
+    """Turn any value of a manifest into what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

@@ -1,0 +1,193 @@
+"""Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles.
+
+Passable tiles and tiles that are not never share a region.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import rasterio.features
+import shapely
+from numpy.typing import NDArray
+from rasterio.transform import Affine
+
+from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
+from bumpymap.layers._label import add_up, label
+from bumpymap.layers.placement import PlacedWindow, Placement
+from bumpytiles import BLOCK_TILES, TileWindow
+
+__all__ = ["CELL", "Regions", "dissolve"]
+
+CELL = 2_048
+"""Side of the cells that regions are cut at, tiles: 6 km of 3 m tiles."""
+_BATCH = 8_192
+"""Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
+_STRIP = CELL * BLOCK_TILES
+"""Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a cell."""
+_VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
+
+_BARRED = 10
+"""Added to the key of a class where a tile is not passable. A class's key is the class plus one; 0: no points."""
+_UNKNOWN = 100
+"""Key of an unknown tile: this plus its reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """Regions of a map, one row each."""
+
+    placement: Placement
+    outlines: NDArray[np.object_]
+    """(m,) polygons in grid coordinates: 1 is one tile, 0 the origin of the CRS."""
+    class_id: NDArray[np.uint8]
+    """(m,) class; ``NO_CLASS`` where unknown."""
+    reason: NDArray[np.uint8]
+    """(m,) a ``Reason``."""
+    tiles: NDArray[np.int64]
+    """(m,) number of tiles."""
+    passable: NDArray[np.bool_]
+    """(m,) every tile may be driven on; where False, none may."""
+    c_r: NDArray[np.float64]
+    """(m,) mean over the tiles, rad/m; NaN where unknown (so are the next three)."""
+    c_r_low: NDArray[np.float64]
+    c_r_high: NDArray[np.float64]
+    p_fail: NDArray[np.float64]
+    hazard: NDArray[np.float64]
+    """(m,) mean over the tiles, 1/m; NaN where not passable, or where the rating knows no ``p_fail``."""
+    cost: NDArray[np.float64]
+    """(m,) factor on distance, mean over the tiles; NaN where not passable."""
+
+    @property
+    def class_name(self) -> NDArray[np.object_]:
+        """(m,) class in words."""
+        names = np.array([*CLASS_NAMES, "unknown"], dtype=object)
+        picked: NDArray[np.object_] = names[np.minimum(self.class_id, len(CLASS_NAMES))]
+        return picked
+
+    @property
+    def c_r_basis(self) -> NDArray[np.object_]:
+        """(m,) ``drives``: C_r is that of all; ``survivors``: at least ``FAIL_SHARE`` of them fail; None if unknown."""
+        basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
+        basis[np.isnan(self.c_r)] = None
+        return basis
+
+    @property
+    def reason_text(self) -> NDArray[np.object_]:
+        """(m,) reason in words."""
+        names = np.array([REASON_TEXT[code] for code in Reason], dtype=object)
+        picked: NDArray[np.object_] = names[self.reason]
+        return picked
+
+    @property
+    def area_m2(self) -> NDArray[np.float64]:
+        """(m,) area on the grid, m^2."""
+        return np.asarray(self.tiles * self.placement.grid.tile_size**2, dtype=np.float64)
+
+
+def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:
+    """Join neighbouring tiles of one class, all passable or none, or unknown for one reason, into regions.
+
+    Tiles are neighbours when they share a side. Outlines run along tile sides; vertices are whole numbers of tiles.
+    A large map is dissolved cell by cell, `CELL` x `CELL` tiles counted from its north-west corner: a region that
+    crosses the border of a cell is cut there, and memory does not depend on the size of the map.
+
+    Parameters
+    ----------
+    mosaic : CostTable
+        The tiles.
+    placement : Placement, optional
+        Where they lie, if that is known already.
+
+    Yields
+    ------
+    Regions
+        Some thousand at a time: the cells north-west first, in each the region with the northmost (then westmost)
+        tile first.
+
+    Raises
+    ------
+    BadInputError
+        The tiles span too much for a raster.
+    """
+    place = placement or Placement.of(table)
+    for placed in place.windows(CELL, aligned=False):
+        if table.tiles.holds(placed.window):
+            yield from _dissolve_cell(table, place, placed)
+
+
+def _dissolve_cell(table: CostTable, place: Placement, placed: PlacedWindow) -> Iterator[Regions]:
+    keys = _lay_out(table, placed)
+    labels, first, last = label(keys)
+    key = keys.ravel()[first]
+    tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
+    means = _add_up(table, placed, labels, len(first)) / tiles
+    passable = key < _BARRED
+    class_id = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _BARRED).astype(np.uint8)
+    reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
+    for start in range(0, len(first), _BATCH):
+        some = slice(start, start + _BATCH)
+        rows = slice(int(first[start]) // placed.window.cols, int(last[some].max()) // placed.window.cols + 1)
+        c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
+        free = passable[some]
+        yield Regions(
+            placement=place,
+            outlines=_outlines(labels, placed.window, rows, range(start + 1, start + len(first[some]) + 1)),
+            class_id=class_id[some],
+            reason=reason[some],
+            tiles=tiles[some],
+            passable=free,
+            c_r=c_r,
+            c_r_low=c_r_low,
+            c_r_high=c_r_high,
+            p_fail=p_fail,
+            hazard=np.where(free, hazard, np.nan),
+            cost=np.where(free, table.rule.cost(c_r, hazard), np.nan),
+        )
+
+
+def _lay_out(table: CostTable, placed: PlacedWindow) -> NDArray[np.uint8]:
+    """Keys (rows, cols) of a cell, 0 where there is no tile, north row first."""
+    keys = np.zeros((placed.window.rows, placed.window.cols), dtype=np.uint8)
+    for strip in table.tiles.strips(_STRIP, placed.window):
+        found = table.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
+        known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _BARRED)
+        key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
+        keys[placed.places(found)] = key
+    return keys
+
+
+def _add_up(table: CostTable, placed: PlacedWindow, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Give sums (5, count) over the tiles of each label, of ``_VALUES`` and the hazard.
+
+    Reading twice takes less memory than values laid out.
+    """
+    totals = np.zeros((len(_VALUES) + 1, count))
+    for strip in table.tiles.strips(_STRIP, placed.window):
+        found = table.tiles.read(_VALUES, strip)
+        area = labels[placed.places(found)] - 1
+        for total, name in zip(totals, _VALUES, strict=False):
+            add_up(area, found[name], total)
+        add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
+    return totals
+
+
+def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
+    """Trace the outlines of some labels of a cell, which lie in some of its rows, in grid coordinates."""
+    part = labels[rows]
+    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
+    mask = (part >= wanted.start) & (part < wanted.stop)
+    order, sizes, rings = [], [], []
+    for shape, number in rasterio.features.shapes(part, mask=mask, connectivity=4, transform=grid):
+        order.append(int(number) - wanted.start)
+        sizes.append(len(shape["coordinates"]))
+        rings += shape["coordinates"]
+    # All at once: one by one takes three times as long.
+    points = np.array(list(itertools.chain.from_iterable(rings)))
+    lines = shapely.linearrings(points, indices=np.repeat(np.arange(len(rings)), [len(ring) for ring in rings]))
+    traced = np.empty(len(wanted), dtype=object)
+    traced[order] = shapely.polygons(lines, indices=np.repeat(np.arange(len(sizes)), sizes))
+    # GEOS's normal form runs clockwise; right-hand rings are its reverse. It also fixes where a ring starts.
+    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))
+    return outlines

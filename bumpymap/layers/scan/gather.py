@@ -1,0 +1,99 @@
+"""gathered.laz: the points of all the frames of a drive in the frame of the world, as a survey."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from bumpymap.core import BadInputError, ClassedSectors, Scan
+
+__all__ = ["Gathered", "ground_points", "open_gathered"]
+
+_SCALE_M = 0.001
+_GROUND, _UNCLASSIFIED = 2, 1
+"""Classes of LAS."""
+
+
+class Gathered:
+    """Takes frame after frame; holds one at most."""
+
+    def __init__(self, writer: laspy.LasWriter) -> None:
+        self._writer = writer
+        self.points = 0
+        """Written so far."""
+        self.ground = 0
+        """Of these, in traversable sectors."""
+
+    def record(self) -> dict[str, int]:
+        """Say how many points there are, for scan.json."""
+        return {"points": self.points, "ground": self.ground}
+
+    def add(self, scan: Scan, pose: NDArray[np.float64], classed: ClassedSectors) -> None:
+        """Append the points of a frame: ground (class 2) in traversable sectors, the others class 1.
+
+        Parameters
+        ----------
+        scan : Scan
+        pose : (4, 4) float64
+            Takes the sensor's frame to the world's, m.
+        classed : ClassedSectors
+
+        Raises
+        ------
+        BadInputError
+            The frame lies too far from the first one.
+        """
+        self.add_points(scan.name, scan.points, pose, ground_points(classed))
+
+    def add_points(
+        self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
+    ) -> None:
+        """Append points (n, 3), m, in the frame of the sensor, of which ``is_ground`` (n,) tells the ground."""
+        if not len(points):
+            return
+        world = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        record = laspy.ScaleAwarePointRecord.zeros(len(world), header=self._writer.header)
+        try:
+            record.x, record.y, record.z = world.T
+        except OverflowError as error:
+            raise BadInputError(
+                f"the frame {name} lies more than 2,000 km from the first one, by its pose. Are they of one drive?"
+            ) from error
+        record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
+        record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
+        self._writer.write_points(record)
+        self.points += len(world)
+        self.ground += int(is_ground.sum())
+
+
+def ground_points(classed: ClassedSectors) -> NDArray[np.bool_]:
+    """Say which points (n,) of a scan lie in traversable sectors."""
+    return np.append(classed.sectors.traversable, False)[classed.sectors.point_sector]
+
+
+@contextmanager
+def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[Gathered]:
+    """Open gathered.laz for writing: LAZ 1.4, point format 6, in millimetres from the first pose.
+
+    Parameters
+    ----------
+    path : Path
+    first : (4, 4) float64
+        Pose of the first frame, m.
+    crs : CRS, optional
+        Of the world's frame; None: the file has none.
+    """
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
+    header.creation_date = None  # the same drive gives the same bytes on any day
+    header.generating_software = "bumpymap scan"
+    if crs is not None:
+        header.add_crs(crs)
+    with path.open("w+b") as stream:
+        writer = laspy.LasWriter(stream, header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
+        yield Gathered(writer)
+        writer.close()

@@ -1,0 +1,64 @@
+"""Where sectors lie: their bounds in polar coordinates, and their outlines."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import PolarSettings, SectorStack
+
+__all__ = ["SectorBounds", "outlines", "sector_bounds"]
+
+_OFF_M = 0.01
+"""An outline keeps within this of the arc that it stands for."""
+
+
+@dataclass(frozen=True, slots=True)
+class SectorBounds:
+    """The part of the plane that each sector covers."""
+
+    near: NDArray[np.float64]
+    """(n,) horizontal distance from the sensor, m."""
+    far: NDArray[np.float64]
+    """(n,) m."""
+    right: NDArray[np.float64]
+    """(n,) azimuth where the sector starts, counter-clockwise from the x axis, 0 to 2 pi, rad."""
+    left: NDArray[np.float64]
+    """(n,) azimuth where it ends, above ``right``, rad."""
+
+
+def sector_bounds(stack: SectorStack) -> SectorBounds:
+    """Return the bounds of the sectors of a stack."""
+    settings = stack.settings
+    edges = np.array([*settings.zone_starts_m, settings.end_m])
+    depth = np.diff(edges) / settings.rings
+    width = 2.0 * math.pi / np.array(settings.sectors)
+    near = edges[stack.zone] + stack.ring * depth[stack.zone]
+    right = (stack.azimuth_start_rad + stack.sector * width[stack.zone]) % (2.0 * math.pi)
+    return SectorBounds(near, near + depth[stack.zone], right, right + width[stack.zone])
+
+
+def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
+    """Return the outline of each sector: (k, 2) x and y, counter-clockwise, first and last vertex alike, m.
+
+    Sectors of one zone have vertices at the same azimuths, so that neighbours share theirs.
+    """
+    bounds = sector_bounds(stack)
+    steps = _steps(stack.settings)
+    found = []
+    for zone, near, far, right, left in zip(
+        stack.zone.tolist(), bounds.near, bounds.far, bounds.right, bounds.left, strict=True
+    ):
+        azimuth = np.linspace(right, left, steps[zone] + 1)
+        arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        inner = near * arc[::-1] if near > 0.0 else np.zeros((1, 2))
+        found.append(np.concatenate([far * arc, inner, far * arc[:1]]))
+    return found
+
+
+def _steps(settings: PolarSettings) -> list[int]:
+    """Straight pieces of the arcs of each zone."""
+    ends = [*settings.zone_starts_m[1:], settings.end_m]
+    pairs = zip(ends, settings.sectors, strict=True)
+    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _OFF_M / end, -1.0))) for end, sectors in pairs]

@@ -1,0 +1,40 @@
+"""scan.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bumpymap.layers.manifest import describe_file, software_versions, write_manifest
+from bumpymap.layers.scan.folder import GATHERED, MANIFEST, TABLE
+from bumpymap.layers.scan.report import FrameReport
+
+__all__ = ["write_scan_manifest"]
+
+_FORMAT = "bumpymap-scan-run"
+_VERSION = 1
+
+
+def write_scan_manifest(
+    folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport], identities: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Write scan.json beside the products in ``folder``.
+
+    Parameters
+    ----------
+    folder : Path
+    known : mapping
+        What the run knows: settings, method, skipped frames, seconds. Its entries are kept.
+    frames : iterable of FrameReport
+    identities : mapping
+        Path of each input to what tells the file from another, see `bumpymap.readers.source.identity`.
+    """
+    files = [describe_file(folder / name) | {"path": name} for name in (TABLE, GATHERED) if (folder / name).exists()]
+    record = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        **known,
+        "versions": software_versions(),
+        "files": files,
+        "frames": [{**frame.record(), "mtime_ns": identities[str(frame.frame.path)]["mtime_ns"]} for frame in frames],
+    }
+    write_manifest(record, folder / MANIFEST)

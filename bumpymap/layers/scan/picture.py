@@ -1,0 +1,203 @@
+"""frames/NAME.png: a scan from above, forward up, sectors and points in the colours of their classes.
+
+Every pixel of the picture knows its distance and azimuth, and so its sector: painting is looking up, and needs no
+drawing library. Only the letters of the legend are drawn, dot by dot.
+"""
+
+import math
+import warnings
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import MemoryFile
+
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack
+from bumpymap.layers.scan._glyphs import HEIGHT, word
+from bumpymap.layers.scan.geometry import sector_bounds
+from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
+
+__all__ = ["SIDE", "paint", "reach_of", "write_picture"]
+
+SIDE = 960
+"""Pixels along a side of the scene."""
+_PANEL = 300
+"""Pixels of the legend's width, to the right of the scene."""
+_PAPER, _INK, _RING = (16, 18, 22), (235, 235, 235), (120, 124, 132)
+_FILL = 0.42
+"""How much of its class colour the area of a sector takes; its points take all of it."""
+_BORDER = 0.7
+"""How bright it is between two sectors."""
+_STEPS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+_FEWEST_RINGS = 3
+_ARROW_PX = 16
+
+Picture = NDArray[np.uint8]
+
+
+def write_picture(scan: Scan, classed: ClassedSectors, path: Path) -> None:
+    """Write the picture of a scan as PNG."""
+    bands = np.ascontiguousarray(paint(scan, classed).transpose(2, 0, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # the sensor's frame has no place on Earth
+        with MemoryFile() as memory:
+            with memory.open(
+                driver="PNG", count=3, height=bands.shape[1], width=bands.shape[2], dtype="uint8", zlevel=4
+            ) as file:
+                file.write(bands)
+            path.write_bytes(memory.read())
+
+
+def paint(scan: Scan, classed: ClassedSectors) -> Picture:
+    """Paint a scan.
+
+    Returns
+    -------
+    (SIDE, SIDE + legend, 3) uint8
+        Forward (x) is up, left (y) is left; the sensor is in the middle of the scene.
+    """
+    reach = reach_of(classed.sectors)
+    scene: Picture = np.full((SIDE, SIDE, 3), _PAPER, np.uint8)
+    _paint_sectors(scene, classed, reach)
+    _paint_points(scene, scan, classed, reach)
+    step = _ring_step(reach)
+    _paint_rings(scene, reach, step)
+    _paint_arrow(scene, SIDE // 2, SIDE // 2)
+    panel: Picture = np.full((SIDE, _PANEL, 3), _PAPER, np.uint8)
+    _paint_legend(panel, scan, classed, step)
+    return np.concatenate([scene, panel], axis=1)
+
+
+def reach_of(stack: SectorStack) -> float:
+    """Return how far a picture reaches from the sensor, m: to the end of its farthest sector, or of the first zone."""
+    first = (*stack.settings.zone_starts_m[1:], stack.settings.end_m)[0]
+    return float(sector_bounds(stack).far.max(initial=first))
+
+
+@lru_cache(maxsize=2)
+def _polar_pixels(reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Distance (m) and azimuth (turns, -0.5 to 0.5) of every pixel of the scene."""
+    middle = (np.arange(SIDE, dtype=np.float32) + 0.5) * np.float32(2.0 * reach / SIDE) - np.float32(reach)
+    forward, left = -middle[:, None], -middle[None, :]
+    return np.hypot(forward, left), np.arctan2(left, forward) / np.float32(2.0 * math.pi)
+
+
+def _paint_sectors(scene: Picture, classed: ClassedSectors, reach: float) -> None:
+    """Fill sectors with a shade of their colour, darker where two cells of the grid meet."""
+    stack, first = classed.sectors, _first_cells(classed.sectors.settings)
+    own = first[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone] + stack.sector
+    shades = np.full((first[-1] + 1, 3), _PAPER, np.uint8)
+    colours = COLOURS[looks_of(classed.class_id, np.arange(len(own), dtype=np.int32))]
+    shades[own] = (np.array(_PAPER) + _FILL * (colours - np.array(_PAPER, float))).astype(np.uint8)
+    cell = _cells(stack.settings, stack.azimuth_start_rad, reach)
+    scene[:] = shades[cell]
+    border = np.zeros(cell.shape, np.bool_)
+    border[:, 1:] |= cell[:, 1:] != cell[:, :-1]
+    border[1:] |= cell[1:] != cell[:-1]
+    scene[border] = (scene[border] * _BORDER).astype(np.uint8)
+
+
+def _first_cells(settings: PolarSettings) -> NDArray[np.int64]:
+    """Where the cells of each zone start, when they are counted by zone, ring and sector; then how many there are."""
+    return np.concatenate([[0], np.cumsum(np.array(settings.sectors) * settings.rings)])
+
+
+def _cells(settings: PolarSettings, azimuth_start: float, reach: float) -> NDArray[np.int32]:
+    """Cell of the polar grid of every pixel; the number of cells where it is in none."""
+    base, sectors = _ring_pixels(settings, reach)
+    share = _polar_pixels(reach)[1] - np.float32(azimuth_start / (2.0 * math.pi))
+    share -= np.floor(share)
+    share *= sectors
+    cell: NDArray[np.int32] = base + np.minimum(share, np.maximum(sectors - 1, 0)).astype(np.int32)
+    return cell
+
+
+@lru_cache(maxsize=2)
+def _ring_pixels(settings: PolarSettings, reach: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """First cell of the ring of every pixel, and its number of sectors: 0 outside the grid."""
+    distance, _ = _polar_pixels(reach)
+    edges = np.array([*settings.zone_starts_m, settings.end_m], np.float32)
+    zone = np.searchsorted(edges, distance, side="right") - 1
+    outside = (zone < 0) | (zone >= len(settings.sectors))
+    zone[outside] = 0
+    rings, sectors = np.array(settings.rings), np.array(settings.sectors)
+    ring = ((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone]).astype(np.int64)
+    first = _first_cells(settings)
+    base = first[zone] + np.minimum(ring, rings[zone] - 1) * sectors[zone]
+    return np.where(outside, first[-1], base).astype(np.int32), np.where(outside, 0, sectors[zone]).astype(np.float32)
+
+
+def _paint_points(scene: Picture, scan: Scan, classed: ClassedSectors, reach: float) -> None:
+    """Paint points, those without a sector first, rougher ones over smoother ones."""
+    style = looks_of(classed.class_id, classed.sectors.point_sector)
+    with np.errstate(over="ignore"):
+        place = np.floor((reach - scan.points[:, :2].astype(np.float64)) * (SIDE / (2.0 * reach)))
+    inside = ((place >= 0) & (place < SIDE)).all(axis=1)
+    row, column = place[inside].astype(np.int64).T
+    style = style[inside]
+    for look in (len(COLOURS) - 1, *range(len(COLOURS) - 1)):
+        chosen = style == look
+        scene[row[chosen], column[chosen]] = COLOURS[look]
+
+
+def _ring_step(reach: float) -> float:
+    """Return the distance between range rings, m: at least three of them."""
+    return max((step for step in _STEPS_M if step * _FEWEST_RINGS <= reach), default=reach)
+
+
+def _paint_rings(scene: Picture, reach: float, step: float) -> None:
+    place, strength = _ring_lines(reach, step)
+    under = scene.reshape(-1, 3)[place]
+    scene.reshape(-1, 3)[place] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
+    for number in range(1, int(reach / step + 1e-6) + 1):
+        # On the diagonal, forward and to the right, where neither the arrow nor the edge is in the way.
+        out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
+        _write(scene, f"{number * step:g} m", int(SIDE / 2 - out) - HEIGHT, int(SIDE / 2 + out) + 4)
+
+
+@lru_cache(maxsize=2)
+def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Pixels of the range rings, and how much of their colour they take."""
+    distance = _polar_pixels(reach)[0].reshape(-1)
+    off = np.abs(distance - step * np.maximum(np.rint(distance / np.float32(step)), 1.0)) * np.float32(SIDE / 2 / reach)
+    place = np.flatnonzero(off < 1.2)
+    return place, np.minimum(np.float32(1.2) - off[place], np.float32(0.8))
+
+
+def _paint_arrow(scene: Picture, row: int, column: int) -> None:
+    """Paint a triangle that points forward; its middle is the sensor."""
+    down, right = np.mgrid[-_ARROW_PX : _ARROW_PX + 1, -_ARROW_PX : _ARROW_PX + 1]
+    inside = (np.abs(right) <= (down + _ARROW_PX) * 0.4) & (down <= _ARROW_PX * 0.6 + np.abs(right) * 0.4)
+    scene[row - _ARROW_PX : row + _ARROW_PX + 1, column - _ARROW_PX : column + _ARROW_PX + 1][inside] = _INK
+
+
+def _paint_legend(panel: Picture, scan: Scan, classed: ClassedSectors, step: float) -> None:
+    stack = classed.sectors
+    sectors = np.bincount(
+        np.where(classed.class_id == NOT_TRAVERSABLE, CLASSES, classed.class_id), minlength=CLASSES + 1
+    )
+    outside = int((stack.point_sector < 0).sum())
+    row = 40
+    for look, name in enumerate(NAMES):
+        panel[row : row + 28, 16:44] = COLOURS[look]
+        _write(panel, name.upper(), row, 56)
+        count = f"{outside:,} POINTS" if look > CLASSES else f"{sectors[look]:,} SECTORS"
+        _write(panel, count, row + 18, 56, _RING)
+        row += 56
+    row += 20
+    _paint_arrow(panel, row + 7, 30)
+    _write(panel, "FORWARD", row, 56)
+    _write(panel, f"RINGS: {step:g} m", row + 40, 16)
+    _write(panel, f"{len(scan.points):,} POINTS", row + 70, 16)
+    if not len(stack.zone):
+        _write(panel, "NO SECTOR HOLDS", row + 120, 16)
+        _write(panel, f"MORE THAN {stack.settings.least_points} POINTS", row + 142, 16)
+
+
+def _write(picture: Picture, text: str, row: int, column: int, ink: tuple[int, int, int] = _INK) -> None:
+    """Write a text with its upper left corner there; what does not fit is cut off."""
+    dots = word(text)[: max(SIDE - row, 0), : max(picture.shape[1] - column, 0)]
+    if row >= 0 and dots.size:
+        picture[row : row + dots.shape[0], column : column + dots.shape[1]][dots] = ink

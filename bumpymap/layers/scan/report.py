@@ -1,0 +1,129 @@
+"""What is known of a frame after it was classed: for scan.json, and for whoever reads the summary."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan
+from bumpymap.layers.manifest import describe_input
+from bumpymap.layers.scan.names import Frame
+from bumpymap.layers.scan.style import NAMES
+from bumpymap.scan import point_classes
+
+__all__ = ["FrameReport", "report_frame", "why_empty"]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """One frame in a few numbers."""
+
+    frame: Frame
+    bytes: int
+    """Of its file."""
+    sha256: str
+    points: int
+    """That were kept."""
+    dropped: Dropped
+    """Returns that were not."""
+    azimuth_start_rad: float
+    """Where sector 0 of every zone starts."""
+    sectors: tuple[int, ...]
+    """(4,) of class 0 to 2, then not traversable."""
+    classed_points: tuple[int, ...]
+    """(4,) points of class 0 to 2, then in no class."""
+    seconds: float
+    """From the file to classed sectors."""
+
+    @classmethod
+    def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
+        """Take up what `record` said."""
+        return cls(
+            frame,
+            record["bytes"],
+            record["sha256"],
+            record["points"],
+            Dropped(**record["dropped"]),
+            record["azimuth_start_rad"],
+            tuple(record["sectors"].values()),
+            tuple(record["points_by_class"].values()),
+            record["seconds"],
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Say it as scan.json does."""
+        names = [*NAMES[:CLASSES], "not traversable"]
+        return {
+            "name": self.frame.name,
+            "path": str(self.frame.path),
+            "bytes": self.bytes,
+            "sha256": self.sha256,
+            "pose": self.frame.pose,
+            "points": self.points,
+            "dropped": asdict(self.dropped),
+            "azimuth_start_rad": self.azimuth_start_rad,
+            "sectors": dict(zip(names, self.sectors, strict=True)),
+            "points_by_class": dict(zip([*NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
+            "seconds": self.seconds,
+        }
+
+
+def report_frame(
+    frame: Frame, version: Mapping[str, Any], scan: Scan, classed: ClassedSectors, seconds: float
+) -> FrameReport:
+    """Count the points and sectors of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    version : mapping
+        ``size`` and ``mtime_ns`` of its file before it was read.
+    scan : Scan
+    classed : ClassedSectors
+    seconds : float
+
+    Raises
+    ------
+    BadInputError
+        Its file is gone, or is another one by now.
+    """
+    sectors, points = (
+        tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
+        for class_id in (classed.class_id, point_classes(scan, classed))
+    )
+    known = {"path": frame.path, "bytes": version["size"], "mtime_ns": version["mtime_ns"]}
+    file = describe_input(known)
+    return FrameReport(
+        frame,
+        file["bytes"],
+        file["sha256"],
+        len(scan.points),
+        scan.dropped,
+        classed.sectors.azimuth_start_rad,
+        sectors,
+        points,
+        round(seconds, 4),
+    )
+
+
+def why_empty(scan: Scan, classed: ClassedSectors) -> str:
+    """Say why a scan has no sector, or none that is traversable; nothing where it has."""
+    stack, settings = classed.sectors, classed.sectors.settings
+    if len(stack.zone):
+        if stack.traversable.any():
+            return ""
+        return f"none of its {len(stack.zone):,} sectors is traversable. Does its z axis point up?"
+    if not len(scan.points):
+        lost = scan.dropped
+        return (
+            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0), {lost.not_finite:,} not finite, "
+            f"{lost.on_robot:,} on the robot"
+        )
+    near, far = settings.zone_starts_m[0], settings.end_m
+    distance = np.hypot(*scan.points[:, :2].T.astype(np.float64))
+    inside = int(((distance >= near) & (distance < far)).sum())
+    return (
+        f"none of its sectors holds more than {settings.least_points} points: {inside:,} of {len(scan.points):,} "
+        f"points lie {near:g} to {far:g} m from the sensor"
+    )

@@ -1,0 +1,117 @@
+"""sectors.parquet: one row a sector, of all the frames of a run."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
+from bumpymap.layers._arrow import numbers, texts
+from bumpymap.layers.scan.geometry import sector_bounds
+
+__all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
+
+_ROW_GROUP = 65_536
+"""Rows that wait in memory until they are written."""
+COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
+    ("frame", pa.string(), "", "name of the frame"),
+    ("zone", pa.int16(), "", "zone of the polar grid, 0 is the innermost"),
+    ("ring", pa.int16(), "", "ring inside the zone, 0 is the innermost"),
+    ("sector", pa.int16(), "", "sector around the zone, counter-clockwise"),
+    ("near", pa.float32(), "m", "horizontal distance from the sensor where the sector starts"),
+    ("far", pa.float32(), "m", "horizontal distance where it ends"),
+    ("right", pa.float32(), "rad", "azimuth where the sector starts, counter-clockwise from the x axis"),
+    ("left", pa.float32(), "rad", "azimuth where it ends"),
+    ("points", pa.int32(), "", "points in the sector"),
+    ("normal_x", pa.float32(), "", "axis of the least spread of the points, in the frame of the sensor"),
+    ("normal_y", pa.float32(), "", "the same, to the left"),
+    ("normal_z", pa.float32(), "", "the same, upwards"),
+    ("traversable", pa.bool_(), "", "whether the points lie like ground"),
+    ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
+    ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
+    ("variance", pa.float32(), "m2", "population variance of z over the points"),
+    ("residual", pa.float32(), "m", "mean perpendicular distance of the points to the RANSAC plane"),
+    ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a point"),
+    ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
+)
+"""Name, type, unit and description of each column."""
+
+
+class SectorTable:
+    """Takes frame after frame; holds a row group at most."""
+
+    def __init__(self, writer: pq.ParquetWriter) -> None:
+        self._writer = writer
+        self._waiting: list[pa.Table] = []
+
+    def add(self, name: str, classed: ClassedSectors) -> None:
+        """Append the sectors of a frame."""
+        self.add_rows(sector_rows(name, classed))
+
+    def add_rows(self, rows: pa.Table) -> None:
+        """Append what `sector_rows` gave."""
+        self._waiting.append(rows)
+        if sum(part.num_rows for part in self._waiting) >= _ROW_GROUP:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that wait."""
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * _ROW_GROUP)
+            self._waiting.clear()
+
+
+@contextmanager
+def open_table(path: Path) -> Iterator[SectorTable]:
+    """Open sectors.parquet for writing."""
+    with pq.ParquetWriter(path, _schema(), compression="zstd") as writer:
+        table = SectorTable(writer)
+        yield table
+        table.flush()
+
+
+def _schema() -> pa.Schema:
+    nullable = {"stripes", "class", "label", "variance", "residual"}
+    return pa.schema(
+        [
+            pa.field(
+                name,
+                kind,
+                nullable=name in nullable,
+                metadata={"description": text} | ({"unit": unit} if unit else {}),
+            )
+            for name, kind, unit, text in COLUMNS
+        ]
+    )
+
+
+def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
+    """Give the rows of a frame."""
+    stack, bounds = classed.sectors, sector_bounds(classed.sectors)
+    count = len(stack.zone)
+    unknown = {"class": classed.class_id == NOT_TRAVERSABLE, "label": stack.label < 0}
+    columns: dict[str, Any] = {
+        "frame": [name] * count,
+        "points": stack.count,
+        "class": np.where(unknown["class"], 0, classed.class_id),
+        "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
+    }
+    columns |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
+    columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
+    schema = _schema()
+    arrays = []
+    for column in schema:
+        values = columns[column.name] if column.name in columns else getattr(stack, column.name)
+        known = ~unknown[column.name] if column.name in unknown else None
+        arrays.append(_array(values, column.type, known))
+    return pa.table(arrays, schema=schema)
+
+
+def _array(values: Any, kind: pa.DataType, known: Any) -> pa.Array:
+    if kind == pa.bool_():  # Arrow packs truth into bits
+        return numbers(values, pa.uint8()).cast(kind)
+    return texts(values, kind) if kind == pa.string() else numbers(values, kind, known)

@@ -1,0 +1,148 @@
+"""tiles.parquet: GeoParquet, one row a tile, everything that is known about it."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import shapely
+from numpy.typing import NDArray
+
+from bumpymap.core import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostTable, Reason, atomic, tile_columns
+from bumpymap.layers._arrow import lists, numbers, texts
+from bumpymap.layers.placement import Placement
+from bumpytiles import TileTable
+
+__all__ = ["write_tiles"]
+
+_ROW_GROUP = 16_384
+"""Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
+_NUMBERS = ("count", "reason", "z_min", "z_max", "relief")
+
+
+def write_tiles(table: CostTable, path: Path) -> None:
+    """Write tiles.parquet: GeoParquet 1.1, one row a tile.
+
+    Tiles come strip by strip, as `Mosaic.strips` cuts them: strips are a row of blocks high, north first, then west
+    first; inside a strip tiles stand north first, then west first. Numbers that are unknown are null; the pixels of
+    ``heights`` where no point fell are NaN.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    BadInputError
+        The tiles span too much for a raster.
+    """
+    place = Placement.of(table)
+    schema = _schema(place)
+    with (
+        atomic(path, (pa.ArrowException,)) as temporary,
+        pq.ParquetWriter(
+            temporary,
+            schema,
+            compression="zstd",
+            use_dictionary=["texture", "reason_text"],
+            # Bytes of like weight side by side: measured 17 % smaller than without, and faster to compress.
+            column_encoding={"heights.list.element": "BYTE_STREAM_SPLIT"},
+        ) as writer,
+    ):
+        for found in _groups(table.tiles):
+            writer.write_table(_rows(found, place, schema))
+
+
+def _groups(tiles: TileTable) -> Iterator[dict[str, NDArray[Any]]]:
+    """Columns of the tiles, row group by row group: as many strips as fit."""
+    names = [column.name for column in tile_columns(tiles.grid.pixels)]
+    held: list[dict[str, NDArray[Any]]] = []
+    for strip in tiles.strips(_ROW_GROUP):
+        found = tiles.read(names, strip)
+        if sum(len(part["col"]) for part in [*held, found]) > _ROW_GROUP:
+            yield _join(held)
+        held.append(found)
+        del found
+    yield _join(held)
+
+
+def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Join strips and forget them."""
+    parts, held[:] = held[:], []
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+
+
+def _schema(place: Placement) -> pa.Schema:
+    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
+    fields = [
+        _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
+        _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
+        _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
+        *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
+        _field("count", pa.int64(), "points that were measured", nullable=False),
+        _field("z_min", pa.float64(), "lowest point", "m"),
+        _field("z_max", pa.float64(), "highest point", "m"),
+        _field("relief", pa.float64(), "max - min of the heights with their plane taken off", "m"),
+        _field("texture", pa.string(), "the most probable texture"),
+        *(_field(f"p_{texture}", pa.float32(), f"probability of texture {texture}") for texture in TEXTURES),
+        _field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
+        _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
+        _field("reason_text", pa.string(), "the reason in words", nullable=False),
+        _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
+    ]
+    return pa.schema(fields, metadata={"geo": json.dumps(_geo(place))})
+
+
+def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
+    notes = {"description": text} | ({"unit": unit} if unit else {})
+    return pa.field(name, kind, nullable=nullable, metadata=notes)
+
+
+def _geo(place: Placement) -> dict[str, Any]:
+    """Metadata of GeoParquet 1.1.0."""
+    crs = place.crs_of_heights
+    window = place.window
+    corners = np.array([window.col, window.row, window.col + window.cols, window.row + window.rows])
+    geometry = {
+        "encoding": "WKB",
+        "geometry_types": ["Polygon"],
+        "crs": None if crs is None else crs.to_json_dict(),
+        "orientation": "counterclockwise",
+        "edges": "planar",
+        "bbox": place.to_crs(corners).tolist(),
+    }
+    return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
+
+
+def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -> pa.Table:
+    """Columns of the file from those of some tiles."""
+    col, row = found["col"], found["row"]
+    west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
+    chance = found["probability"]
+    columns: dict[str, Any] = {
+        "col": col,
+        "row": row,
+        "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
+        "texture": _texture(chance),
+        "class": numbers(found["class_id"], schema.field("class").type, found["class_id"] != NO_CLASS),
+        "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
+        "heights": lists(found["heights"], schema.field("heights").type),
+    }
+    columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
+    columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
+    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
+
+
+def _array(values: Any, field: pa.Field) -> pa.Array:
+    if isinstance(values, pa.Array):
+        return values
+    return texts(values, field.type) if values.dtype == object else numbers(values, field.type)
+
+
+def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:
+    names = np.array([*TEXTURES, None], dtype=object)
+    known = np.isfinite(chance).all(axis=1)
+    best = np.where(known, np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
+    picked: NDArray[np.object_] = names[best]
+    return picked

@@ -1,0 +1,255 @@
+"""The cost map as regions: cost.geojson on the globe, cost.fgb in the survey's CRS.
+
+Both are fed some thousand regions at a time, so that neither the regions nor the files need memory.
+"""
+
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import shapely
+from numpy.typing import NDArray
+from pyproj import Transformer
+
+from bumpymap.core import NO_CLASS, BadInputError, atomic
+from bumpymap.layers._arrow import values
+from bumpymap.layers._ogr import announced
+from bumpymap.layers.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.regions import Regions
+
+__all__ = ["GeoJsonPlace", "flatgeobuf_writer", "geojson_writer"]
+
+_LOCAL = (
+    "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
+    "known. This file is therefore not RFC 7946 GeoJSON"
+)
+_KINDS = {"class": pa.int32(), "tiles": pa.int64(), "passable": pa.bool_()}
+_KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), pa.string())
+"""Types of columns of cost.fgb; the others are float64."""
+_PROPERTIES = (
+    *("class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
+    *("p_fail", "hazard", "cost", "area_m2", "tiles"),
+)
+_GEOMETRY = "geometry"
+_IN_MEMORY = 16 << 20
+"""Most bytes of regions that become FlatGeobuf in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeoJsonPlace:
+    """Where cost.geojson lies: on the globe, or in the survey's own coordinates."""
+
+    placement: Placement
+    to_degrees: Transformer | None
+    """None: the survey's own coordinates."""
+
+    @classmethod
+    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonPlace":
+        """Settle it.
+
+        Raises
+        ------
+        BadInputError
+            The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
+        """
+        try:
+            return cls(placement, globe_transformer(placement))
+        except BadInputError:
+            if not local:
+                raise
+            return cls(placement, None)
+
+    @property
+    def members(self) -> dict[str, Any]:
+        """Members of the collection that say so."""
+        if self.to_degrees is not None:
+            return {}
+        return {"local_coordinates": _LOCAL, "metres_per_unit": self.placement.georeference.metres_per_unit}
+
+    def outlines(self, regions: Regions) -> NDArray[np.object_]:
+        """Outlines of regions, there."""
+        if self.to_degrees is not None:
+            return outlines_on_globe(regions, self.to_degrees)
+        own: NDArray[np.object_] = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
+        return own
+
+    def sides(self, box: BoundingBox) -> list[float]:
+        """West, south, east, north of a box around outlines."""
+        return box.sides() if self.to_degrees is None else box.sides_on_globe()
+
+
+@contextmanager
+def geojson_writer(
+    path: Path, place: GeoJsonPlace, about: Mapping[str, Any] | None = None
+) -> Iterator[Callable[[Regions], None]]:
+    """Write cost.geojson: RFC 7946, one feature a region, WGS 84 with 7 decimals.
+
+    Where the survey has no CRS: its own coordinates, rounded to 1 mm, with a member that says so.
+
+    Parameters
+    ----------
+    path : Path
+        The file. It appears when the ``with`` ends.
+    place : GeoJsonPlace
+        Where it lies.
+    about : mapping, optional
+        Further members of the feature collection, such as vehicle and calibration.
+
+    Yields
+    ------
+    callable
+        Call it with regions, some at a time.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    """
+    head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
+    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+    box = BoundingBox()
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(encode(head)[:-1])
+        file.write(', "features": [')
+        separator = "\n"
+
+        def add(regions: Regions) -> None:
+            nonlocal separator
+            outlines, columns = place.outlines(regions), _columns(regions)
+            box.add(outlines)
+            for number, geometry in enumerate(_geometries(outlines)):
+                properties = {name: values[number] for name, values in columns.items()}
+                file.write(separator + encode({"type": "Feature", "properties": properties, "geometry": geometry}))
+                separator = ",\n"
+
+        yield add
+        file.write(f'\n], "bbox": {encode(place.sides(box))}}}\n')
+
+
+def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:
+    """Give polygons and multipolygons as GeoJSON has them; all at once takes a quarter of the time of one by one."""
+    parts, owner = shapely.get_parts(outlines, return_index=True)
+    _, coordinates, (ring, polygon) = shapely.to_ragged_array(parts)
+    points, ring, polygon = coordinates.tolist(), ring.tolist(), polygon.tolist()
+    rings = [points[start:stop] for start, stop in pairwise(ring)]
+    polygons = [rings[start:stop] for start, stop in pairwise(polygon)]
+    first = np.searchsorted(owner, np.arange(len(outlines) + 1)).tolist()
+    single = shapely.get_type_id(outlines) == shapely.GeometryType.POLYGON
+    for is_polygon, (start, stop) in zip(single.tolist(), pairwise(first), strict=True):
+        if is_polygon:
+            yield {"type": "Polygon", "coordinates": polygons[start]}
+        else:
+            yield {"type": "MultiPolygon", "coordinates": polygons[start:stop]}
+
+
+@contextmanager
+def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Regions], None]]:
+    """Write cost.fgb: the regions of `geojson_writer`, in the survey's CRS (none where it has none).
+
+    Regions wait in a file of Arrow batches: FlatGeobuf begins with an index of all of them.
+
+    Parameters
+    ----------
+    path : Path
+        The file. It appears when the ``with`` ends.
+    placement : Placement
+        Where the tiles lie.
+
+    Yields
+    ------
+    callable
+        Call it with regions, some at a time.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    """
+    with atomic(path, (pa.ArrowException,)) as temporary:
+        waiting = temporary.with_name(f"{temporary.stem}.arrow")
+        schema, count = _schema(), 0
+        with pa.OSFile(str(waiting), "wb") as file, pa.ipc.new_stream(file, schema) as stream:
+
+            def add(regions: Regions) -> None:
+                nonlocal count
+                count += len(regions.tiles)
+                stream.write_batch(_batch(regions, schema))
+
+            yield add
+        _convert(waiting, count, temporary, placement)
+
+
+def _schema() -> pa.Schema:
+    kinds = ((name, _KINDS.get(name, pa.float64())) for name in _PROPERTIES)
+    return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
+
+
+def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
+    columns: dict[str, Any] = _columns(regions)
+    columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
+    return pa.record_batch([values(columns[field.name], field.type) for field in schema], schema=schema)
+
+
+def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
+    """Turn the regions that wait, so many, into FlatGeobuf."""
+    with announced("pandas", "geopandas"):
+        from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
+        from pyogrio.raw import read, write_arrow
+
+    crs = placement.horizontal_crs
+    # Small ones through memory. GDAL takes what follows a '!' in a path for a part of an archive, and does not notice
+    # when a disk fills up in the last few bytes (seen in 3.8 and 3.12): so the last feature of a large one is read.
+    straight = waiting.stat().st_size > _IN_MEMORY and "!" not in str(temporary)
+    target = temporary if straight else BytesIO()
+    with pa.OSFile(str(waiting), "rb") as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        try:
+            write_arrow(
+                pa.ipc.open_stream(file),
+                target,
+                layer="cost",
+                driver="FlatGeobuf",
+                geometry_name=_GEOMETRY,
+                geometry_type="Polygon",
+                crs=None if crs is None else crs.to_wkt(),
+            )
+            if isinstance(target, BytesIO):
+                temporary.write_bytes(target.getbuffer())
+            else:
+                read(temporary, skip_features=regions - 1, max_features=1)
+        except (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError, ValueError) as error:
+            raise OSError(str(error)) from error
+
+
+def _columns(regions: Regions) -> dict[str, list[Any]]:
+    """Properties of the regions as Python values, None where there is nothing to say."""
+    known = regions.class_id != NO_CLASS
+    return {
+        "class": [int(value) if is_known else None for value, is_known in zip(regions.class_id, known, strict=True)],
+        "class_name": list(regions.class_name),
+        "reason": [None if is_known else text for text, is_known in zip(regions.reason_text, known, strict=True)],
+        "passable": regions.passable.tolist(),
+        "c_r": _numbers(regions.c_r, 6),
+        "c_r_low": _numbers(regions.c_r_low, 6),
+        "c_r_high": _numbers(regions.c_r_high, 6),
+        "c_r_basis": list(regions.c_r_basis),
+        "p_fail": _numbers(regions.p_fail, 6),
+        "hazard": _numbers(regions.hazard, 9),
+        "cost": _numbers(regions.cost, 6),
+        "area_m2": _numbers(regions.area_m2, 3),
+        "tiles": regions.tiles.tolist(),
+    }
+
+
+def _numbers(values: NDArray[np.float64], decimals: int) -> list[float | None]:
+    rounded: list[float] = values.round(decimals).tolist()
+    return [value if is_number else None for value, is_number in zip(rounded, np.isfinite(values), strict=True)]

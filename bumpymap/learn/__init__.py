@@ -1,1 +1,0 @@
-"""The workshop that trains the texture network and hands over an ONNX file. The only room that imports torch."""

@@ -1,0 +1,114 @@
+"""Points of tiles in, measured patches out: heightmap, spread, z-variance, RANSAC residual, slope, reason."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import FeatureSettings, PatchStack, Reason
+from bumpymap.patches import kernels
+from bumpytiles import TilePoints
+
+__all__ = ["join_stacks", "measure"]
+
+_SCALARS = 9
+
+
+def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
+    """Measure the tiles of a block.
+
+    Parameters
+    ----------
+    points : TilePoints
+        Points by tile, in canonical order; ``flag`` marks ground.
+    settings : FeatureSettings
+        Thresholds.
+    ground_only : bool
+        Measure flagged points alone; tiles without any get reason ``NO_GROUND``.
+
+    Returns
+    -------
+    PatchStack
+        One row a tile, in the order of ``points``.
+    """
+    grid = points.grid
+    starts = points.starts
+    easting, northing, upward = points.easting, points.northing, points.upward
+    if ground_only:
+        easting, northing, upward = easting[points.flag], northing[points.flag], upward[points.flag]
+        starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
+    count = np.diff(starts)
+    tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
+    scalars = np.empty((tiles, _SCALARS))
+    heights, variance, relief_map = (np.empty((tiles, px, px), np.float32) for _ in range(3))
+    pixel_count = np.empty((tiles, px, px), np.int32)
+    kernels.measure_tiles(
+        starts,
+        easting,
+        northing,
+        upward,
+        points.col,
+        points.row,
+        grid.tile_size,
+        settings.ransac_threshold,
+        settings.stray_gap,
+        max(1, round(settings.max_hole / grid.pixel_size)),
+        scalars,
+        heights,
+        variance,
+        relief_map,
+        pixel_count,
+        np.empty((4, most)),
+        np.empty(max(most, px * px), np.int32),
+        np.empty((3, kernels.SAMPLE), np.float32),
+        np.empty(kernels.SUMS * kernels.LANES),
+        np.empty((2, settings.stray_points + 1)),
+        np.empty((4, px * px + 1)),
+        np.empty((px, px)),
+    )
+    reason = _reasons(count, scalars, settings)
+    relief_map[reason != Reason.OK] = np.nan
+    z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, _ = scalars.T.copy()
+    return PatchStack(
+        grid=grid,
+        col=points.col,
+        row=points.row,
+        count=count,
+        z_min=z_min,
+        z_max=z_max,
+        z_variance=z_variance,
+        ransac_residual=residual,
+        slope=slope,
+        z_range=z_range,
+        density=count / grid.tile_size**2,
+        coverage=np.nan_to_num(coverage),
+        heights=heights,
+        spread_count=pixel_count,
+        spread_variance=variance,
+        relief_map=relief_map,
+        relief=np.where(reason == Reason.OK, relief, np.nan),
+        reason=reason,
+    )
+
+
+def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: FeatureSettings) -> NDArray[np.uint8]:
+    """Why tiles cannot be judged: the first of no ground, too few points, outlier relief, too many holes; else 0."""
+    coverage, relief, strays = scalars[:, 6], scalars[:, 7], scalars[:, 8]
+    return np.select(
+        [
+            count == 0,
+            count < settings.min_points,
+            strays > settings.stray_share * count,
+            np.isnan(relief) | (coverage < settings.min_coverage),
+        ],
+        [Reason.NO_GROUND, Reason.TOO_FEW_POINTS, Reason.OUTLIER_RELIEF, Reason.TOO_MANY_HOLES],
+        Reason.OK,
+    ).astype(np.uint8)
+
+
+def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
+    """Put stacks of one grid (at least one) together, north to south, then west to east: the order of every file."""
+    columns = {f.name: [getattr(stack, f.name) for stack in stacks] for f in fields(PatchStack) if f.name != "grid"}
+    order = np.lexsort((np.concatenate(columns["col"]), -np.concatenate(columns["row"])))
+    return PatchStack(stacks[0].grid, **{name: np.concatenate(parts)[order] for name, parts in columns.items()})

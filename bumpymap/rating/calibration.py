@@ -1,0 +1,265 @@
+"""The calibration of one vehicle: what each ground costs it. ``bumpymap calibrate`` makes it, ``map`` reads it."""
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, field, fields, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, parse_json
+
+__all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "shipped_calibrations"]
+
+_DRIVE_S = 10.0
+"""Seconds that a drive is measured, where the calibration does not say."""
+_FORMAT = "bumpymap-calibration"
+_VERSION = 2
+_PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
+"""Keys of a vehicle profile that no drive depends on."""
+DEFAULT_FAIL_WEIGHT = 300.0
+"""``fail_weight`` of vehicles whose profile does not say it, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenTerrain:
+    """One terrain of the library and what the drives over it gave: what a ride model is fitted to."""
+
+    kind: str
+    index: int
+    """Of the terrain in its kind."""
+    c_r: float | None
+    """Mean over the completed drives, rad/m; None without one."""
+    c_r_error: float | None
+    """Standard error of that mean, rad/m; None with fewer than two completed drives."""
+    completed: int
+    """Drives that came through."""
+    stuck: int
+    rolled: int
+
+    @property
+    def failed(self) -> int:
+        """Drives that got stuck or rolled over."""
+        return self.stuck + self.rolled
+
+    @property
+    def drives(self) -> int:
+        """All drives."""
+        return self.completed + self.failed
+
+    @property
+    def p_fail(self) -> float:
+        """Share of the drives that failed."""
+        return self.failed / self.drives
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """C_r and p_fail of one vehicle over textures x z_range, and the class intervals made from them.
+
+    Tables are nested tuples ``[texture][z_range]``, textures in the order of ``textures``.
+    """
+
+    vehicle: dict[str, Any]
+    """The vehicle profile, as in its TOML file. ``map`` reads what `cost_rule` needs, and its shape."""
+    tile_size: float
+    """Side of the patches that were driven, m."""
+    pixels: int
+    """Pixels along a side."""
+    textures: tuple[str, ...]
+    z_range: tuple[float, ...]
+    """max - min of the plane-removed patches that were driven, m, rising."""
+    c_r: tuple[tuple[float | None, ...], ...]
+    """Mean C_r over the completed drives, rad/m; None where none was completed."""
+    c_r_log_sd: tuple[tuple[float | None, ...], ...]
+    """Standard deviation of ln C_r between patches of one cell; None where fewer than two patches have one."""
+    p_fail: tuple[tuple[float, ...], ...]
+    """Share of the drives that rolled over or got stuck."""
+    drives: tuple[tuple[int, ...], ...]
+    """Number of drives, failed ones too."""
+    class_limits: tuple[float, float, float]
+    """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
+    class_c_r: tuple[float, float, float, float]
+    """Mean C_r [rad/m] of the driven terrains of each class."""
+    ride: dict[str, Any] | None = None
+    """What the drives over the terrain library taught the ride model, in its own words; None where none was fitted."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
+    ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""
+
+    def __post_init__(self) -> None:
+        _check_numbers(self)
+        shape = (len(self.textures), len(self.z_range))
+        for name in ("c_r", "c_r_log_sd", "p_fail", "drives"):
+            table = getattr(self, name)
+            if len(table) != shape[0] or any(len(line) != shape[1] for line in table):
+                raise ValueError(f"table {name} is not {shape[0]} textures x {shape[1]} z ranges")
+        if self.textures != TEXTURES:
+            raise ValueError(f"textures are {self.textures}; this version knows {TEXTURES}")
+        if not self.z_range or list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
+            raise ValueError("z_range must be positive and rise")
+        if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
+            raise ValueError("class_limits must be positive and rise")
+        if not isinstance(self.ride, dict | None):
+            raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
+        self._body()
+        known = [c for line in self.c_r for c in line if c is not None]
+        if any(line[0] is None for line in self.c_r) or min(known) <= 0:
+            raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits that change with any number of the calibration."""
+        return hashlib.sha256(self._body().encode()).hexdigest()[:12]
+
+    @property
+    def cost_rule(self) -> CostRule:
+        """What is passable for the vehicle, and what its ride costs."""
+        seconds = self.settings.get("drive", {}).get("measure_s", _DRIVE_S)
+        return CostRule(
+            ride_weight=float(self.vehicle["ride_weight"]),
+            fail_weight=float(self.vehicle.get("fail_weight", DEFAULT_FAIL_WEIGHT)),
+            drive_m=float(seconds) * float(self.vehicle["speed_mps"]),
+            slope_limit_deg=float(self.vehicle["slope_limit_deg"]),
+        )
+
+    def require_grid(self, tile_size: float, pixels: int) -> None:
+        """Raise UsageError where tiles of another size [m] or another number of pixels are to be rated."""
+        if (self.tile_size, self.pixels) != (tile_size, pixels):
+            raise UsageError(
+                f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
+                f"map has {tile_size:g} m with {pixels}. Use the calibration's tile size, or calibrate for yours: "
+                f"bumpymap calibrate --tile-size {tile_size:g} --pixels {pixels}"
+            )
+
+    def _body(self) -> str:
+        return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
+
+    def to_json(self) -> str:
+        """Return the text of the file."""
+        return json.dumps({"format": _FORMAT, "version": _VERSION, "id": self.id, **asdict(self)}, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, origin: str) -> "Calibration":
+        """Read the text of a calibration file; ``origin`` names it in messages.
+
+        Raises
+        ------
+        BadInputError
+            Not a calibration, another version, a table of the wrong shape.
+        """
+        hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
+        try:
+            try:
+                record = parse_json(text)
+            except ValueError:
+                record = None
+            if not isinstance(record, dict) or record.get("format") != _FORMAT:
+                raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
+            if record.get("version") != _VERSION:
+                raise BadInputError(
+                    f"{origin} is a calibration of version {record.get('version')}; "
+                    f"this bumpymap reads version {_VERSION}. {hint}"
+                )
+            known = {f.name: record[f.name] for f in fields(cls)}
+            return cls(**{key: _tuples(value) for key, value in known.items()})
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
+
+    @classmethod
+    def load(cls, path: Path) -> "Calibration":
+        """Read a calibration file. Raises BadInputError where it is none."""
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise BadInputError(f"cannot read the calibration {path}: {error.strerror}") from error
+        except UnicodeDecodeError:
+            text = ""
+        return cls.from_json(text, str(path))
+
+    @classmethod
+    def shipped(cls, vehicle: str) -> "Calibration":
+        """Read the calibration that ships for a vehicle, such as ``warthog``."""
+        known = shipped_calibrations()
+        if vehicle not in known:
+            raise UsageError(
+                f"no calibration for a vehicle named '{vehicle}' ships with bumpymap; there are: {', '.join(known)}. "
+                "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then map --calibration FILE"
+            )
+        resource = files("bumpymap") / "data" / "calibrations" / f"{vehicle}.json"
+        return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
+
+    @property
+    def preferences(self) -> dict[str, Any]:
+        """Keys of the vehicle that no drive depends on: of the profile that was driven, or `with_preferences`."""
+        return {"fail_weight": DEFAULT_FAIL_WEIGHT} | {
+            key: value for key, value in self.vehicle.items() if key in _PREFERENCES
+        }
+
+    def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
+        """Take name, description and weights from a vehicle profile; all else must be what was driven.
+
+        Preferences change what a map says, so they change the ``id``; equal ones leave it alone.
+
+        Parameters
+        ----------
+        profile : dict
+            Of the vehicle, as in its TOML file.
+        origin : str
+            The files that are compared, for the message.
+
+        Raises
+        ------
+        BadInputError
+            The profile is of another vehicle: any other key differs.
+        """
+        driven, asked = _flat(self.vehicle), _flat(profile)
+        differ = [key for key in {**driven, **asked} if key not in _PREFERENCES and driven.get(key) != asked.get(key)]
+        if differ:
+            named = "; ".join(f"{key} is {asked.get(key)}, was {driven.get(key)}" for key in differ)
+            raise BadInputError(f"{origin} was made for another vehicle: {named}")
+        own = self.preferences
+        changed = {key: asked[key] for key in _PREFERENCES if key in asked and asked[key] != own.get(key)}
+        return replace(self, vehicle=self.vehicle | changed) if changed else self
+
+
+def _flat(vehicle: dict[str, Any]) -> dict[str, Any]:
+    """Put the tables of a profile beside its other keys, as ``belly.length_m``."""
+    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
+    rest = {name: value for name, value in vehicle.items() if name not in tables}
+    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
+
+
+def _check_numbers(calibration: Calibration) -> None:
+    """Raise ValueError where something is not a finite number that has to be one, or is missing."""
+    vehicle = calibration.vehicle
+    rule = calibration.cost_rule
+    if not isinstance(vehicle["name"], str):
+        raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a text")  # noqa: TRY004 (of a file)
+    if len(calibration.class_limits) != 3 or len(calibration.class_c_r) != 4:
+        raise ValueError("there must be 3 class_limits and 4 class_c_r")
+    tables = [calibration.p_fail, calibration.drives, calibration.c_r, calibration.c_r_log_sd]
+    gaps = [number for table in tables[2:] for line in table for number in line if number is None]
+    numbers = [number for table in tables for line in table for number in line]
+    numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
+    numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
+    numbers += [calibration.tile_size, calibration.pixels]
+    if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
+        raise ValueError("a number is missing, not finite, or no number")
+    if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
+        raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def shipped_calibrations() -> list[str]:
+    """Names of the vehicles whose calibration is in the package."""
+    folder = files("bumpymap") / "data" / "calibrations"
+    return sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

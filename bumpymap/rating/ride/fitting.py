@@ -1,0 +1,235 @@
+"""Fit the correction of the ride model to drives: the last step of a calibration."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BumpymapError
+from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Correction, fail_features, ride_features
+from bumpymap.rating.ride.geometry import Rides
+
+__all__ = ["MOST_FAILED", "DrivenPatches", "NoisyPatches", "fit_correction"]
+
+Floats = NDArray[np.float64]
+_Table = tuple[tuple[float, ...], ...]
+
+MOST_FAILED = 0.25
+"""C_r of a patch on which more drives failed is that of the survivors: it does not count."""
+_LEAST_PATCHES = 20
+_RIDGE = 1e-3
+_FAIL_RIDGE = 0.3
+_ROBUST = 2.5
+"""Residuals beyond so many standard deviations count less (Huber)."""
+_EXCESS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.1, 1.6, 2.3)
+_PIXEL_POINTS = (0.7, 1.0, 2.0, 4.0, 12.0, 40.0)
+_LEAST_EXCESS = 0.003
+"""Excess below this is as good as none."""
+_LEAST_NOISY = 120
+"""Patches that a quantile of the noise tables rests on."""
+_VALIDATION_ERROR = 0.045
+"""Standard error of ln C_r of a patch as it is validated: intervals are about such means."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenPatches:
+    """Patches that were driven."""
+
+    rides: Rides
+    """(n,) what geometry says."""
+    slope_deg: Floats
+    """(n,)."""
+    c_r: Floats
+    """(n,) mean over the completed drives, rad/m; NaN where there are fewer than two."""
+    error: Floats
+    """(n,) standard error of that mean, rad/m."""
+    completed: NDArray[np.int64]
+    """(n,) drives."""
+    failed: NDArray[np.int64]
+    """(n,) drives."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoisyPatches:
+    """Patches that were surveyed with noise."""
+
+    excess: Floats
+    """(n,) of `told_from_noise`."""
+    pixel_points: Floats
+    """(n,) mean points a pixel."""
+    error: Floats
+    """(n,) ln (geometric C_r of the ground itself / that which could be told of the cleaned patch)."""
+
+
+def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
+    """Fit the correction.
+
+    Raises
+    ------
+    BumpymapError
+        Too few patches were driven to the end.
+    """
+    share = driven.failed / (driven.failed + driven.completed)
+    good = (share <= MOST_FAILED) & (driven.completed >= 2) & (driven.c_r > 0) & (driven.error > 0)
+    if int(good.sum()) < _LEAST_PATCHES:
+        raise BumpymapError(
+            f"the vehicle completed its drives on {int(good.sum())} of {len(good)} terrains; a ride model needs "
+            f"{_LEAST_PATCHES} at least. Look for a wrong number in its profile (bumpymap calibrate --check), or drive "
+            "more terrains"
+        )
+    log_g = np.log(driven.rides.pitch_change[good])
+    features = ride_features(log_g, driven.rides, driven.slope_deg) if good.all() else _features(driven, good, log_g)
+    target, error = np.log(driven.c_r[good]), driven.error[good] / driven.c_r[good]
+    log_range = (float(log_g.min()), float(log_g.max()))
+    coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
+    # What a fit of all leaves out of each: the honest error.
+    left_out = _cross_validated(features, target, error, log_g, log_range)
+    doubt = error * _student(driven.completed[good])
+    spread = _held(spread, target - left_out, doubt, log_g, log_range)
+    fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
+    low, middle, high = _noise_tables(noisy)
+    return Correction(
+        log_range=log_range,
+        c_r=tuple(coefficients.tolist()),
+        spread=spread,
+        fail=tuple(fail.tolist()),
+        excess=_EXCESS,
+        pixel_points=_PIXEL_POINTS,
+        noise_low=low,
+        noise_middle=middle,
+        noise_high=high,
+        origin=_report(left_out, target, error, driven),
+    )
+
+
+def _features(driven: DrivenPatches, good: NDArray[np.bool_], log_g: Floats) -> Floats:
+    rides = Rides(*(getattr(driven.rides, name)[good] for name in Rides.__dataclass_fields__))
+    return ride_features(log_g, rides, driven.slope_deg[good])
+
+
+def _fit_c_r(
+    features: Floats, target: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[Floats, tuple[float, float]]:
+    """Coefficients and spread by turns: the spread weighs the patches, the residuals give the spread."""
+    spread = (np.log(0.08), np.log(0.08))
+    coefficients = np.zeros(features.shape[1])
+    huber = np.ones(len(target))
+    for _ in range(8):
+        own = np.exp(np.interp(log_g, log_range, spread))
+        variance = own**2 + error**2
+        weight = huber / variance
+        scale = np.sqrt(np.average(features**2, axis=0))
+        system = (features * weight[:, None]).T @ features / weight.sum() + np.diag(_RIDGE * scale**2)
+        coefficients = np.linalg.solve(system, (features * weight[:, None]).T @ target / weight.sum())
+        residual = target - features @ coefficients
+        size = np.abs(residual) / np.sqrt(variance)
+        huber = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9))
+        spread = _fit_spread(residual, error, log_g, log_range)
+    return coefficients, spread
+
+
+def _fit_spread(
+    residual: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[float, float]:  # fmt: skip
+    """Likeliest standard deviation beside the drives' own error: ln of it at both ends of the range, on a grid."""
+    ends = np.log(np.geomspace(0.01, 0.6, 40))
+    place = (log_g - log_range[0]) / (log_range[1] - log_range[0])
+    best, found = np.inf, (ends[0], ends[0])
+    for low in ends:
+        for high in ends:
+            variance = np.exp(2 * (low + (high - low) * place)) + error**2
+            # A Student distribution with five degrees of freedom: a few patches are stranger than a normal one allows.
+            score = float(np.sum(np.log(variance) / 2 + 3 * np.log1p(residual**2 / (5 * variance))))
+            if score < best:
+                best, found = score, (low, high)
+    # The Student's scale, as the standard deviation whose 80 % interval it has.
+    widen = np.log(1.475884 / 1.281552)
+    return float(found[0] + widen), float(found[1] + widen)
+
+
+def _held(
+    spread: tuple[float, float], left_out: Floats, doubt: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[float, float]:
+    """Widen (or narrow) a spread until the intervals hold their share of what was left out; add what a mean has.
+
+    ``doubt`` is the drives' own standard error, widened for how few they are.
+    """
+    own = np.exp(np.interp(log_g, log_range, spread))
+    factors = np.geomspace(0.5, 3.0, 181)
+    held = np.abs(left_out) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, doubt)
+    factor = factors[int(np.argmin(np.abs(held.mean(axis=1) - (1 - 2 * TAIL))))]
+    low, high = (float(0.5 * np.log((factor * np.exp(side)) ** 2 + _VALIDATION_ERROR**2)) for side in spread)
+    return low, high
+
+
+def _student(drives: NDArray[np.int64]) -> Floats:
+    """Tail of Student's distribution of a mean of so many drives over the normal one (first Cornish-Fisher term)."""
+    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
+    return wider
+
+
+def _cross_validated(
+    features: Floats, target: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> Floats:
+    """Predictions of ln C_r by fits to the other nine tenths."""
+    predicted = np.empty(len(target))
+    tenth = np.arange(len(target)) % 10
+    for part in range(10):
+        rest = tenth != part
+        coefficients, _ = _fit_c_r(features[rest], target[rest], error[rest], log_g[rest], log_range)
+        predicted[~rest] = features[~rest] @ coefficients
+    return predicted
+
+
+def _report(predicted: Floats, target: Floats, error: Floats, driven: DrivenPatches) -> dict[str, Any]:
+    order = np.argsort(np.argsort(predicted)), np.argsort(np.argsort(target))
+    return {
+        "patches": len(driven.c_r),
+        "patches_with_c_r": len(target),
+        "drives": int((driven.completed + driven.failed).sum()),
+        "failed": int(driven.failed.sum()),
+        "median_standard_error": round(float(np.median(error)), 4),
+        "spearman": round(float(np.corrcoef(*order)[0, 1]), 4),
+        "median_relative_error": round(float(np.median(np.abs(np.expm1(predicted - target)))), 4),
+    }
+
+
+def _fit_fail(features: Floats, failed: NDArray[np.int64], completed: NDArray[np.int64]) -> Floats:
+    """Logistic regression by Newton's method, with a ridge on all but the constant; drives count, not patches."""
+    middle, scale = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-9)
+    middle[0], scale[0] = 0.0, 1.0
+    x = (features - middle) / scale
+    drives = (failed + completed).astype(np.float64)
+    ridge = np.full(x.shape[1], _FAIL_RIDGE)
+    ridge[0] = 1e-6
+    weight = np.zeros(x.shape[1])
+    for _ in range(60):
+        chance = 1 / (1 + np.exp(-np.clip(x @ weight, -30, 30)))
+        gradient = x.T @ (failed - drives * chance) - ridge * weight
+        curvature = (x * (drives * chance * (1 - chance))[:, None]).T @ x + np.diag(ridge)
+        step = np.linalg.solve(curvature, gradient)
+        weight = weight + step / max(1.0, float(np.abs(step).max()) / 2)
+    plain = weight / scale
+    plain[0] -= float(np.sum(weight[1:] * middle[1:] / scale[1:]))
+    found: Floats = plain
+    return found
+
+
+def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
+    """Quantiles of the error of the patches nearest to each excess and number of points, in logarithms."""
+    log_excess = np.log(np.maximum(noisy.excess, _LEAST_EXCESS))
+    log_points = np.log(noisy.pixel_points)
+    nearest = max(_LEAST_NOISY, len(log_excess) // 40)
+    tables = []
+    for points in _PIXEL_POINTS:
+        row = []
+        for excess in _EXCESS:
+            away = np.hypot(log_excess - np.log(max(excess, _LEAST_EXCESS)), 2 * (log_points - np.log(points)))
+            near = noisy.error[np.argsort(away, kind="stable")[:nearest]]
+            row.append(np.quantile(near, (TAIL, 0.5, 1 - TAIL)))
+        tables.append(row)
+    low, middle, high = (
+        tuple(tuple(float(knot[side]) for knot in row) for row in tables) for side in range(3)
+    )  # fmt: skip
+    return low, middle, high

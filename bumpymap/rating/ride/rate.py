@@ -1,0 +1,106 @@
+"""Rate tiles by rolling the vehicle over them (``--rating ride``)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap, UsageError
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride._kernels import normal_shares
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
+from bumpymap.rating.ride.geometry import roll_over
+from bumpymap.rating.ride.noise import denoise
+from bumpymap.rating.ride.operator import RideOperator
+
+__all__ = ["RideModel"]
+
+Floats = NDArray[np.float64]
+
+
+class RideModel:
+    """One vehicle on tiles of one size: what it will feel on each.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the vehicle; it holds the profile and what its drives taught.
+
+    Raises
+    ------
+    UsageError
+        The calibration was made without a ride model.
+    BadInputError
+        Its ride model is damaged.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        if calibration.ride is None:
+            raise UsageError(
+                f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
+                "texture and relief: --rating table"
+            )
+        self.calibration = calibration
+        self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
+        self.correction = Correction.from_record(calibration.ride)
+
+    def predict(self, patches: PatchStack) -> Prediction:
+        """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
+        clean = denoise(patches, self.operator)
+        rides = roll_over(clean.relief_map, self.operator)
+        pixel_points = patches.count / patches.grid.pixels**2
+        return self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
+
+    def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
+        """Rate tiles.
+
+        Parameters
+        ----------
+        patches : PatchStack
+            n tiles.
+        textures : TextureMap
+            Travels with the result; the ride model does not look at it.
+        georeference : Georeference
+            Travels with the result.
+
+        Raises
+        ------
+        UsageError
+            The calibration was made for tiles of another size or another number of pixels.
+        """
+        calibration = self.calibration
+        calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
+        found = self.predict(patches)
+        known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
+        too_steep = patches.slope > float(calibration.vehicle["slope_limit_deg"])
+        p_fail = np.where(too_steep, 1.0, found.p_fail)
+        class_id, chance = _classes(found, calibration.class_limits)
+        last = len(calibration.class_limits)
+        lost = p_fail >= FAIL_SHARE
+        class_id, chance = np.where(lost, last, class_id), np.where(lost, np.maximum(p_fail, chance), chance)
+        return CostMap(
+            georeference=georeference,
+            patches=patches,
+            textures=textures,
+            class_id=np.where(known, class_id, NO_CLASS).astype(np.uint8),
+            c_r=_where(known, np.exp(found.log_c_r)),
+            c_r_low=_where(known, np.exp(found.log_c_r - NORMAL_TAIL * found.below)),
+            c_r_high=_where(known, np.exp(found.log_c_r + NORMAL_TAIL * found.above)),
+            p_fail=_where(known, p_fail),
+            # Filled pixels are a guess; a tile full of them is believed less.
+            confidence=_where(known, chance * np.sqrt(patches.coverage)),
+            rule=calibration.cost_rule,
+        )
+
+
+def _classes(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
+    """Class of the median of each tile, and its probability under the two-sided distribution."""
+    log_limits = np.log(np.array(limits))
+    class_id = np.searchsorted(log_limits, found.log_c_r, side="right")
+    edges = np.concatenate(([-np.inf], log_limits, [np.inf]))
+    shares = np.empty((2, len(class_id)))
+    for edge, share in zip((edges[class_id], edges[class_id + 1]), shares, strict=True):
+        normal_shares((edge - found.log_c_r) / np.where(edge < found.log_c_r, found.below, found.above), share)
+    return class_id, shares[1] - shares[0]
+
+
+def _where(known: NDArray[np.bool_], values: Floats) -> NDArray[np.float32]:
+    return np.where(known, values, np.nan).astype(np.float32)

@@ -1,0 +1,140 @@
+"""Which texture each tile has, by a small network.
+
+The answer for a tile must not depend on which tiles stand beside it in a stack. Patches therefore go through the
+network in batches of one fixed size, the last one padded, on one thread, through a graph that treats each patch by
+itself.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    TEXTURES,
+    BadInputError,
+    PatchStack,
+    Reason,
+    TextureMap,
+    UsageError,
+    metadata_of,
+    parse_json,
+    read_network,
+    session,
+    shipped_network,
+)
+from bumpymap.rating.textures import FEATURE_VERSION, normalise
+
+__all__ = ["FLAT_RELIEF", "TextureModel", "classify"]
+
+FLAT_RELIEF = 1e-3
+"""A patch with no more relief than this is ``flat`` with probability 1, whatever its texture would be after scaling:
+it shows the rounding of the survey's coordinates, not ground, m."""
+
+_BATCH = 16
+"""Larger ones gain 3 % a patch and lose more to padding: a block has some two hundred tiles."""
+_FORMAT = "bumpymap-textures"
+_KIND = "texture network"
+_REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
+
+
+@dataclass(frozen=True, slots=True)
+class TextureModel:
+    """A texture network, as plain data that travels between processes."""
+
+    content: bytes
+    """The ONNX file."""
+    metadata: dict[str, str]
+    """Its ``metadata_props``: seed, command, accuracies."""
+    tile_size: float
+    """Side of the tiles it was trained for, m."""
+    pixels: int
+    """Pixels along a side."""
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits that change with any byte of the file."""
+        return hashlib.sha256(self.content).hexdigest()[:12]
+
+    def require_grid(self, tile_size: float, pixels: int) -> None:
+        """Raise UsageError where tiles of another size [m] or another number of pixels are to be classified."""
+        if (tile_size, pixels) != (self.tile_size, self.pixels):
+            raise UsageError(
+                f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
+                f"{self.tile_size:g} m with {self.pixels}. Use --tile-size {self.tile_size:g} --pixels {self.pixels}, "
+                f"or train one: bumpymap train --tile-size {tile_size:g} --pixels {pixels} --out MODEL.onnx"
+            )
+
+    @classmethod
+    def shipped(cls) -> "TextureModel":
+        """Read the network that ships with bumpymap."""
+        return cls._from_bytes(shipped_network("textures.onnx"), "the texture network in the package")
+
+    @classmethod
+    def load(cls, path: Path) -> "TextureModel":
+        """Read a network that ``bumpymap train`` wrote. Raises BadInputError where it is none."""
+        return cls._from_bytes(read_network(path, _KIND, _REMEDY), str(path))
+
+    @classmethod
+    def _from_bytes(cls, content: bytes, origin: str) -> "TextureModel":
+        metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
+        try:
+            classes, version = tuple(parse_json(metadata["classes"])), int(metadata["feature_version"])
+            tile_size, pixels = float(metadata["tile_size"]), int(metadata["pixels"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise BadInputError(f"{origin} is a damaged texture network: {error!r}. {_REMEDY}") from error
+        if (classes, version) != (TEXTURES, FEATURE_VERSION):
+            raise BadInputError(
+                f"{origin} tells {', '.join(map(str, classes))} apart from patches of version {version}; this bumpymap "
+                f"needs {', '.join(TEXTURES)} from patches of version {FEATURE_VERSION}. {_REMEDY}"
+            )
+        return cls(content, metadata, tile_size, pixels)
+
+
+def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
+    """Tell the texture of each tile.
+
+    Parameters
+    ----------
+    patches : PatchStack
+        n tiles; ``relief_map``, ``reason`` and ``grid`` are used.
+    model : TextureModel
+        Trained for tiles of that grid.
+
+    Returns
+    -------
+    TextureMap
+        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat for certain.
+
+    Raises
+    ------
+    UsageError
+        The network was trained for tiles of another size or another number of pixels.
+    """
+    model.require_grid(patches.grid.tile_size, patches.grid.pixels)
+    known = np.flatnonzero(patches.reason == Reason.OK)
+    relief = patches.relief_map[known]
+    if not np.isfinite(relief).all():
+        raise ValueError("a tile that can be judged has holes in its relief_map")
+    probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
+    level = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
+    probability[known[level]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
+    rough = relief[~level]
+    scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # one long axis: four times faster than two short
+    probability[known[~level]] = _infer(model, scaled.reshape(rough.shape))
+    return TextureMap(probability)
+
+
+def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; returns (n, 4)."""
+    network = session(model.content)
+    name = network.get_inputs()[0].name
+    probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
+    for start in range(0, len(scaled), _BATCH):
+        part = scaled[start : start + _BATCH, None]  # (batch, 1, pixels, pixels)
+        if len(part) < _BATCH:
+            part = np.concatenate((part, np.zeros((_BATCH - len(part), *part.shape[1:]), np.float32)))
+        probability[start : start + _BATCH] = network.run(None, {name: part})[0][: len(scaled) - start]
+    return probability

@@ -1,0 +1,269 @@
+"""The paper's four terrain forms, made from Perlin noise, sine waves and Gaussian blur.
+
+A texture is a square of ground seen the way ``PatchStack.relief_map`` shows it to the network and to the simulated
+vehicle: its least-squares plane taken off, then min-max scaled. Lengths are shares of the patch's side; metres in the
+docstrings are those of the default patch, 3 m and 15 px. Every parameter is drawn anew for each patch, so that a form
+is a family. Over one z range the forms get rougher from ``flat`` to ``high_noise``.
+
+Strategy: all patches of a chunk are made at once. Each has its own lattice, turned by its own angle and shifted by its
+own offset, so that no lattice line agrees with a row of pixels. Blurred forms are made with a margin that is cut off
+after the blur: a blur that mirrors at the border would level the border.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import TEXTURES, Texture, UsageError
+
+__all__ = ["FEATURE_VERSION", "make_short_waves", "make_textures", "normalise", "perlin", "remove_plane"]
+
+FEATURE_VERSION = 1
+"""Version of what the network sees: plane-removed, hole-filled, min-max scaled relief. A change asks for training."""
+
+_CHUNK = 1024
+_Floats = NDArray[np.float64]
+
+
+def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+    """Make patches of one terrain form.
+
+    Parameters
+    ----------
+    texture : str
+        One of ``TEXTURES``.
+    count : int
+        How many.
+    rng : numpy Generator
+        The same state gives the same bits.
+    pixels : int
+        Pixels along a side, at least 4.
+
+    Returns
+    -------
+    array (count, pixels, pixels) float32
+        Plane-removed relief, each patch scaled to [0, 1].
+    """
+    if texture not in _FORMS:
+        raise UsageError(f"texture is '{texture}'; it must be one of {', '.join(TEXTURES)}")
+    if count < 0 or pixels < 4:
+        raise UsageError(f"{count} patches of {pixels} pixels; count must be 0 or more, pixels 4 or more")
+    chunks = [np.empty((0, pixels, pixels), np.float32)]
+    for start in range(0, count, _CHUNK):
+        raw = _FORMS[texture](min(_CHUNK, count - start), rng, pixels)
+        chunks.append(normalise(remove_plane(raw)))
+    return np.concatenate(chunks)
+
+
+def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+    """Make ground with regular waves too short for ``noise_sin``: washboard, tracks, ripples, one way or crossing.
+
+    No form of the paper holds such ground, and a network that never met it may take it for flat. It is as rough as
+    ``high_noise``, so that is what the network is taught to call it. Wavelengths are 0.4 to 0.75 m.
+
+    Parameters
+    ----------
+    count, rng, pixels
+        As in ``make_textures``.
+
+    Returns
+    -------
+    array (count, pixels, pixels) float32
+        Plane-removed relief, each patch scaled to [0, 1].
+    """
+    along, across = _turned_axes(count, rng, pixels, 0)
+    wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
+    phase = rng.uniform(0, 2 * np.pi, (2, count, 1, 1))
+    one_way = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
+    crossing = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
+    way = rng.integers(0, 3, (count, 1, 1))
+    waves = np.select([way == 0, way == 1], [one_way, one_way * crossing], one_way + crossing)
+    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.8, count), rng.uniform(0.3, 0.7, count), 3)
+    return normalise(remove_plane(waves + rng.uniform(0.0, 0.3, (count, 1, 1)) * ground))
+
+
+def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Scale each patch to [0, 1] by its own minimum and maximum: what the texture network sees.
+
+    Training and inference both use this function. A patch without any range becomes zeros.
+
+    Parameters
+    ----------
+    patches : array (n, pixels, pixels)
+        Heights without NaN, any unit.
+
+    Returns
+    -------
+    array (n, pixels, pixels) float32
+    """
+    heights = patches.astype(np.float64)
+    low = heights.min(axis=(1, 2), keepdims=True)
+    span = heights.max(axis=(1, 2), keepdims=True) - low
+    scaled: NDArray[np.float32] = np.divide(heights - low, span, out=np.zeros_like(heights), where=span > 0).astype(
+        "f4"
+    )
+    return scaled
+
+
+def remove_plane(patches: NDArray[np.floating]) -> _Floats:
+    """Take the least-squares plane off each patch.
+
+    On a full square of pixels the columns 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
+
+    Parameters
+    ----------
+    patches : array (n, pixels, pixels)
+        Heights without NaN.
+
+    Returns
+    -------
+    array (n, pixels, pixels) float64
+        Residuals, same unit.
+    """
+    pixels = patches.shape[-1]
+    axis = np.arange(pixels) - (pixels - 1) / 2
+    heights = patches - patches.mean(axis=(1, 2), keepdims=True, dtype=np.float64)
+    weight = 1.0 / (pixels * np.sum(axis**2))
+    slope_row = np.einsum("nij,i->n", heights, axis) * weight
+    slope_col = np.einsum("nij,j->n", heights, axis) * weight
+    plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
+    residual: _Floats = heights - plane
+    return residual
+
+
+def perlin(count: int, rng: np.random.Generator, pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
+    """Gradient noise after Perlin (2002), one lattice per patch.
+
+    With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
+    ``s(t) = 6 t^5 - 15 t^4 + 10 t^3``::
+
+        n(u, v) = sum over a, b in {0, 1} of  w_a(u - i) w_b(v - j)  g[i + a, j + b] . (u - i - a, v - j - b)
+        w_1(t) = s(t),  w_0(t) = 1 - s(t)
+
+    Parameters
+    ----------
+    count, rng, pixels
+        As in ``make_textures``.
+    cell : array (count,)
+        Side of a lattice cell, shares of the patch's side.
+    margin : int
+        Pixels to add on each of the four sides.
+
+    Returns
+    -------
+    array (count, pixels + 2 margin, pixels + 2 margin) float64
+        Noise with unit standard deviation over an endless surface.
+    """
+    x, y = _turned_axes(count, rng, pixels, margin)
+    reach = np.sqrt(0.5) * (1 + 2 * margin / pixels)
+    offset = rng.uniform(0, 1, (2, count, 1, 1)) + reach / cell[:, None, None]
+    nodes = int(np.ceil(2 * reach / cell.min())) + 3
+    angle = rng.uniform(0, 2 * np.pi, (count, nodes * nodes))
+    u, v = x / cell[:, None, None] + offset[0], y / cell[:, None, None] + offset[1]
+    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    u, v = u - i, v - j
+    weight_u, weight_v = _fade(u), _fade(v)
+    noise: _Floats = np.zeros_like(u)
+    for a in (0, 1):
+        for b in (0, 1):
+            corner = ((i + a) * nodes + j + b).reshape(count, -1)
+            gradient = np.take_along_axis(angle, corner, axis=1).reshape(u.shape)
+            weight = (weight_u if a else 1 - weight_u) * (weight_v if b else 1 - weight_v)
+            noise += weight * (np.cos(gradient) * (u - a) + np.sin(gradient) * (v - b))
+    return noise / _PERLIN_SD
+
+
+def _fade(t: _Floats) -> _Floats:
+    return t * t * t * (t * (6 * t - 15) + 10)
+
+
+def _perlin_sd() -> float:
+    """Return the standard deviation of ``n(u, v)``: gradients are independent, each component has variance 1/2."""
+    t = (np.arange(400) + 0.5) / 400
+    near, near_t2 = np.mean((1 - _fade(t)) ** 2), np.mean((1 - _fade(t)) ** 2 * t**2)
+    # Four corners alike; E[(g . d)^2] = |d|^2 / 2, and |d|^2 is a sum of two like terms.
+    return float(np.sqrt(4 * near * near_t2))
+
+
+_PERLIN_SD = _perlin_sd()
+
+
+def _turned_axes(count: int, rng: np.random.Generator, pixels: int, margin: int) -> tuple[_Floats, _Floats]:
+    """Pixel centres of each patch, centred and turned by a random angle: two (count, side, side), shares of a side."""
+    axis = (np.arange(-margin, pixels + margin) + 0.5) / pixels - 0.5
+    turn = rng.uniform(0, 2 * np.pi, (count, 1, 1))
+    east, south = axis[None, None, :], axis[None, :, None]
+    return np.cos(turn) * east - np.sin(turn) * south, np.sin(turn) * east + np.cos(turn) * south
+
+
+def _octaves(
+    count: int,
+    rng: np.random.Generator,
+    pixels: int,
+    cell: _Floats,
+    persistence: _Floats,
+    octaves: int,
+    margin: int = 0,
+) -> _Floats:
+    """Sum of Perlin noises; each octave halves the cell and multiplies the amplitude by the persistence. Unit sd."""
+    amplitude, power = np.ones(count), np.zeros(count)
+    total: _Floats = np.zeros((count, pixels + 2 * margin, pixels + 2 * margin))
+    for octave in range(octaves):
+        total += amplitude[:, None, None] * perlin(count, rng, pixels, cell / 2**octave, margin)
+        power += amplitude**2
+        amplitude = amplitude * persistence
+    return total / np.sqrt(power)[:, None, None]
+
+
+def _blurred_noise(
+    count: int, rng: np.random.Generator, pixels: int, cell: _Floats, persistence: _Floats, octaves: int, sigma: _Floats
+) -> _Floats:
+    """``_octaves`` after a Gaussian blur by ``sigma`` (count,) shares of a side, correct up to the border.
+
+    The blur of a patch is ``K P K^T`` with its own matrix ``K[i, j] ~ exp(-(i - j)^2 / (2 sigma^2))``, rows sum to 1,
+    which also cuts the margin off.
+    """
+    margin = int(np.ceil(3 * sigma.max() * pixels)) + 1
+    noise = _octaves(count, rng, pixels, cell, persistence, octaves, margin)
+    distance = np.arange(-margin, pixels + margin)[None, :] - np.arange(pixels)[:, None]
+    kernel = np.exp(-0.5 * (distance / (sigma[:, None, None] * pixels)) ** 2)
+    kernel /= kernel.sum(axis=2, keepdims=True)
+    blurred: _Floats = kernel @ noise @ kernel.transpose(0, 2, 1)
+    return blurred
+
+
+def _flat(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+    """Long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
+    cell, persistence = rng.uniform(0.8, 2.3, count), rng.uniform(0.0, 0.15, count)
+    return _blurred_noise(count, rng, pixels, cell, persistence, 2, rng.uniform(0.1, 0.16, count))
+
+
+def _low_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+    """Soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
+    cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
+    return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
+
+
+def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+    """Waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
+    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
+    wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
+    phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
+    along, _ = _turned_axes(count, rng, pixels, 0)
+    wave: _Floats = np.sqrt(2) * np.sin(2 * np.pi * along / wavelength + phase)
+    return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
+
+
+def _high_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+    """Rubble: heights change from pixel to pixel (cells of 0.4 to 1.2 m, persistence near 1, white noise on top)."""
+    ground = _octaves(count, rng, pixels, rng.uniform(0.13, 0.4, count), rng.uniform(0.7, 1.0, count), 3)
+    return ground + rng.uniform(0.1, 0.6, (count, 1, 1)) * rng.standard_normal((count, pixels, pixels))
+
+
+_FORMS: dict[str, Callable[[int, np.random.Generator, int], _Floats]] = {
+    "flat": _flat,
+    "low_noise": _low_noise,
+    "noise_sin": _noise_sin,
+    "high_noise": _high_noise,
+}

@@ -1,0 +1,83 @@
+"""A vehicle profile to fill in: every key with its unit, what is allowed and what it is."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, TextIO
+
+from bumpymap.core import OutputError, UsageError
+from bumpymap.rating.vehicle.faults import UNFILLED
+from bumpymap.rating.vehicle.keys import KEYS, Key
+from bumpymap.rating.vehicle.profile import load_profile, shipped_profiles
+
+__all__ = ["blank_profile", "write_blank"]
+
+_NAME = re.compile(r"[\w-]{1,64}")
+
+
+def write_blank(name: str, path: Path, like: str | None) -> None:
+    """Write `blank_profile` to a new file.
+
+    Raises
+    ------
+    UsageError
+        The name is that of a vehicle that ships, or not one word; no vehicle ``like``.
+    OutputError
+        The file exists, or cannot be written.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
+    if name in shipped_profiles():
+        raise UsageError(f"a vehicle named {name} ships with bumpymap: choose another name, or --like {name}")
+    text = blank_profile(name, like)
+    try:
+        with path.open("x", encoding="utf-8") as file:  # a link in its place is not followed either
+            _fill(file, path, text)
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; give another --out") from error
+
+
+def _fill(file: TextIO, path: Path, text: str) -> None:
+    """Write the whole text, or take the file away."""
+    try:
+        file.write(text)
+        file.flush()
+    except OSError:
+        path.unlink()
+        raise
+
+
+def blank_profile(name: str, like: str | None) -> str:
+    """Make the text of a profile.
+
+    Parameters
+    ----------
+    name : str
+        Of the vehicle.
+    like : str or None
+        A vehicle (name or TOML file) whose numbers it begins with; None: a mark that `vehicle check` asks to fill in.
+    """
+    model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
+    lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
+    if like is None:
+        lines.append(f'# Put a number in the place of each "{UNFILLED}".')
+    else:
+        lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
+    lines += [f"name = {json.dumps(name)}", "# One line for people."]
+    lines.append(f"description = {json.dumps('like ' + model['name'] if model else UNFILLED, ensure_ascii=False)}")
+    table = ""
+    for key in KEYS:
+        if key.table != table:
+            table = key.table
+            lines += ["", f"[{table}]"]
+        what = key.what.replace("`", "")
+        lines += [f"# {what[0].upper()}{what[1:]}. In {key.allowed}.", f"{key.short} = {_value(key, model)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _value(key: Key, model: dict[str, Any]) -> str:
+    if not model:
+        return json.dumps(UNFILLED if key.default is None else key.default)
+    return json.dumps((model[key.table] if key.table else model)[key.short])

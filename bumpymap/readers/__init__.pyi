@@ -1,0 +1,46 @@
+from .decoder import (
+    rest as rest,
+)
+from .detect import (
+    open_survey as open_survey,
+    reopen_survey as reopen_survey,
+)
+from .find import (
+    find_surveys as find_surveys,
+)
+from .frames.find import (
+    find_frames as find_frames,
+)
+from .frames.kitti import (
+    label_file as label_file,
+)
+from .frames.poses import (
+    read_poses as read_poses,
+)
+from .frames.read import (
+    Robot as Robot,
+    read_scan as read_scan,
+)
+from .point_stats import (
+    PointStats as PointStats,
+)
+from .protocol import (
+    CHUNK_POINTS as CHUNK_POINTS,
+    Chunk as Chunk,
+    ChunkPoints as ChunkPoints,
+    ReadOptions as ReadOptions,
+    SurveyInfo as SurveyInfo,
+    SurveyReader as SurveyReader,
+)
+from .source import (
+    Location as Location,
+    Version as Version,
+    changed as changed,
+    identity as identity,
+    is_url as is_url,
+    version_of as version_of,
+)
+from .summary import (
+    PointSummary as PointSummary,
+    PointSummaryBuilder as PointSummaryBuilder,
+)

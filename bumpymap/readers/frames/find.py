@@ -1,0 +1,87 @@
+"""From what the user typed to frames in time order."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from bumpymap.core import BadInputError
+from bumpymap.readers.frames.kitti import POINT_FOLDERS
+
+__all__ = ["SUFFIXES", "find_frames", "natural_key"]
+
+SUFFIXES = (".ply", ".pcd", ".bin")
+"""Endings that a folder is searched for, in any case."""
+_NUMBER = re.compile(r"(\d+)")
+
+
+def find_frames(paths: Sequence[Path]) -> list[Path]:
+    """List the scans that the paths name, in time order.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files are taken whatever their ending. A folder gives its own scans; one without gives those of its folder
+        ``velodyne`` or ``os1_cloud_node_kitti_bin``, as the data sets lay out a sequence. Hidden files do not count.
+
+    Returns
+    -------
+    list of Path
+        In the natural order of their paths (``2.bin`` before ``10.bin``), whatever order they were named in; each
+        once.
+
+    Raises
+    ------
+    BadInputError
+        A path that is not there, a folder without scans, or one with scans of several kinds.
+    """
+    if not paths:
+        raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
+    found: dict[str, Path] = {}
+    for path in paths:
+        try:
+            for file in _files_of(path):
+                found.setdefault(os.path.realpath(file), file)
+        except OSError as error:
+            raise BadInputError(f"cannot look at {path}: {error.strerror}") from error
+    return sorted(found.values(), key=natural_key)
+
+
+def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
+    """Sort key: numbers in names count as numbers; folders before what is in them."""
+    return tuple(
+        tuple((0, int(part)) if part.isdigit() else (1, part) for part in _NUMBER.split(name) if part)
+        for name in path.parts
+    )
+
+
+def _files_of(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        what = "is neither a file nor a folder" if path.exists() else "does not exist"
+        raise BadInputError(f"{path} {what}; name a file of a scan or a folder of them")
+    for folder in (path, *(path / name for name in POINT_FOLDERS)):
+        files = _scans(folder)
+        kinds = sorted({file.suffix.lower() for file in files})
+        if len(kinds) > 1:
+            raise BadInputError(
+                f"the folder {folder} holds scans of several kinds ({', '.join(kinds)}): the same frames twice? Name "
+                f"the files of one kind, such as: {folder}/*{kinds[0]}"
+            )
+        if files:
+            return files
+    raise BadInputError(
+        f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are looked for, also in its folders "
+        f"{' and '.join(POINT_FOLDERS)}"
+    )
+
+
+def _scans(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return [
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
+    ]

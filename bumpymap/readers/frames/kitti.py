@@ -1,0 +1,86 @@
+"""KITTI-style scans: ``.bin`` holds float32 x, y, z, intensity, a ``.label`` file uint32 with the semantic id below.
+
+The label file of ``DIR/NAME.bin`` lies beside it, or in the folder that the data sets put beside ``DIR``: ``labels``
+(SemanticKITTI) or ``os1_cloud_node_semantickitti_label_id`` (RELLIS-3D).
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+from bumpymap.readers.checks import refuse_count
+from bumpymap.readers.frames.raw import RawScan
+from bumpymap.readers.source import held_to, read_range, require_same, size_of, version_of
+
+__all__ = ["LABEL_FOLDERS", "POINT_FOLDERS", "label_file", "read_kitti"]
+
+POINT_FOLDERS = ("velodyne", "os1_cloud_node_kitti_bin")
+"""Folders of ``.bin`` files inside a sequence."""
+LABEL_FOLDERS = ("labels", "os1_cloud_node_semantickitti_label_id")
+"""Folders of ``.label`` files, beside those."""
+_POINT_BYTES, _LABEL_BYTES = 16, 4
+_FARTHEST_M = 1e4
+"""No LiDAR on a robot sees as far: bytes that say so are no points."""
+
+
+def read_kitti(path: Path) -> RawScan:
+    """Read a ``.bin`` file, and its labels where there are some.
+
+    Raises
+    ------
+    BadInputError
+        Empty, truncated, no points at all, or a label file of another length.
+    """
+    size = size_of(path)
+    if size == 0:
+        raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
+    if size % _POINT_BYTES:
+        raise BadInputError(
+            f"{path} has {size:,} bytes; points of x, y, z and intensity take {_POINT_BYTES} each, so it is truncated "
+            "or no KITTI-style scan. Copy it again, or convert it to PLY"
+        )
+    table = _whole(path, size).view("<f4").reshape(-1, 4)
+    _refuse_nonsense(path, table)
+    labels = label_file(path)
+    return RawScan(table[:, :3], table[:, 3], None if labels is None else _read_labels(labels, path, len(table)))
+
+
+def _whole(path: Path, size: int) -> NDArray[np.uint8]:
+    data = read_range(path, 0, size)
+    refuse_count(path, size, data.size, "bytes")
+    return data
+
+
+def label_file(path: Path) -> Path | None:
+    """Find the label file of a ``.bin`` file; None where there is none."""
+    name = f"{path.stem}.label"
+    near = [path.parent / name, *(path.parent.parent / folder / name for folder in LABEL_FOLDERS)]
+    return next((file for file in near if file.is_file()), None)
+
+
+def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
+    version = version_of(labels)
+    size = version["size"]
+    if size != _LABEL_BYTES * count:
+        raise BadInputError(
+            f"{labels} has {size:,} bytes; {path} has {count:,} points, whose labels take {_LABEL_BYTES * count:,}. "
+            "They do not belong together: copy both again, or take the label file away"
+        )
+    with held_to(labels, version):
+        ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
+    require_same(labels, version)
+    return ids
+
+
+def _refuse_nonsense(path: Path, table: NDArray[np.float32]) -> None:
+    """Any bytes are numbers. Those of another kind of file are not mostly places that a LiDAR can see."""
+    xyz = table[:, :3]
+    with np.errstate(invalid="ignore"):
+        sane = np.isnan(xyz) | (np.abs(xyz) < _FARTHEST_M) & ((xyz == 0.0) | (np.abs(xyz) > 1e-12))
+    if sane.all(axis=1).mean() < 0.5:
+        raise BadInputError(
+            f"{path} holds no float32 x, y, z, intensity: most of its numbers are no places within "
+            f"{_FARTHEST_M:,.0f} m. Is it another kind of file?"
+        )

@@ -1,0 +1,96 @@
+"""One file of a scan in, its points out: what is no point of the scene is dropped and counted."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bumpymap.core import BadInputError, Dropped, Scan, UsageError
+from bumpymap.readers.detect import detect_format
+from bumpymap.readers.frames.raw import RawScan
+from bumpymap.readers.source import held_to, require_same, version_of
+
+__all__ = ["Robot", "read_scan"]
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """What the sensor sees of the robot that carries it, in the sensor's frame."""
+
+    radius_m: float = 0.5
+    """Returns nearer than this, horizontally, are on the robot; 0: none are. The default is the robot's deck: from
+    the height of a roof or a mast no beam meets the ground as near."""
+    box_m: tuple[float, float, float, float] | None = None
+    """Rear, front, right and left end (x from, x to, y from, y to) of a longer robot, m; at any height."""
+
+    def __post_init__(self) -> None:
+        rear, front, right, left = self.box_m or (0.0, 1.0, 0.0, 1.0)
+        if not self.radius_m >= 0.0 or not (rear < front and right < left):
+            raise UsageError(
+                f"the robot's radius is {self.radius_m} m and its box {self.box_m}; a radius is 0 or more, a box goes "
+                "from rear to front and from right to left: x from, x to, y from, y to"
+            )
+
+
+def read_scan(path: Path, robot: Robot | None = None) -> Scan:
+    """Read one scan: PLY, PCD, or KITTI-style ``.bin`` with its labels.
+
+    Parameters
+    ----------
+    path : Path
+    robot : Robot, optional
+        Returns on it are dropped.
+
+    Returns
+    -------
+    Scan
+        Possibly without points; ``dropped`` says why.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, is empty, truncated or of another kind, is changed meanwhile, or its labels do not
+        belong to it.
+    """
+    version = version_of(path)
+    with held_to(path, version):
+        raw = _read(path)
+    require_same(path, version)
+    return _keep_points(raw, robot or Robot(), path.stem)
+
+
+def _read(path: Path) -> RawScan:
+    if path.suffix.lower() == ".bin":
+        from bumpymap.readers.frames.kitti import read_kitti
+
+        return read_kitti(path)
+    kind = detect_format(path)
+    if kind == "las":
+        raise BadInputError(
+            f"{path} is a survey (LAS), no scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
+            "survey with: bumpymap map"
+        )
+    from bumpymap.readers.frames.table import read_pcd, read_ply
+
+    return read_ply(path) if kind == "ply" else read_pcd(path)
+
+
+def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
+    points = raw.points
+    finite = np.isfinite(points).all(axis=1)
+    nothing = (points == 0.0).all(axis=1)
+    x, y = points[:, 0], points[:, 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        on_robot = np.hypot(x, y) < robot.radius_m
+        if robot.box_m is not None:
+            rear, front, right, left = robot.box_m
+            on_robot |= (rear <= x) & (x <= front) & (right <= y) & (y <= left)
+    on_robot &= finite & ~nothing
+    kept = finite & ~nothing & ~on_robot
+    return Scan(
+        np.ascontiguousarray(points[kept], np.float32),
+        None if raw.intensity is None else raw.intensity[kept].astype(np.float32),
+        None if raw.label is None else raw.label[kept],
+        name,
+        Dropped(int(nothing.sum()), int((~finite).sum()), int(on_robot.sum())),
+    )

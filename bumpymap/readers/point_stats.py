@@ -1,0 +1,163 @@
+"""What is counted while points pass, and the verdict when all were seen.
+
+A header's extent and point count can only be judged when all points were seen, and the pieces of a file may be read in
+any order, by several machines. Each piece gives a ``PointStats``; tallies are merged, and ``judge`` holds the sum to what
+the header said.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from bumpymap.core import BadInputError
+from bumpymap.readers.checks import TRUST, box_text, refuse_count
+from bumpymap.readers.protocol import DROPPED
+from bumpymap.readers.source import Location
+from bumpytiles import Bounds
+
+__all__ = ["NOWHERE", "OUTSIDE", "PointStats", "judge"]
+
+OUTSIDE = 1.0
+"""How far a point may lie outside the box of its file or its piece, m: headers are rounded."""
+NOWHERE = 3e9
+"""Coordinates beyond this, m, are no place on Earth (40,000 km around) by any datum or unit."""
+_FAR_TOO_LARGE, _FAR_TOO_LARGE_RATIO = 10_000.0, 10.0
+"""A box longer than this, m, and than so many times the points' own extent was not made from the points."""
+_REMOVE = "Remove them, such as with: pdal translate IN OUT.laz range --filters.range.limits="
+
+
+@dataclass(frozen=True, slots=True)
+class PointStats:
+    """Counts of some points of one file. Plain numbers: it travels and is stored."""
+
+    points: int = 0
+    """Seen, whether they count or not."""
+    withheld: int = 0
+    noise: int = 0
+    not_a_number: int = 0
+    """Beams without return (PCD)."""
+    outside: int = 0
+    """More than ``OUTSIDE`` outside the header's box."""
+    points_outside_node: int = 0
+    """Inside the header's box, and more than ``OUTSIDE`` outside the bounds of their piece."""
+    not_finite: int = 0
+    """Coordinates not a number or infinite, where that is a fault."""
+    first_not_finite: int = -1
+    """Number of the first such point in the file; -1: none."""
+    west: float = math.inf
+    south: float = math.inf
+    east: float = -math.inf
+    north: float = -math.inf
+    """Extent of the points, m; infinite the wrong way round while there are none."""
+    highest: float = 0.0
+    """Largest distance of a height from zero, m."""
+
+    def merge(self, other: "PointStats") -> "PointStats":
+        """Give the tally of both; the order does not matter."""
+        firsts = [first for first in (self.first_not_finite, other.first_not_finite) if first >= 0]
+        return PointStats(
+            self.points + other.points,
+            self.withheld + other.withheld,
+            self.noise + other.noise,
+            self.not_a_number + other.not_a_number,
+            self.outside + other.outside,
+            self.points_outside_node + other.points_outside_node,
+            self.not_finite + other.not_finite,
+            min(firsts, default=-1),
+            min(self.west, other.west),
+            min(self.south, other.south),
+            max(self.east, other.east),
+            max(self.north, other.north),
+            max(self.highest, other.highest),
+        )
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Points that do not count, by reason."""
+        return {reason: getattr(self, reason) for reason in DROPPED}
+
+    @property
+    def bad(self) -> bool:
+        """Whether any point is such that the file cannot be mapped; ``judge`` will say why."""
+        return bool(
+            self.not_finite or self.outside or self.points_outside_node or self.nowhere or self.highest > NOWHERE
+        )
+
+    @property
+    def nowhere(self) -> bool:
+        """Whether a point lies at no place on Earth."""
+        return max(-self.west, -self.south, self.east, self.north) > NOWHERE
+
+    @property
+    def bounds(self) -> Bounds:
+        """Extent of the points, m."""
+        return Bounds(self.west, self.south, self.east, self.north)
+
+    def to_record(self) -> dict[str, Any]:
+        """Give what JSON can hold; what is infinite becomes text."""
+        return {name: str(value) if math.isinf(value) else value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> Self:
+        """Take back what ``to_record`` gave."""
+        numbers: dict[str, Any] = {name: float(v) if isinstance(v, str) else v for name, v in record.items()}
+        return cls(**numbers)
+
+
+def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | None) -> None:
+    """Hold all points of a file to what its header said.
+
+    Parameters
+    ----------
+    tally : Tally
+        Of every piece.
+    path : Path or str
+    promised : int
+        Points that the header promises.
+    bounds : Bounds or None
+        The header's box, m; None: no header to hold the points to.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be mapped.
+    """
+    if tally.not_finite:
+        raise BadInputError(
+            f"{path} holds {tally.not_finite:,} points whose coordinates are not a number or infinite; the first is "
+            f"point {tally.first_not_finite:,} (counted from 0). {_REMOVE}'X[-1e9:1e9],Y[-1e9:1e9],Z[-1e9:1e9]'"
+        )
+    refuse_count(path, promised, tally.points)
+    if tally.nowhere:
+        raise BadInputError(
+            f"the points of {path} lie in {box_text(tally.bounds)}, which is no place on Earth: are scale, offset and "
+            "CRS of the file right?"
+        )
+    if tally.highest > NOWHERE:
+        raise BadInputError(
+            f"{path} holds heights of up to {tally.highest:g} m from zero, which is no place on Earth: a value that "
+            f"stands for 'no data', or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
+        )
+    if bounds is not None and tally.points:
+        _judge_extent(tally, path, bounds)
+    if tally.points_outside_node:
+        raise BadInputError(
+            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} lie outside the part of the octree that holds "
+            f"them: the file is damaged. Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
+        )
+
+
+def _judge_extent(tally: PointStats, path: Location, box: Bounds) -> None:
+    claimed = (box.east - box.west, box.north - box.south)
+    own = (tally.east - tally.west, tally.north - tally.south)
+    far_too_large = any(
+        side > _FAR_TOO_LARGE and side > _FAR_TOO_LARGE_RATIO * length
+        for side, length in zip(claimed, own, strict=True)
+    )
+    if tally.outside or far_too_large:
+        count = f"; {tally.outside:,} of {tally.points:,} points are outside" if tally.outside else ""
+        raise BadInputError(
+            f"the header of {path} says that the points lie in {box_text(box)}, but they lie in "
+            f"{box_text(tally.bounds)}{count}. Is the file damaged, or was it cut from another without a new header? "
+            f"{TRUST}"
+        )

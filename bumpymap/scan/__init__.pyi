@@ -1,0 +1,37 @@
+from .config import (
+    ScanConfig as ScanConfig,
+)
+from .learned import (
+    CHANNELS as CHANNELS,
+    CLASS_OF_LABEL as CLASS_OF_LABEL,
+    MEASURES as MEASURES,
+    SECTOR_VERSION as SECTOR_VERSION,
+    ScanModel as ScanModel,
+    classes_of_labels as classes_of_labels,
+    classify_learned as classify_learned,
+    grid_record as grid_record,
+    network_input as network_input,
+)
+from .paper import (
+    classify_paper as classify_paper,
+    paper_settings as paper_settings,
+)
+from .pipeline import (
+    ScanResult as ScanResult,
+    fit_frames as fit_frames,
+    scan_frames as scan_frames,
+)
+from .points import (
+    point_classes as point_classes,
+)
+from .polar import (
+    polar_sectors as polar_sectors,
+)
+from .stripes import (
+    StripeFilter as StripeFilter,
+    StripeModel as StripeModel,
+    classify_filter as classify_filter,
+    fit_stripes as fit_stripes,
+    load_stripes as load_stripes,
+    save_stripes as save_stripes,
+)

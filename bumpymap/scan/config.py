@@ -1,0 +1,70 @@
+"""Settings of a scan run: one tree of defaults that works with no file. Unknown keys are refused."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
+
+from bumpymap.core import BOTH, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
+from bumpymap.readers import Robot
+
+__all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
+
+ScanProduct = Literal["polygons", "table", "cloud", "picture"]
+SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanConfig:
+    """Everything that a scan run depends on."""
+
+    frames: tuple[Path, ...]
+    """Files of scans, or folders of them."""
+    out: Path
+    """Folder for the products; of a fit, the file for the stripe classes."""
+    poses: Path | None = None
+    """Where the sensor was at each frame; the frames are then gathered and mapped like a survey."""
+    crs: str | None = None
+    """CRS of the poses, in metres; None: local coordinates."""
+    method: ScanMethod | None = None
+    """How sectors are classed; None: learned where a network ships that knows the grid, else filter."""
+    model: Path | None = None
+    """A scan network; instead of the one that ships."""
+    stripes: Path | None = None
+    """Stripe classes of the filter method; instead of those that ship."""
+    compat: Compat = "none"
+    """``paper``: fit the stripe classes anew in every scan, as the paper does."""
+    products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
+    """What is written of the frames."""
+    vehicle: NameOrFile | None = None
+    """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
+    calibration: Path | None = None
+    """A calibration file for the mapped layers; instead of ``vehicle``."""
+    skip_bad: bool = False
+    """Go on without the frames that cannot be read."""
+    overwrite: bool = False
+    """Replace the products of an earlier run."""
+    resume: bool = False
+    """Go on with a run that was broken off."""
+    polar: PolarSettings = field(default_factory=PolarSettings)
+    robot: Robot = field(default_factory=Robot)
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
+        if unknown or not (self.products or self.poses):
+            raise UsageError(
+                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
+            )
+        if self.resume and self.overwrite:
+            raise UsageError(BOTH)
+        learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
+        if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
+            raise UsageError(
+                "--model belongs to the learned method, --stripes and --compat paper to the filter; give options of one"
+            )
+        if self.stripes is not None and self.compat == "paper":
+            raise UsageError("--compat paper fits stripe classes in every scan, so it cannot use those of --stripes")
+        maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
+        if maps and self.poses is None:
+            raise UsageError(
+                f"--{maps[0]} is about the map of a drive, which needs the place of every frame: add --poses FILE"
+            )

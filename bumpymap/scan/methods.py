@@ -1,0 +1,78 @@
+"""Which of the two methods classes the sectors of a run, with which stripe classes or network."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+
+from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, UsageError
+from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.learned import ScanModel, classify_learned, grid_record
+from bumpymap.scan.paper import classify_paper
+from bumpymap.scan.polar import polar_sectors
+from bumpymap.scan.stripes import classify_filter, load_stripes
+
+__all__ = ["Method", "choose_method"]
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """How a run classes sectors."""
+
+    name: ScanMethod
+    basis: str
+    """What the classes come from, in words."""
+    classify: Callable[[Scan], ClassedSectors]
+    """Cut a scan into sectors and class them."""
+
+
+def choose_method(config: ScanConfig) -> Method:
+    """Choose and load what the settings ask for.
+
+    Without a wish it is the learned method, since a network is taught by labels, and knows mud or bushes as flat as
+    grass; stripes see relief alone. Where no network ships, or it was trained for another grid, it is the filter.
+
+    Raises
+    ------
+    UsageError
+        No network ships, or the network or the stripe classes are for another grid.
+    BadInputError
+        The network or the stripe classes cannot be read.
+    """
+    if config.compat == "paper":
+        return Method("filter", "stripe classes found in every scan", lambda scan: classify_paper(scan, config.polar))
+    if config.model is not None or config.method == "learned" or (config.method is None and _by_network(config)):
+        return _learned(config)
+    stripes = load_stripes(config.stripes)
+    _require_pixels(stripes.pixels, config.polar)
+    centres = ", ".join(f"{centre:.2f}" for centre in stripes.centres)
+    basis = f"stripe classes of {'bumpymap' if config.stripes is None else config.stripes}: {centres}"
+    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, config.polar), stripes))
+
+
+def _learned(config: ScanConfig) -> Method:
+    model = _shipped_network() if config.model is None else ScanModel.load(config.model)
+    if model is None:
+        raise UsageError("no scan network ships with this bumpymap; name one with --model, or use --method filter")
+    model.require_grid(config.polar)
+    basis = f"scan network {model.id}"
+    return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar), model))
+
+
+def _by_network(config: ScanConfig) -> bool:
+    if config.stripes is not None:
+        return False
+    model = _shipped_network()
+    return model is not None and grid_record(config.polar) == model.grid
+
+
+def _shipped_network() -> ScanModel | None:
+    there = (files("bumpymap") / "data" / "models" / "scan.onnx").is_file()
+    return ScanModel.shipped() if there else None
+
+
+def _require_pixels(pixels: int, grid: PolarSettings) -> None:
+    if pixels != grid.pixels:
+        raise UsageError(
+            f"the stripe classes were fitted on heightmaps of {pixels} pixels, and pixels is {grid.pixels}. Fit them "
+            "anew with: bumpymap scan --fit"
+        )

@@ -1,0 +1,36 @@
+from .advice import (
+    Measured as Measured,
+    Outcome as Outcome,
+    advise as advise,
+    enough_points as enough_points,
+    made_for as made_for,
+    size_options as size_options,
+)
+from .engine.budget import (
+    Budget as Budget,
+    memory_bytes as memory_bytes,
+)
+from .engine.cluster import (
+    ClusterRun as ClusterRun,
+    Crew as Crew,
+    hired as hired,
+)
+from .engine.job import (
+    Done as Done,
+    Job as Job,
+)
+from .engine.local import (
+    LocalRun as LocalRun,
+)
+from .engine.resource_estimate import (
+    Estimate as Estimate,
+    estimate as estimate,
+)
+from .engine.workspace import (
+    ADVICE as ADVICE,
+    Workspace as Workspace,
+)
+from .pipeline import (
+    MapResult as MapResult,
+    map_surveys as map_surveys,
+)

@@ -1,0 +1,24 @@
+from .budget import (
+    Budget as Budget,
+    memory_bytes as memory_bytes,
+)
+from .cluster import (
+    ClusterRun as ClusterRun,
+    Crew as Crew,
+    hired as hired,
+)
+from .job import (
+    Done as Done,
+    Job as Job,
+)
+from .local import (
+    LocalRun as LocalRun,
+)
+from .resource_estimate import (
+    Estimate as Estimate,
+    estimate as estimate,
+)
+from .workspace import (
+    ADVICE as ADVICE,
+    Workspace as Workspace,
+)

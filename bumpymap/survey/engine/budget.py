@@ -1,0 +1,72 @@
+"""What a memory budget buys: how many points may wait, how many are read and put in order at a time.
+
+The shares were measured: a point that waits takes 26 bytes, one that is being read up to 95 (its record, its
+coordinates, its place in a run), one that is being put in order 63. What waits may reach one and a half times its limit
+while the older half is written to disk.
+"""
+
+import re
+from dataclasses import dataclass
+
+from bumpymap.core import UsageError
+
+__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
+
+LEAST_MEMORY = 128 << 20
+"""Less is no use: one piece of a file alone needs this much."""
+_UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
+POINT_BYTES = 26
+"""A point that waits, in memory or on disk."""
+_READING_BYTES, _SORTING_BYTES = 95, 63
+_MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
+_PIECE_POINTS = 500_000
+_LEAST_PIECE = 50_000
+
+
+def memory_bytes(text: str) -> int:
+    """Bytes that a text such as ``1GB`` or ``800 MB`` names (1 GB = 2^30 bytes).
+
+    Raises
+    ------
+    UsageError
+        Not a size, or less than ``LEAST_MEMORY``.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)\s*", text.lower())
+    unit = found[2].replace("i", "") if found else ""
+    size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
+    if size < LEAST_MEMORY:
+        least = f"at least {LEAST_MEMORY >> 20} MB"
+        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB")
+    return int(size)
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Shares of a memory budget, in points."""
+
+    memory: int
+    """Bytes over what the interpreter and its libraries take."""
+    threads: int
+
+    @property
+    def waiting_points(self) -> int:
+        """Most points that wait for their block in memory."""
+        return int(_MOST_WAITING / 1.5 * self.memory / POINT_BYTES)
+
+    @property
+    def block_points(self) -> int:
+        """Most points of one block that a thread puts in order together."""
+        return int(_SORTING * self.memory / _SORTING_BYTES / self.threads)
+
+    @property
+    def chunk_points(self) -> int:
+        """Points of a piece of a file; each thread holds one, and one is being decoded."""
+        fitting = int(_READING * self.memory / _READING_BYTES / (self.threads + 1))
+        return max(_LEAST_PIECE, min(_PIECE_POINTS, fitting))
+
+    def most_bytes(self, points: int) -> int:
+        """Bytes that a survey of so many points can take of the budget."""
+        waiting = int(1.5 * POINT_BYTES * min(points, self.waiting_points))
+        reading = _READING_BYTES * min(points, self.chunk_points * (self.threads + 1))
+        sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
+        return max(reading, min(self.memory, waiting + reading + sorting))

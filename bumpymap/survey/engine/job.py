@@ -1,0 +1,138 @@
+"""What both engines share: the work done with each block, what comes of a run, and what to say where it fails."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import Ground, OutputError, UsageError
+from bumpymap.readers import PointStats
+from bumpymap.survey.engine.budget import Budget
+from bumpymap.survey.engine.sink import TileSink
+from bumpymap.survey.engine.workspace import Workspace
+from bumpytiles import (
+    BLOCK_TILES,
+    BlockKey,
+    Column,
+    Grid,
+    Pack,
+    PackError,
+    TileBuckets,
+    TilePoints,
+    TileTable,
+    TooManyPointsError,
+    run_blocks,
+)
+
+__all__ = ["Done", "Job", "TileColumns", "failures", "gathered", "reading_record"]
+
+TileColumns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is done with each block; picklable, so that it can travel."""
+
+    grid: Grid
+    columns: tuple[Column, ...]
+    """Of a finished tile."""
+    work: Callable[[TilePoints, bool], TileColumns]
+    """Points of some tiles, and whether only ground counts, to columns of those tiles."""
+    ground: Ground
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What may have to be measured while it is not known yet which points count: ``all``, ``ground``, or both."""
+        return {"auto": ("all", "ground"), "all": ("all",)}.get(self.ground, ("ground",))
+
+    def finish(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
+    ) -> Iterator[tuple[BlockKey, TileColumns]]:
+        """Finish blocks, in order."""
+
+        def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
+            shares = [self.work(points, ground_only) for points in self._points(buckets, key)]
+            joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
+            return key, joined
+
+        return run_blocks(finish, keys, threads)
+
+    def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
+        """Hand out a block: as a whole where a cloth falls on it, since a part would be given other ground."""
+        most = buckets.room.block_points if buckets.room else None
+        if self.ground == "csf" and most is not None and (points := buckets.points(key)) > most:
+            side = BLOCK_TILES * self.grid.tile_size
+            raise UsageError(
+                f"--ground csf takes squares of {side:g} m as a whole: the one at ({key[1] * side:.0f}, "
+                f"{key[0] * side:.0f}) holds {points:,} points, and there is room for {most:,}. Raise --memory, lower "
+                "--threads, or thin the survey"
+            )
+        return buckets.block(key)
+
+    def finish_early(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
+    ) -> None:
+        """Finish blocks in every way that may be wanted, with what is needed to decide between them."""
+        for kind, sink in sinks.items():
+            for key, columns in self.finish(buckets, keys, threads, ground_only=kind == "ground"):
+                sink.add(key, columns, buckets.marks(key))
+        for sink in sinks.values():
+            sink.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What came of reading and measuring."""
+
+    table: TileTable
+    ground_only: bool
+    dropped: list[dict[str, int] | None]
+    """For each input, points that did not count by reason; None where it was skipped."""
+    points: int
+    """Points that count; duplicates are still among them."""
+
+
+def gathered(job: Job, space: Workspace, record: Mapping[str, Any]) -> Done:
+    """Give what a run has finished, whose record ``space`` remembers."""
+    kind = "ground" if record["ground_only"] else "all"
+    packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
+    return Done(TileTable(job.grid, packs), record["ground_only"], record["dropped"], record["points"])
+
+
+def reading_record(tallies: Sequence[PointStats], skipped: Collection[int], *, ground_only: bool) -> dict[str, Any]:
+    """Return what a workspace remembers of the reading: which points were measured, how many counted, what was dropped.
+
+    Parameters
+    ----------
+    tallies : sequence of Tally
+        Of each input.
+    skipped : collection of int
+        Inputs that were refused.
+    ground_only : bool
+    """
+    counted = [tally.points - sum(tally.dropped.values()) for tally in tallies]
+    dropped = [None if n in skipped else tally.dropped for n, tally in enumerate(tallies)]
+    return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
+
+
+@contextmanager
+def failures(budget: Budget) -> Iterator[None]:
+    """Say what to do where memory or disk do not suffice."""
+    try:
+        yield
+    except TooManyPointsError as error:
+        raise UsageError(
+            f"{error}: it is too dense for --memory {budget.memory >> 20}MB. Raise --memory, or thin the survey"
+        ) from error
+    except OSError as error:
+        raise OutputError(
+            f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
+            "or raise --memory"
+        ) from error
+    except PackError as error:
+        raise OutputError(
+            f"what the run kept on disk meanwhile is gone or damaged: {error}. Run it again, with --overwrite"
+        ) from error

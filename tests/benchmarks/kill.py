@@ -1,0 +1,227 @@
+"""Kill runs at random instants, let each go on with --resume, and compare every file with an uninterrupted run's.
+
+python tests/benchmarks/kill.py SURVEY... --data FOLDER [--kills 20] [--seed 1] [--map-options "--memory 256MB"]
+
+SIGKILL cannot be caught: whatever a run has on disk at that instant is what --resume finds. Instants are drawn evenly
+over the time that a whole run takes; some of the runs that go on are killed once more. Exit code 1 where any file
+differs or anything is left behind.
+"""
+
+import argparse
+import hashlib
+import json
+import random
+import shlex
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from _page import keep
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "engine.md"
+_WHOLE_RUNS = 3
+_TWICE = 0.3
+"""Share of the runs that are killed once more after --resume."""
+_WORK, _STAGED = ".bumpymap-run", ".bumpymap-layers-*"
+_OF_THE_CALL = ("out", "scratch", "resume", "overwrite")
+"""Settings that say how a run was called; run.json holds them, and they may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One run that was killed, and what became of it."""
+
+    instant: float
+    """Of the first kill, s after the start."""
+    stages: list[str]
+    """What the run was doing at each kill."""
+    resumed: float
+    """Time of the last --resume, s."""
+    faults: list[str]
+    """Empty where every file is the same and nothing is left behind."""
+
+
+class Killer:
+    """The command under test, its folders, and what it writes when nobody kills it."""
+
+    def __init__(self, surveys: list[Path], data: Path, options: list[str]) -> None:
+        self._out, self._scratch = data / "layers", data / "scratch"
+        bumpymap = str(Path(sys.executable).with_name("bumpymap"))
+        self._command = [bumpymap, "map", *map(str, surveys), "--out", str(self._out)]
+        self._command += ["--scratch", str(self._scratch), "--quiet", *options]
+        self._wanted: dict[str, str] = {}
+        self._orphans: list[Path] = []
+
+    def whole(self) -> float:
+        """Run without a kill and remember the files; gives the time, s."""
+        self._clear()
+        seconds = self._finish()
+        found = self._files()
+        if self._wanted and found != self._wanted:
+            sys.exit(f"two uninterrupted runs differ: {_differences(self._wanted, found)}")
+        self._wanted = found
+        return seconds
+
+    def trial(self, instant: float, again: float | None) -> Trial | None:
+        """Kill a run at one instant, and the one that goes on at another; None where it ended before."""
+        self._clear()
+        stages = [self._killed(instant)]
+        if not stages[0]:
+            return None
+        resumed = 0.0
+        if again is not None:
+            begin = time.perf_counter()
+            if stage := self._killed(again, "--resume"):
+                stages.append(stage)
+            else:
+                resumed = time.perf_counter() - begin
+        # A run that has ended has nothing to go on with; its layers are compared as they are.
+        if not (self._out / "run.json").exists() or (self._out / _WORK).exists():
+            resumed = self._finish("--resume")
+        faults = _differences(self._wanted, self._files())
+        faults += [f"{left.name} is left in --scratch" for left in self._scratch.glob("*")]
+        faults += [f"process {helper.name} lives on" for helper in self._orphans if helper.exists()]
+        return Trial(instant, stages, resumed, faults)
+
+    def _clear(self) -> None:
+        self._orphans.clear()
+        for folder in (self._out, self._scratch):
+            shutil.rmtree(folder, ignore_errors=True)
+        self._scratch.mkdir(parents=True)
+
+    def _finish(self, *more: str) -> float:
+        begin = time.perf_counter()
+        done = subprocess.run([*self._command, *more], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            sys.exit(f"{shlex.join([*self._command, *more])} failed with exit code {done.returncode}:\n{done.stderr}")
+        return time.perf_counter() - begin
+
+    def _killed(self, instant: float, *more: str) -> str:
+        """Run, kill after so many seconds; gives what it was doing, nothing where it had ended."""
+        process = subprocess.Popen([*self._command, *more], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            process.wait(instant)
+        except subprocess.TimeoutExpired:
+            helpers = _children(process.pid)
+            process.kill()
+            process.wait()
+            self._orphans += helpers
+            return self._stage()
+        return ""
+
+    def _stage(self) -> str:
+        """Say what a killed run was doing, by what is on disk."""
+        work = self._out / _WORK
+        staged = [file for folder in self._out.glob(_STAGED) for file in folder.iterdir()]
+        points, tiles = (
+            len(list(folder.glob(pack)))
+            for folder, pack in ((self._scratch, "*/points-*.pack"), (work, "tiles-*.pack"))
+        )
+        packs = f"packs on disk: {points} of points, {tiles} of tiles"
+        if (self._out / "run.json").exists():
+            return "at the end, layers in place"
+        if staged:
+            return f"writing layers, {len(staged)} begun"
+        if (work / "read.json").exists():
+            return "between measuring and writing"
+        if any("early" not in pack.name for pack in work.glob("tiles-*.pack")):
+            return f"measuring, {packs}"
+        if points or tiles:
+            return f"reading or measuring, {packs}"
+        return "reading or measuring, nothing on disk" if (work / "asked.json").exists() else "starting"
+
+    def _files(self) -> dict[str, str]:
+        """Checksums of everything in --out, by name; of run.json without times and without how the run was called."""
+        found = {}
+        for path in sorted(self._out.rglob("*")):
+            content = path.read_bytes() if path.is_file() else b""
+            if path.name == "run.json":
+                run: dict[str, Any] = json.loads(content)
+                run.pop("seconds")
+                settings = {name: value for name, value in run["settings"].items() if name not in _OF_THE_CALL}
+                content = json.dumps(run | {"settings": settings}).encode()
+            found[str(path.relative_to(self._out))] = hashlib.sha256(content).hexdigest()
+        return found
+
+
+def _children(pid: int) -> list[Path]:
+    """List the processes that a process has started, by their folders in /proc."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [Path("/proc", child) for text in lists for child in text.read_text(encoding="utf-8").split()]
+
+
+def _differences(wanted: dict[str, str], found: dict[str, str]) -> list[str]:
+    names = sorted({*wanted, *found})
+    said = {True: "{} is missing", False: "{} differs"}
+    return [
+        f"{name} is left in --out" if name not in wanted else said[name not in found].format(name)
+        for name in names
+        if wanted.get(name) != found.get(name)
+    ]
+
+
+def run(killer: Killer, kills: int, seed: int) -> tuple[float, list[Trial]]:
+    """Make the trials; gives the time of a whole run, s, and them."""
+    whole = statistics.median(killer.whole() for _ in range(_WHOLE_RUNS))
+    sys.stderr.write(f"a whole run takes {whole:.2f} s\n")
+    draw = random.Random(seed)
+    trials: list[Trial] = []
+    while len(trials) < kills:
+        instant, twice, again = draw.uniform(0, whole), draw.random() < _TWICE, draw.uniform(0, whole)
+        trial = killer.trial(instant, again if twice else None)
+        if trial is None:
+            continue
+        trials.append(trial)
+        verdict = "; ".join(trial.faults) or "same"
+        sys.stderr.write(f"{len(trials):3} {instant:7.2f} s  {'; then '.join(trial.stages)}: {verdict}\n")
+    return whole, trials
+
+
+def table(title: str, whole: float, trials: list[Trial]) -> str:
+    """Return the Markdown of the trials."""
+    same = sum(not trial.faults for trial in trials)
+    lines = [
+        f"**{title}**: {same} of {len(trials)} identical. An uninterrupted run takes {whole:.1f} s.",
+        "",
+        "| killed at [s] | what it was doing | resumed run [s] | files |",
+        "|---|---|---|---|",
+    ]
+    for trial in sorted(trials, key=lambda trial: trial.instant):
+        stages = "; killed again: ".join(trial.stages)
+        lines.append(f"| {trial.instant:.2f} | {stages} | {trial.resumed:.1f} | {'; '.join(trial.faults) or 'same'} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the trials of one survey; print all surveys that were tried with this --data, as tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("surveys", type=Path, nargs="+", metavar="SURVEY")
+    parser.add_argument("--data", type=Path, required=True, help="folder for layers, scratch and results")
+    parser.add_argument("--title", default="survey", help="name of the survey in the table")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")
+    parser.add_argument("--page", action="store_true", help=f"put the tables into {PAGE.name}")
+    given = parser.parse_args()
+    whole, trials = run(Killer(given.surveys, given.data, shlex.split(given.map_options)), given.kills, given.seed)
+    results = given.data / "kills.json"
+    kept = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
+    kept[given.title] = {"whole_s": whole, "trials": [asdict(trial) for trial in trials]}
+    results.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    text = "\n\n".join(
+        table(title, k["whole_s"], [Trial(**trial) for trial in k["trials"]]) for title, k in kept.items()
+    )
+    print(text)
+    if given.page:
+        keep(PAGE, text)
+    if any(trial.faults for trial in trials):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

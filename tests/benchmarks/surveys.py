@@ -1,0 +1,156 @@
+"""Make the big surveys that the benchmarks read: the same seed gives the same points.
+
+python tests/benchmarks/surveys.py --points 20000000 --order sorted --format laz --data FOLDER
+"""
+
+import argparse
+import json
+import math
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import numpy as np
+from _ground import SCALE, SWATH, fill_records, scramble
+from numpy.typing import NDArray
+from pyproj import CRS
+
+ORDERS = ("sorted", "shuffled")
+FORMATS = ("laz", "las")
+
+_EPSG = 32632
+_CORNER = (691_200.0, 5_335_800.0, 0.0)
+"""South-west corner of every site, m."""
+_BATCH = 1_000_000
+_BYTES = {("las", "sorted"): 36, ("las", "shuffled"): 36, ("laz", "sorted"): 15, ("laz", "shuffled"): 27}
+"""On disk, a point, rounded up."""
+_SPARE = 1_000_000_000
+"""Bytes that stay free."""
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """One survey to make."""
+
+    points: int
+    order: str
+    """``sorted``: swath by swath, line by line; ``shuffled``: at random over the whole site."""
+    format: str
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """File name; it changes with everything the points depend on."""
+        return f"site_{self.points}_{self.order}_{self.seed}.{self.format}"
+
+    @property
+    def lines(self) -> int:
+        """Scan lines of a swath, such that the site is about square."""
+        swaths = max(1, round(math.sqrt(self.points) / SWATH))
+        return math.ceil(self.points / (SWATH * swaths))
+
+    def numbers(self) -> Iterator[NDArray[np.int64]]:
+        """Give the numbers of the points in the order of the file, some at a time."""
+        if self.order == "sorted":
+            for first in range(0, self.points, _BATCH):
+                yield np.arange(first, min(first + _BATCH, self.points))
+            return
+        half_bits = math.ceil((self.points - 1).bit_length() / 2)
+        for first in range(0, 4**half_bits, _BATCH):
+            yield scramble(first, min(_BATCH, 4**half_bits - first), half_bits, self.points, self.seed)
+
+
+def make(survey: Survey, folder: Path) -> Path:
+    """Make a survey unless it is there; a file appears whole or not at all."""
+    path = folder / survey.name
+    if path.exists():
+        return path
+    folder.mkdir(parents=True, exist_ok=True)
+    _refuse_full_disk(survey, folder)
+    started = time.perf_counter()
+    header = _header()
+    beside = path.with_name(path.name + ".part")
+    try:
+        with (
+            beside.open("w+b") as stream,
+            laspy.open(
+                stream,
+                mode="w",
+                header=header,
+                closefd=False,
+                do_compress=survey.format == "laz",
+                laz_backend=laspy.LazBackend.LazrsParallel,
+            ) as writer,
+        ):
+            for numbers in survey.numbers():
+                records = np.zeros(len(numbers), header.point_format.dtype())
+                fill_records(numbers, survey.lines, survey.seed, records)
+                writer.write_points(
+                    laspy.ScaleAwarePointRecord(records, header.point_format, header.scales, header.offsets)
+                )
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    seconds = time.perf_counter() - started
+    sys.stderr.write(f"made {path.name}: {path.stat().st_size / 1e9:.2f} GB in {seconds:.0f} s\n")
+    return path
+
+
+def facts(path: Path) -> dict[str, float | int | str]:
+    """Describe a LAS or LAZ file in numbers: points, bytes, extent."""
+    with laspy.open(path) as reader:
+        header = reader.header
+        width, depth, height = (float(side) for side in header.maxs - header.mins)
+        return {
+            "points": header.point_count,
+            "bytes": path.stat().st_size,
+            "width_m": width,
+            "depth_m": depth,
+            "height_m": height,
+            "kind": f"{'LAZ' if path.suffix.lower() == '.laz' else 'LAS'} {header.version}, "
+            f"point format {header.point_format.id}",
+        }
+
+
+def _header() -> laspy.LasHeader:
+    header = laspy.LasHeader(version="1.4", point_format=7)
+    header.scales = np.full(3, SCALE)
+    header.offsets = np.array(_CORNER)
+    header.generating_software = "bumpymap benchmarks"
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    header.add_crs(CRS.from_epsg(_EPSG))
+    return header
+
+
+def _refuse_full_disk(survey: Survey, folder: Path) -> None:
+    needed = survey.points * _BYTES[survey.format, survey.order] + _SPARE
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        sys.exit(
+            f"{survey.name} may need {needed / 1e9:.1f} GB and {folder} has {free / 1e9:.1f} GB free. "
+            "Make room, or name a folder on a larger disk: --data FOLDER"
+        )
+
+
+def main() -> None:
+    """Make one survey, or describe a file with --facts; prints one line of JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).with_name("data"), help="folder of the surveys")
+    parser.add_argument("--points", type=int, default=20_000_000)
+    parser.add_argument("--order", choices=ORDERS, default="sorted")
+    parser.add_argument("--format", choices=FORMATS, default="laz")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--facts", type=Path, metavar="FILE", help="describe FILE and make nothing")
+    given = parser.parse_args()
+    if given.points < 1:
+        parser.error(f"--points is {given.points}; it must be at least 1")
+    path = given.facts or make(Survey(given.points, given.order, given.format, given.seed), given.data)
+    print(json.dumps({"path": str(path), **facts(path)}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""Machines that give little: one message, exit code 3, never a traceback, never "the file is damaged"."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bumpymap.cli._ending import end_of
+from bumpymap.core.errors import BadInputError, OutputError, wanting
+
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+COMMAND = [sys.executable, "-c", "from bumpymap.cli import main; main()"]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
+
+
+def shell(line, *words):
+    command = ["sh", "-c", f'{line} && exec "$@"', "sh", *COMMAND, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def commands(folder):
+    points = "".join(f"{x} {y} {(x * y) % 3 * 0.1}\n" for x in range(-20, 20) for y in range(-20, 20))
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1600\nHEIGHT 1\nPOINTS 1600\n"
+    (folder / "scan.pcd").write_text(f"{head}DATA ascii\n{points}")
+    return {
+        "info": ["info", QUARRY],
+        "map": ["map", QUARRY, "--out", folder / "layers"],
+        "scan": ["scan", folder / "scan.pcd", "--out", folder / "scanned"],
+    }
+
+
+def check(done):
+    assert done.returncode in {0, 3}, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "damaged" not in done.stderr + done.stdout
+    if done.returncode:
+        # ONNX Runtime warns on its own where it cannot look at the devices of the machine.
+        own = [line for line in done.stderr.splitlines() if "onnxruntime" not in line]
+        assert [line[:7] for line in own] == ["Error: "]
+
+
+@linux
+@pytest.mark.parametrize("command", ["info", "map", "scan"])
+@pytest.mark.parametrize("kilobytes", [200_000, 800_000])
+def test_little_memory(tmp_path, command, kilobytes):
+    done = shell(f"ulimit -v {kilobytes}", *commands(tmp_path)[command])
+    check(done)
+    assert done.returncode == 0 or "no memory left" in done.stderr or "no thread left" in done.stderr
+    if done.returncode:
+        assert not (tmp_path / "layers" / "run.json").exists()
+
+
+@linux
+@pytest.mark.parametrize("command", ["info", "map"])
+@pytest.mark.parametrize("files", [8, 20])
+def test_few_files(tmp_path, command, files):
+    done = shell(f"ulimit -n {files}", *commands(tmp_path)[command])
+    check(done)
+    assert done.returncode == 0 or "no file that may be opened left" in done.stderr
+
+
+@linux
+@pytest.mark.parametrize("command", ["info", "map", "scan", "map --workers"])
+def test_no_shared_memory(tmp_path, command):
+    if os.geteuid() != 0 or shutil.which("unshare") is None:
+        pytest.skip("only root can mount a small /dev/shm of its own")
+    mount = "mount -t tmpfs -o size=4k tmpfs /dev/shm"
+    if subprocess.run(["unshare", "-m", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        pytest.skip("this machine lets nobody mount")
+    words = commands(tmp_path).get(command)
+    if command == "map --workers":
+        pytest.importorskip("distributed")
+        words = ["map", QUARRY, "--out", tmp_path / "layers", "--workers", 2]
+    line = ["unshare", "-m", "sh", "-c", f'{mount} && exec "$@"', "sh", *COMMAND, *map(str, words)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=300, check=False)
+    assert "Traceback" not in done.stderr
+    if "--workers" not in command:
+        assert done.returncode == 0, done.stderr
+        return
+    assert done.returncode == 3
+    assert "No space left on device" in done.stderr
+    assert "shared memory" in done.stderr
+
+
+def chained(outer, inner):
+    outer.__cause__ = inner
+    return outer
+
+
+@pytest.mark.parametrize(
+    ("error", "what"),
+    [
+        (MemoryError(), "memory"),
+        (RuntimeError("can't start new thread"), "thread"),
+        (OSError(errno.EMFILE, "Too many open files"), "file that may be opened"),
+        (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "process"),
+        (ImportError("libx.so: failed to map segment from shared object"), "memory"),
+        (chained(BadInputError("no network"), ImportError("failed to map segment")), "memory"),
+        (chained(OutputError("cannot write"), OSError(errno.ENOMEM, "Cannot allocate memory")), "memory"),
+        (chained(OutputError("cannot write"), OSError(errno.ENOSPC, "No space left on device")), ""),
+        (RuntimeError("anything"), ""),
+    ],
+)
+def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys):
+    assert wanting(error) == what
+
+    def fail():
+        raise error
+
+    if type(error) is RuntimeError and not what:
+        with pytest.raises(RuntimeError):
+            end_of(fail, [])
+        return
+    assert end_of(fail, []) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert (f"the machine has no {what} left" in said[0]) == bool(what)

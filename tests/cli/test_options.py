@@ -1,0 +1,243 @@
+"""Every option of every command: what was typed counts, contradictions are refused, one style of help."""
+
+import importlib.util
+import re
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+
+COMMANDS = main.list_commands(click.Context(main))
+
+
+def command(name):
+    return main.get_command(click.Context(main), name)
+
+
+def options(name):
+    return [parameter for parameter in command(name).params if isinstance(parameter, click.Option)]
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+class Reached(Exception):  # noqa: N818 (no error)
+    """The work would begin."""
+
+
+@pytest.fixture
+def reached(monkeypatch, tmp_path):
+    """Give what each command hands to its work, which is not done."""
+    got = {}
+
+    def ends(name):
+        def end(*values, **named):
+            got[name] = (*values, *named.values())
+            raise Reached
+
+        return end
+
+    import bumpymap.readers
+    import bumpymap.scan.pipeline
+    import bumpymap.survey.engine
+    import bumpymap.survey.pipeline
+    from bumpymap.cli import calibrate_command, evaluate_command, train_command
+
+    monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
+    monkeypatch.setattr(bumpymap.scan.pipeline, "scan_frames", ends("scan"))
+    monkeypatch.setattr(bumpymap.scan.pipeline, "fit_frames", ends("scan"))
+    monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
+    monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
+    monkeypatch.setattr(evaluate_command, "_require", ends("evaluate"))
+    monkeypatch.setattr(train_command, "_require", lambda **_: None)
+    if importlib.util.find_spec("torch"):
+        import bumpymap.lab.train.make
+        import bumpymap.lab.train.scan.make
+
+        monkeypatch.setattr(bumpymap.lab.train.make, "make_model", ends("train"))
+        monkeypatch.setattr(bumpymap.lab.train.scan.make, "make_scan_model", ends("train"))
+        monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.load_open3d", lambda _: None)
+    return got
+
+
+# The least words that a command works with, and what goes with some options.
+WORDS = {
+    "map": ["site.laz", "--out", "o"],
+    "scan": ["drive", "--out", "o"],
+    "info": ["site.laz"],
+    "calibrate": ["--out", "c.json"],
+    "evaluate": ["site.laz", "--out", "o"],
+    "train": ["--out", "m.onnx"],
+}
+# (command, option, value) -> where the value has to arrive.
+MEANT = {
+    ("calibrate", "seed", 0): lambda got: got[0].seed,
+    ("evaluate", "seed", 0): lambda got: got[0].seed,
+    ("train", "seed", 0): lambda got: got[0].seed,
+    ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
+}
+SCENES = {"scenes", "sectors_per_class"}
+"""Numbers of scans; they have words of their own."""
+
+
+def numbers():
+    for name in COMMANDS:
+        for option in options(name):
+            known = option.type.name in {"integer", "float", "integer range", "float range"}
+            if known or (option.metavar in {"SIZE", "LIST"} and option.name not in {"skip", "products"}):
+                for value in ("0", "-1", "nan"):
+                    yield pytest.param(name, option, value, id=f"{name} --{option.name} {value}")
+
+
+@pytest.mark.parametrize(("name", "option", "value"), list(numbers()))
+def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatch):
+    """0 and -1 are refused with a message that names the option, or arrive as they are meant."""
+    monkeypatch.chdir(tmp_path)
+    words = [name, *WORDS[name], f"{option.opts[0]}={value}"]
+    if option.name in SCENES:
+        words += ["--scans", "simulated"] if name == "train" else ["--scans"]
+        if name == "evaluate":
+            words.remove("site.laz")
+    if name == "train":
+        pytest.importorskip("torch")
+    result = run(*words)
+    if (name, option.name, float(value)) in MEANT:
+        assert isinstance(result.exception, Reached), result.output
+        assert MEANT[name, option.name, float(value)](reached[name]) == float(value)
+        return
+    assert result.exit_code == 2, (result.output, result.exception)
+    plain = result.stderr.replace("_", "-").replace("'s", "").replace(" ", "-")
+    assert option.name.replace("_", "-").rstrip("s") in plain, result.stderr
+    assert not reached
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (
+            ["map", "a.laz", "--out", "o", "--calibration", "c.json", "--vehicle", "warthog"],
+            "--calibration and --vehicle",
+        ),
+        (
+            ["scan", "a.pcd", "--out", "o", "--poses", "p", "--calibration", "c.json", "--vehicle", "car"],
+            "--calibration",
+        ),
+        (["map", "a.laz", "--out", "o", "--compat", "paper", "--rating", "ride"], "--compat and --rating"),
+        (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
+        (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
+        (["evaluate", "--library", "--out", "o", "--crs", "EPSG:32614"], "--crs is about surveys"),
+        (["evaluate", "--library", "--out", "o", "--ground", "all"], "--ground is about surveys"),
+        (["evaluate", "--library", "--out", "o", "--local"], "--local is about surveys"),
+        (["evaluate", "--library", "--out", "o", "--z-unit", "ft"], "--z-unit is about surveys"),
+        (["evaluate", "--library", "--out", "o", "--densities", "5"], "--densities is about surveys"),
+        (["evaluate", "a.laz", "--out", "o", "--skip", "density", "--densities", "5"], "--densities has no effect"),
+        (["evaluate", "a.laz", "--out", "o", "--skip", "drives", "--workers", "1"], "--workers has no effect"),
+        (["evaluate", "a.laz", "--out", "o", "--min-starts", "60"], "more than max_starts, which is 48"),
+        (["calibrate", "--check", "--patches", "4"], "leave --patches out"),
+        (["calibrate", "--check", "--out", "c.json"], "leave --out out"),
+    ],
+)
+def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run(*words)
+    assert result.exit_code == 2, (result.output, result.exception)
+    assert named in result.stderr
+    assert not reached
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "expected"),
+    [
+        ('vehicle = "car"', ["--calibration", "c.json"], {"vehicle": "warthog", "calibration": "c.json"}),
+        ('calibration = "c.json"', ["--vehicle", "car"], {"vehicle": "car", "calibration": "None"}),
+        ('rating = "table"', ["--compat", "paper"], {"rating": "ride", "compat": "paper"}),
+        ('compat = "paper"', ["--rating", "table"], {"rating": "table", "compat": "none"}),
+        ("local = true", ["--crs", "EPSG:32614"], {"local": "False", "crs": "EPSG:32614"}),
+        ("local = false", ["--crs", "EPSG:32614"], {"local": "False", "crs": "EPSG:32614"}),
+    ],
+)
+def test_what_is_typed_wins_over_what_contradicts_it_in_a_file(
+    content, words, expected, reached, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(content)
+    result = run("map", "a.laz", "--out", "o", "--config", "a.toml", *words)
+    assert isinstance(result.exception, Reached), result.output
+    assert {name: str(getattr(reached["map"][0], name)) for name in expected} == expected
+
+
+def test_contradictions_of_a_file_are_refused(reached, tmp_path):
+    (tmp_path / "a.toml").write_text('vehicle = "car"\ncalibration = "c.json"')
+    result = run("map", "a.laz", "--out", "o", "--config", tmp_path / "a.toml")
+    assert result.exit_code == 2
+    assert "calibration and vehicle contradict each other" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["--quick"],
+        ["--quick", "--patches", "2"],
+        ["--patches", "8", "--quick"],
+        ["--seed", "0", "--tile-size", "3.123456789", "--pixels", "21", "--terrains", "3", "--starts", "1"],
+    ],
+)
+def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatch):
+    pytest.importorskip("dartpy")
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(run("calibrate", "--out", "c.json", *words).exception, Reached)
+    settings, again = reached["calibrate"][0], reached["calibrate"][4]
+    if "--patches" in words:
+        assert settings.patches == int(words[words.index("--patches") + 1])
+    assert isinstance(run(*again.split()[1:]).exception, Reached)
+    assert reached["calibrate"][0] == settings
+    assert reached["calibrate"][4] == again
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_values_are_named_in_one_style(name):
+    """Upper case, or the choices."""
+    context = click.Context(command(name), info_name=name)
+    for option in options(name):
+        if option.is_flag or isinstance(option.type, click.Choice) or option.name in {"help", "vehicle"}:
+            continue
+        assert re.fullmatch(r"[A-Z_]+(\.\.\.)?|simulated\|DIR", option.make_metavar(context)), option.name
+        assert option.help, option.name
+
+
+LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group)]
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_every_long_command_can_be_quiet_and_speak_json(name):
+    given = {option.opts[0]: option.help for option in options(name)}
+    assert {"--quiet", "--log-json"} <= set(given)
+    assert given["--log-json"] == {option.opts[0]: option.help for option in options("map")}["--log-json"]
+
+
+SAME = {
+    "--workers": r"Worker processes on this machine \[default: .*\]\.",
+    "--patches": r"Patches of each texture and z range .*",
+    "--starts": r"Drives over each patch .*",
+    "--overwrite": r"Replace .*",
+}
+
+
+@pytest.mark.parametrize("word", SAME)
+def test_one_word_means_one_thing(word):
+    found = {name: option for name in COMMANDS for option in options(name) if word in option.opts}
+    assert found
+    for name, option in found.items():
+        assert re.fullmatch(SAME[word], option.help), name
+
+
+def test_rating_takes_the_same_words_everywhere():
+    found = [option.type.choices for name in COMMANDS for option in options(name) if "--rating" in option.opts]
+    assert len(found) == 2
+    assert found[0] == found[1]

@@ -1,0 +1,297 @@
+"""What is told of a run: lines where there is no terminal, events for machines, nothing when it is quiet."""
+
+import io
+import json
+import logging
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+
+from bumpymap.cli import _progress, main
+from bumpymap.cli._ending import end_of
+from bumpymap.cli._progress import EventProgress, LineProgress, show_progress
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.progress import SilentProgress, Steps, counted
+
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+
+
+class Clock:
+    """A clock that a test turns."""
+
+    now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_line_has_time_stage_and_share(capsys):
+    clock = Clock()
+    progress = LineProgress(clock)
+    progress.tick()
+    assert capsys.readouterr().err == ""
+    progress.start("reading points", 10_000_000)
+    progress.advance(4_000_000)
+    progress.advance(500_000)
+    clock.now += 90.7
+    progress.tick()
+    progress.start("looking about\x1b", None)
+    progress.advance(7)
+    clock.now += 3600
+    progress.tick()
+    assert capsys.readouterr().err.splitlines() == [
+        "0:01:30 reading points: 45% (4,500,000 of 10,000,000)",
+        "1:01:30 looking about\\x1b: 7",
+    ]
+
+
+def test_a_bar_shows_a_name_as_it_is():
+    shown = io.StringIO()
+    with _progress._drawn(Console(file=shown, force_terminal=True, width=120)) as bars:
+        bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
+        bars.advance(3)
+    assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
+
+
+def events(text):
+    found = [json.loads(line) for line in text.splitlines()]
+    times = [datetime.fromisoformat(event.pop("time")) for event in found]
+    assert all(time.utcoffset().total_seconds() == 0 for time in times)
+    assert times == sorted(times)
+    return found
+
+
+def test_events_hold_the_same(capsys):
+    clock = Clock()
+    progress = EventProgress(clock)
+    progress.start("reading points", 1000)
+    progress.advance(250)
+    clock.now += 12.34
+    progress.tick()
+    progress.start("timing", None)
+    progress.tick()
+    progress.note("text", "epoch", epoch=1, loss=0.5)
+    assert events(capsys.readouterr().err) == [
+        {"event": "stage", "stage": "reading points", "total": 1000},
+        {"event": "progress", "stage": "reading points", "done": 250, "total": 1000, "share": 0.25, "seconds": 12.3},
+        {"event": "stage", "stage": "timing", "total": None},
+        {"event": "progress", "stage": "timing", "done": 0, "total": None, "share": None, "seconds": 12.3},
+        {"event": "epoch", "epoch": 1, "loss": 0.5},
+    ]
+
+
+class Waits:
+    """Stands in for an event of threads: so many waits are over at once, then it has ended."""
+
+    def __init__(self, turns):
+        self.turns, self.run_spec = turns, []
+
+    def __call__(self):
+        return self
+
+    def wait(self, seconds):
+        self.run_spec.append(seconds)
+        return len(self.run_spec) > self.turns
+
+    def set(self):
+        pass
+
+
+@pytest.mark.parametrize(("as_json", "seconds"), [(False, 30.0), (True, 10.0)])
+def test_it_is_told_again_and_again(capsys, monkeypatch, as_json, seconds):
+    waits = Waits(3)
+    monkeypatch.setattr(_progress, "Event", waits)
+    ticks = []
+
+    def note(progress):
+        ticks.append(progress)
+
+    monkeypatch.setattr(EventProgress if as_json else LineProgress, "tick", note)
+    with show_progress(as_json=as_json) as progress:
+        progress.start("reading", 10)
+    assert len(ticks) == 3
+    assert waits.run_spec == [seconds] * 4
+
+
+def test_without_threads_the_run_goes_on(capsys, monkeypatch):
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(_progress.Thread, "start", refuse)
+    with show_progress() as progress:
+        progress.start("reading", 10)
+
+
+def test_quiet_says_nothing(capsys, monkeypatch):
+    monkeypatch.setattr(_progress, "Event", Waits(3))
+    for as_json in (False, True):
+        with show_progress(quiet=True, as_json=as_json) as progress:
+            progress.start("reading", 10)
+            progress.advance(1)
+            progress.note("text", "epoch")
+    assert capsys.readouterr() == ("", "")
+
+
+class Counting(SilentProgress):
+    """Notes every stage with its total and its steps."""
+
+    def __init__(self):
+        self.stages = []
+
+    def start(self, stage, total):
+        self.stages.append([stage, total, 0])
+
+    def advance(self, steps):
+        self.stages[-1][2] += steps
+
+
+def test_things_and_drives_are_counted_as_steps():
+    told = Counting()
+    told.start("things", 3)
+    assert list(counted("abc", told)) == ["a", "b", "c"]
+    told.start("patches", 4)
+    steps = Steps(told, 16)
+    for done in (0, 16, 48, 64):
+        steps(done, 64)
+    assert told.stages == [["things", 3, 3], ["patches", 4, 4]]
+
+
+@pytest.mark.parametrize("memory", ["1GB", "128MB"])
+def test_a_map_counts_what_it_says(tmp_path, memory):
+    from bumpymap.core.config import MapConfig
+    from bumpymap.survey.pipeline import map_surveys
+
+    progress = Counting()
+    map_surveys(MapConfig((QUARRY,), tmp_path / "o", memory=memory), told)
+    assert [stage for stage, _, _ in told.stages] == ["reading points", "measuring blocks of tiles", "writing layers"]
+    for stage, total, steps in told.stages:
+        assert total is not None
+        assert steps == total, stage
+    assert told.stages[0][1] == 1_250_248
+    assert told.stages[1][1] < 100  # of 1,426 tiles
+
+
+def test_info_counts_every_point(tmp_path, monkeypatch):
+    from bumpymap.cli import info_command
+
+    progress = Counting()
+    monkeypatch.setattr(info_command, "show_progress", lambda **_: _given(told))
+    assert CliRunner().invoke(main, ["info", str(QUARRY)]).exit_code == 0
+    assert told.stages == [["reading quarry.laz", 1_250_248, 1_250_248]]
+
+
+class _given:  # noqa: N801 (stands in for a function)
+    def __init__(self, told):
+        self.progress = told
+
+    def __enter__(self):
+        return self.progress
+
+    def __exit__(self, *_):
+        return None
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_a_run_in_events(tmp_path):
+    result = run("map", QUARRY, "--out", tmp_path / "o", "--log-json")
+    assert result.exit_code == 0
+    found = events(result.stderr)
+    assert [event["event"] for event in found if event["event"] != "info"] == [
+        "start",
+        "stage",
+        "stage",
+        "stage",
+        "done",
+    ]
+    assert found[0]["arguments"] == ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]
+    assert found[-1]["exit_code"] == 0
+    assert json.loads(result.stdout)["tiles"] == 1426
+
+
+def test_inputs_that_were_skipped_in_events(tmp_path):
+    (tmp_path / "b.laz").write_bytes(b"nothing")
+    result = run("map", QUARRY, tmp_path / "b.laz", "--out", tmp_path / "o", "--skip-bad", "--log-json", "--quiet")
+    assert result.exit_code == 4
+    found = events(result.stderr)
+    assert {event["event"] for event in found} == {"start", "warning", "info", "done"}
+    assert found[-1]["exit_code"] == 4
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "kind"),
+    [
+        (["map", "--none", "--log-json"], 2, "NoSuchOption"),
+        (["map", "a.laz", "--log-json"], 2, "UsageError"),
+        (["map", "a\x1b\n.laz", "--out", "o", "--log-json"], 3, "BadInputError"),
+        (["info", "a.laz", "--log-json"], 3, "BadInputError"),
+        (["train", "--log-json"], 2, "MissingParameter"),
+        (["calibrate", "--log-json"], 2, "UsageError"),
+        (["nothing", "--log-json"], 2, "NoSuchCommand"),
+    ],
+)
+def test_the_last_event_of_a_failure(tmp_path, monkeypatch, words, code, kind):
+    monkeypatch.chdir(tmp_path)
+    result = run(*words)
+    assert result.exit_code == code
+    *_, last = events(result.stderr)
+    assert (last["event"], last["exit_code"]) == ("error", code)
+    assert last["message"]
+    assert last["kind"] == kind or kind.startswith("NoSuch")  # older click has one name for these
+
+
+def test_what_stands_after_two_dashes_is_no_option(tmp_path, capsys):
+    def fail():
+        raise BadInputError("no")
+
+    assert end_of(fail, ["map", "--", "--log-json"]) == 3
+    assert capsys.readouterr().err == "Error: no\n"
+
+
+def test_a_fault_is_an_event_with_its_traceback(capsys):
+    def fail():
+        raise KeyError("x")
+
+    with pytest.raises(KeyError):
+        end_of(fail, ["map"])
+    assert end_of(fail, ["map", "--log-json"]) == 1
+    last = events(capsys.readouterr().err)[-1]
+    assert (last["event"], last["kind"]) == ("error", "KeyError")
+    assert "Traceback" in last["traceback"]
+
+
+ENDED = """
+import os, signal, sys
+from bumpymap.cli import main
+from bumpymap.survey.engine.local import LocalRun
+LocalRun._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_signal_is_an_event(tmp_path):
+    words = ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED, *words], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 143
+    last = events(done.stderr)[-1]
+    assert (last["event"], last["exit_code"], last["message"]) == ("error", 143, "Terminated. No file is half-written.")
+
+
+def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
+    log = logging.getLogger("bumpymap")
+    before = list(log.handlers), log.level, log.propagate
+    for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--log-json"], ["info", QUARRY, "--quick"]):
+        run(*words)
+        assert (list(log.handlers), log.level, log.propagate) == before

@@ -1,0 +1,359 @@
+"""``bumpymap scan`` as a user meets it: options, exit codes, messages."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import ply_files
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.cli.scan_command import METHODS, PRODUCTS, command
+from bumpymap.core import PolarSettings, ScanMethod
+from bumpymap.core.settings_file import read_settings_file
+from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
+
+
+def site(count=12_000, seed=0):
+    rng = np.random.default_rng(seed)
+    radius, azimuth = np.sqrt(rng.uniform(1.0, 144.0, count)), rng.uniform(-np.pi, np.pi, count)
+    x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
+
+
+def write_ply(path, points, **more):
+    vertex = np.empty(
+        len(points), [(axis, "<f4") for axis in "xyz"] + [(name, v.dtype.str) for name, v in more.items()]
+    )
+    for number, axis in enumerate("xyz"):
+        vertex[axis] = np.reshape(points, (-1, 3))[:, number]
+    for name, values in more.items():
+        vertex[name] = values
+    return ply_files.write_ply(path, vertex)
+
+
+def write_bin(path, points):
+    np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path)
+    return path
+
+
+@pytest.fixture(name="scan")
+def scan_fixture(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*words, out=None):
+        out = out or tmp_path / "out"
+        arguments = [*map(str, words), *(["--out", str(out)] if "--out" not in words and "--fit" not in words else [])]
+        return CliRunner().invoke(main, ["scan", *arguments])
+
+    return run
+
+
+@pytest.fixture(name="frame")
+def frame_fixture(tmp_path):
+    return write_ply(tmp_path / "frame.ply", site())
+
+
+def out_files(tmp_path):
+    out = tmp_path / "out"
+    return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()) if out.exists() else None
+
+
+def test_one_scan(scan, frame, tmp_path):
+    result = scan(frame, "--method", "filter")
+    assert result.exit_code == 0, result.output
+    rows = [line.split() for line in result.stdout.splitlines()]
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet").to_pydict()
+    for class_id, name in enumerate(("smooth", "fair", "rough")):
+        row = next(row for row in rows if row[:2] == [str(class_id), name])
+        assert int(row[2]) == table["class"].count(class_id)
+        points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
+        assert int(row[-1].replace(",", "")) == points
+    assert f"Products in {tmp_path / 'out'}: frames, sectors.parquet, scan.json" in result.stdout
+    assert out_files(tmp_path) == [
+        "frames/frame.json",
+        "frames/frame.ply",
+        "frames/frame.png",
+        "scan.json",
+        "sectors.parquet",
+    ]
+
+
+def test_a_drive_for_machines(scan, tmp_path):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for number in (2, 10):
+        write_bin(drive / f"{number}.bin", site(seed=number))
+    poses = tmp_path / "poses.csv"
+    poses.write_text("t,x,y,z,qx,qy,qz,qw\n0,0,0,1,0,0,0,1\n1,1,0,1,0,0,0,1\n")
+    words = ("--method", "filter", "--products", "table, cloud")
+    result = scan(drive, "--poses", poses, "--log-json", *words)
+    assert result.exit_code == 0, result.output
+    record = json.loads(result.stdout)
+    assert record["frames"] == 2
+    assert record["points"] == sum(record["points_by_class"].values())
+    assert record["files"] == ["frames", "sectors.parquet", "gathered.laz", "scan.json"]
+    assert Path(record["map"][0]).parent == tmp_path / "out" / "map"
+    names = {path.split("/")[0] for path in out_files(tmp_path)}
+    assert names == {"frames", "gathered.laz", "map", "scan.json", "sectors.parquet"}
+    assert [path for path in out_files(tmp_path) if path.startswith("frames")] == ["frames/10.ply", "frames/2.ply"]
+    assert list(dict.fromkeys(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist())) == ["2", "10"]
+    again = scan(drive, "--quiet")
+    assert again.exit_code == 3
+    assert "--overwrite" in again.stderr
+    last = scan(drive, "--quiet", "--overwrite", *words)
+    assert (last.exit_code, last.output) == (0, "")
+    assert out_files(tmp_path) == ["frames/10.ply", "frames/2.ply", "scan.json", "sectors.parquet"]
+
+
+def empty(folder):
+    return [write_ply(folder / "a.ply", np.zeros((0, 3)))]
+
+
+def no_bytes(folder):
+    (folder / "a.bin").write_bytes(b"")
+    return [folder / "a.bin"]
+
+
+def other_labels(folder):
+    (folder / "a.label").write_bytes(bytes(40))
+    return [write_bin(folder / "a.bin", site())]
+
+
+def other_poses(folder):
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
+    return [write_bin(folder / "a.bin", site()), "--poses", folder / "poses.txt"]
+
+
+def no_poses(folder):
+    return [write_bin(folder / "a.bin", site()), "--poses", folder / "none.txt"]
+
+
+def not_there(folder):
+    return [folder / "a.bin"]
+
+
+def an_empty_folder(folder):
+    return [folder]
+
+
+def a_strange_label(folder):
+    return [write_ply(folder / "a.ply", site(), label=np.full(12_000, 40_000, np.uint16))]
+
+
+def not_a_model(folder):
+    (folder / "a.onnx").write_text("no")
+    return [write_ply(folder / "a.ply", site()), "--model", folder / "a.onnx"]
+
+
+def no_stripes(folder):
+    (folder / "a.json").write_text("{}")
+    return [write_ply(folder / "a.ply", site()), "--stripes", folder / "a.json"]
+
+
+def no_calibration(folder):
+    (folder / "p.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    return [write_ply(folder / "a.ply", site()), "--poses", folder / "p.txt", "--calibration", folder / "c.json"]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (empty, "holds no points"),
+        (no_bytes, "is empty (0 bytes)"),
+        (other_labels, "12,000 points, whose labels take 48,000"),
+        (other_poses, "holds 2 poses, but the frames are 1"),
+        (no_poses, "none.txt"),
+        (not_there, "does not exist"),
+        (an_empty_folder, "holds no scans"),
+        (a_strange_label, "cannot class"),
+        (not_a_model, "is not an ONNX model"),
+        (no_stripes, "holds no stripe classes"),
+        (no_calibration, "c.json"),
+    ],
+)
+def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    result = scan(*make(folder))
+    assert result.exit_code == 3, result.output
+    assert result.stderr.startswith("Error: ")
+    assert words in result.stderr
+    assert "Traceback" not in result.output
+    assert out_files(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (np.zeros((100, 3)), "100 returns at (0, 0, 0)"),
+        (np.full((100, 3), np.nan), "100 not finite"),
+        (np.array([[5.0, 0.0, -1.0]]), "1 of 1 points lie"),
+    ],
+)
+@pytest.mark.parametrize("write", [write_ply, write_bin])
+def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points, words):
+    path = write(tmp_path / f"a.{write.__name__[-3:]}", points)
+    result = scan(path)
+    assert result.exit_code == 0, result.output
+    assert words in result.stderr
+    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "frames/a.png", "scan.json", "sectors.parquet"]
+    assert pq.read_table(tmp_path / "out" / "sectors.parquet").num_rows == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--sectors", "24,a"], "numbers with commas"),
+        (["--rings", "1,2"], "sectors and rings for each zone"),
+        (["--zones", "4,12,8,60,100"], "grow outwards"),
+        (["--sectors", "2,2,2,2"], "3 sectors or more"),
+        (["--robot-radius", "-1"], "radius"),
+        (["--products", "cloud,map"], "give one or more of polygons"),
+        (["--crs", "EPSG:32614"], "add --poses"),
+        (["--compat", "paper", "--method", "learned"], "options of one"),
+        (["--fit", "a.json", "--poses", "p.txt"], "leave --poses out"),
+        (["--fit", "a.json", "--out", "x"], "leave --out out"),
+        (["--nothing"], "No such option"),
+        (["--method", "magic"], "is not one of"),
+    ],
+)
+def test_wrong_usage(scan, frame, tmp_path, options, words):
+    result = scan(frame, *options)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+    assert out_files(tmp_path) is None
+
+
+def test_what_is_missing_is_named(frame):
+    for words, missing in ((["--out", "x"], "no frames given"), ([str(frame)], "no out given")):
+        result = CliRunner().invoke(main, ["scan", *words])
+        assert result.exit_code == 2
+        assert missing in result.stderr
+
+
+def test_a_bad_frame_among_others(scan, frame, tmp_path):
+    bad = tmp_path / "bad.ply"
+    bad.write_bytes(b"ply\nnonsense")
+    assert scan(frame, bad).exit_code == 3
+    assert out_files(tmp_path) is None
+    result = scan(frame, bad, "--skip-bad")
+    assert result.exit_code == 4
+    assert "skipped frames: 1;" in result.stdout
+    assert str(bad) in result.stderr
+    assert "frames/frame.ply" in out_files(tmp_path)
+
+
+def test_ctrl_c(scan, frame, tmp_path, monkeypatch):
+    from bumpymap.scan import pipeline as scan_pipeline
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scan_pipeline, "write_frame", stop)
+    result = scan(frame)
+    assert result.exit_code == 130
+    assert result.stderr == "Interrupted. No file is half-written.\n"
+    assert out_files(tmp_path) is None
+
+
+def test_a_fit_and_its_use(scan, frame, tmp_path):
+    pytest.importorskip("sklearn")
+    own = tmp_path / "own.json"
+    result = scan(frame, "--fit", own)
+    assert result.exit_code == 0, result.output
+    assert f"--stripes {own}" in result.stdout
+    assert scan(frame, "--fit", own).exit_code == 3
+    record = json.loads(scan(frame, "--fit", own, "--overwrite", "--log-json").stdout)
+    assert record["centres"] == json.loads(own.read_text())["centres"]
+    assert scan(frame, "--stripes", own).exit_code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frame.ply", "out", "own.json"]
+    basis = json.loads((tmp_path / "out" / "scan.json").read_text())["method"]
+    assert basis["name"] == "filter"
+    assert str(own) in basis["basis"]
+
+
+def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
+    config = tmp_path / "scan.toml"
+    config.write_text(
+        'frames = ["frame.ply"]\nproducts = ["table"]\nmethod = "filter"\n'
+        "[polar]\nzone_starts_m = [3, 6.5]\nend_m = 11\nsectors = [8, 16]\nrings = [1, 2]\nleast_points = 10\n"
+        "[robot]\nradius_m = 2.5\nbox_m = [-1, 0, -0.5, 0.5]\n"
+    )
+    result = CliRunner().invoke(
+        main, ["scan", "--config", str(config), "--out", str(tmp_path / "out"), "--rings", "2,2", "--zones", "3,6,12"]
+    )
+    assert result.exit_code == 0, result.output
+    settings = json.loads((tmp_path / "out" / "scan.json").read_text())["settings"]
+    assert settings["frames"] == [str(frame)]
+    assert settings["products"] == ["table"]
+    polar = settings["polar"]
+    assert (polar["zone_starts_m"], polar["end_m"], polar["sectors"]) == ([3.0, 6.0], 12.0, [8, 16])
+    assert (polar["rings"], polar["least_points"]) == ([2, 2], 10)
+    assert settings["robot"] == {"radius_m": 2.5, "box_m": [-1.0, 0.0, -0.5, 0.5]}
+    assert out_files(tmp_path) == ["scan.json", "sectors.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("nothing = 1", "unknown setting nothing"),
+        ("[polar]\nring = [1]", "unknown setting ring"),
+        ("polar = 3", "must be a table"),
+        ("[polar]\nrings = [1.5, 2]", "must be a whole number"),
+        ("[polar]\nrings = 4", "must be a list of whole numbers"),
+        ("[robot]\nbox_m = [1, 2]", "must be a list of 4 numbers"),
+        ('method = "magic"', "must be one of filter, learned"),
+        ('products = ["maps"]', "must be one of polygons"),
+        ("frames = [1]", "must be a text"),
+        ('frames = "drive"', "must be a list of texts"),
+        ("skip_bad = 1", "must be true or false"),
+        ("[robot]\nradius_m = true", "must be a number"),
+        ("frames = [", "cannot read settings"),
+    ],
+)
+def test_wrong_settings_of_a_file(scan, frame, tmp_path, text, words):
+    config = tmp_path / "scan.toml"
+    config.write_text(text)
+    result = scan(frame, "--config", config)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+
+
+def test_every_setting_can_stand_in_a_file(tmp_path):
+    (tmp_path / "a.toml").write_text('out = "o"\nframes = ["f", "/g"]\ncompat = "paper"\nskip_bad = true\n')
+    settings = read_settings_file(tmp_path / "a.toml", ScanConfig)
+    config = ScanConfig(**settings)
+    assert config == ScanConfig((tmp_path / "f", Path("/g")), tmp_path / "o", compat="paper", skip_bad=True)
+    assert config.polar == PolarSettings()
+
+
+def test_the_options_name_what_the_library_has():
+    assert get_args(ScanMethod) == METHODS
+    assert SCAN_PRODUCTS == PRODUCTS
+    text = CliRunner().invoke(command, ["--help"]).output
+    polar = PolarSettings()
+    for values in ((*polar.zone_starts_m, polar.end_m), polar.sectors, polar.rings):
+        assert ",".join(f"{value:g}" for value in values) in text.replace("\n", " ")
+
+
+def test_help_loads_nothing_heavy():
+    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code, "scan", "--help"], capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert "--poses" in loaded
+    assert not {"numpy", "bumpytiles", "rasterio", "pyarrow", "laspy", "onnxruntime", "llvmlite"} & set(loaded)
+
+
+def test_a_run_loads_neither_a_workshop_nor_a_drawing_library(frame, tmp_path):
+    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    words = ["scan", str(frame), "--out", str(tmp_path / "out"), "--method", "filter"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "pyarrow" in loaded
+    assert not {"torch", "sklearn", "skimage", "open3d", "dartpy", "dask", "matplotlib", "PIL", "pandas"} & loaded

@@ -1,0 +1,231 @@
+"""What a run does when it is told to end: as a batch system does, and as a user does."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+
+
+@pytest.fixture(autouse=True)
+def heard():
+    """A background job of a shell ignores SIGINT, and so would every process that it starts."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+# The signal arrives at a known place: with early tiles finished, or with none.
+WITH_TILES = """
+import os, signal, sys
+from bumpymap.cli import main
+from bumpymap.survey.engine.local import LocalRun
+from bumpymap.survey.engine.sink import TileSink
+
+if {after_tiles}:
+    flush = TileSink.flush
+    def ending(sink):
+        flush(sink)
+        os.kill(os.getpid(), signal.{name})
+    TileSink.flush = ending
+else:
+    def ending(*_, **__):
+        os.kill(os.getpid(), signal.{name})
+    LocalRun._decide = ending
+sys.argv[0] = "bumpymap"
+main()
+"""
+
+
+def ended(name, out, *, after_tiles):
+    code = WITH_TILES.format(name=name, after_tiles=after_tiles)
+    command = [sys.executable, "-c", code, "map", str(QUARRY), "--out", str(out), "--scratch", str(out.parent / "tmp")]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code, word):
+    out = tmp_path / "layers"
+    early = ended(name, out, after_tiles=False)
+    assert early.returncode == code, early.stderr
+    assert early.stderr.strip() == f"{word} No file is half-written."
+    assert not out.exists()
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+    late = ended(name, out, after_tiles=True)
+    assert late.returncode == code, late.stderr
+    assert late.stderr.strip() == (
+        f"{word} No file is half-written. Pass --resume to the same command to go on from the finished tiles."
+    )
+    assert [path.name for path in out.iterdir()] == [".bumpymap-run"]
+    assert list((tmp_path / "tmp").iterdir()) == []
+    again = [sys.executable, "-c", "from bumpymap.cli import main; main()", "map", str(QUARRY), "--out", str(out)]
+    done = subprocess.run([*again, "--resume"], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not (out / ".bumpymap-run").exists()
+
+
+# Children of one process that has imported everything; each gets the signal at another call of its main thread.
+AT_INSTANTS = """
+import atexit, os, signal, sys
+from pathlib import Path
+import bumpymap.survey.pipeline
+from bumpymap.cli import map_command
+from bumpymap.__main__ import run
+
+folder, survey = Path(sys.argv[1]), sys.argv[2]
+seen = 0
+
+def child(at):
+    pid = os.fork()
+    if pid:
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    said = os.open(folder / f"{at}.txt", os.O_WRONLY | os.O_CREAT)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+
+    def tick(*_):
+        global seen
+        seen += 1
+        if seen == at:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    if not at:
+        atexit.register(lambda: (folder / "steps").write_text(str(seen)))
+    out = ["--out", str(folder / f"out_{at}"), "--scratch", str(folder / "tmp")]
+    sys.argv = ["bumpymap", "map", survey, *out, "--quiet"]
+    sys.setprofile(tick)
+    run()
+
+print(0, child(0), flush=True)
+steps = int((folder / "steps").read_text())
+for instant in range(1, INSTANTS):
+    at = instant * steps // INSTANTS
+    print(at, child(at), flush=True)
+"""
+INSTANTS = 12
+
+
+def test_no_instant_gives_a_traceback(tmp_path):
+    import laspy
+
+    survey = laspy.read(QUARRY)
+    x, y = (np.asarray(axis) for axis in (survey.x, survey.y))
+    near = abs(x - x.mean()) + abs(y - y.mean()) < 12
+    survey.points = survey.points[near]
+    survey.write(tmp_path / "small.las")
+    code = AT_INSTANTS.replace("INSTANTS", str(INSTANTS))
+    command = [sys.executable, "-c", code, str(tmp_path), str(tmp_path / "small.las")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert run.returncode == 0, run.stderr
+    (_, whole), *ended = (tuple(map(int, line.split())) for line in run.stdout.splitlines())
+    assert whole == 0
+    assert len(ended) == INSTANTS - 1
+    for at, code in ended:
+        said = (tmp_path / f"{at}.txt").read_text()
+        # A run that is over has nothing to say; the signal ends its process all the same.
+        assert code == 143, said
+        assert said.startswith("Terminated. No file is half-written."), said
+        assert len(said.splitlines()) == 1, said
+        out = tmp_path / f"out_{at}"
+        left = {path.name for path in out.iterdir()} if out.exists() else set()
+        assert left in (set(), {".bumpymap-run"}) or "run.json" in left
+        assert not list((tmp_path / "tmp").glob("*")), "points were left"
+
+
+# Drives that take for ever, all but the first; each says in whose process it is.
+SLOW = """
+import os, time
+from pathlib import Path
+from bumpymap.lab.simulate.patch import PatchDrives
+
+def run_job(settings, job):
+    if job == next(iter(settings.jobs())):
+        return PatchDrives(("completed",) * job.starts, (0.1,) * job.starts)
+    (Path(__file__).parent / f"{os.getpid()}.worker").touch()
+    time.sleep(3600)
+"""
+DRIVING = """
+import sys
+sys.path.insert(0, {folder!r})
+import slow
+import bumpymap.lab.simulate.model
+bumpymap.lab.simulate.model.require_dart = lambda: None
+import bumpymap.lab.simulate.calibrate
+bumpymap.lab.simulate.calibrate.run_job = slow.run_job
+from bumpymap.cli import main
+sys.argv[0] = "bumpymap"
+main()
+"""
+KEPT = "No file is half-written. The driven patches are kept: give the same command again to go on."
+
+
+@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+@pytest.mark.parametrize("send", ["kill", "killpg"])
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
+    (tmp_path / "slow.py").write_text(SLOW)
+    progress = tmp_path / "c.json.progress.jsonl"
+    words = ["calibrate", "--out", str(tmp_path / "c.json"), "--workers", "2"]
+    run = subprocess.Popen(
+        [sys.executable, "-c", DRIVING.format(folder=str(tmp_path)), *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        while len(list(tmp_path.glob("*.worker"))) < 2 or len(progress.read_text().splitlines()) < 2:
+            assert run.poll() is None, run.communicate()[1]
+            time.sleep(0.02)
+        getattr(os, send)(run.pid, getattr(signal, name))
+        stderr = run.communicate(timeout=60)[1]
+    finally:
+        run.kill()
+    assert run.returncode == code, stderr
+    assert stderr.strip() == f"{word} {KEPT}"
+    assert len(progress.read_text().splitlines()) == 2
+    assert not (tmp_path / "c.json").exists()
+    for worker in tmp_path.glob("*.worker"):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(worker.stem), 0)
+
+
+@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+def test_an_evaluation_that_is_ended_says_so(tmp_path, monkeypatch, name, code, word):
+    from click.testing import CliRunner
+
+    from bumpymap.cli import evaluate_command, main
+    from bumpymap.lab.evaluate import run
+
+    monkeypatch.setattr(evaluate_command, "_require", lambda _: None)
+    monkeypatch.setattr(run, "evaluate_library", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
+    result = CliRunner().invoke(main, ["evaluate", "--library", "--out", str(tmp_path)])
+    assert result.exit_code == code
+    assert result.stderr.strip() == f"{word} {KEPT}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_caller_keeps_its_own_say_about_signals(tmp_path):
+    from click.testing import CliRunner
+
+    from bumpymap.cli import main
+
+    def own(*_):
+        raise AssertionError
+
+    before = signal.signal(signal.SIGTERM, own)
+    try:
+        assert CliRunner().invoke(main, ["info", str(tmp_path)]).exit_code == 3
+        assert signal.getsignal(signal.SIGTERM) is own
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        assert CliRunner().invoke(main, ["info", str(tmp_path)]).exit_code == 3
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,188 @@
+"""What leaves for the terminal: foreign text is shown, never obeyed, and a lost output is one message."""
+
+import ast
+import io
+import json
+import os
+import subprocess
+import sys
+import unicodedata
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.cli._text import complain, safe, say, say_json, say_table
+
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+WICKED = (
+    "a\x1b[31m\x1b]0;owned\x07 b\nError: c\r\t\x7f\x9b \u202egnp \u2066 \u2028 \u200f \udcff [red]d[/red] :smile: é 道"
+)
+
+
+def nothing_acts(text):
+    """Whether every line holds nothing that a terminal acts on."""
+    return all(unicodedata.category(letter) not in {"Cc", "Cf", "Cs", "Zl", "Zp"} for letter in text.replace("\n", ""))
+
+
+def test_no_letter_acts():
+    for letter in map(chr, [*range(0x3000), *range(0xD800, 0xE000), *range(0xE0000, 0xE0100)]):
+        shown = safe(f"a{letter}b")
+        assert (shown[0], shown[-1]) == ("a", "b")
+        assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
+
+
+def test_what_is_printable_stays():
+    text = "quarry (2).laz é 道 [red] \\n {x} 'a b'"
+    assert safe(text) == text
+    assert safe("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
+
+
+def test_every_way_out_shows_it(capsys):
+    say(WICKED, "bold")
+    say_table([(WICKED, WICKED)])
+    say_table([(WICKED, WICKED)], ["one", "two"])
+    say_json({"name": WICKED})
+    complain(WICKED)
+    out, err = capsys.readouterr()
+    assert nothing_acts(out)
+    assert nothing_acts(err)
+    assert out.splitlines()[0] == err.rstrip("\n") == safe(WICKED)
+    assert "[red]d[/red] :smile:" in err
+    assert json.loads(out.splitlines()[-1])["name"] == WICKED
+
+
+def test_an_encoding_without_the_letters(monkeypatch):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
+    say("é 道")
+    assert raw.getvalue() == b"\\xe9 \\u9053\n"
+
+
+def test_no_command_has_a_way_out_of_its_own():
+    """Text goes through `_text` (and bars through rich, with names made safe)."""
+    for file in (ROOT / "bumpymap" / "cli").glob("*.py"):
+        if file.name == "_text.py":
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = ast.unparse(node.func)
+                assert name not in {"print", "click.echo", "click.secho", "Console"}, f"{file.name}: {name}"
+            if isinstance(node, ast.Attribute):
+                assert ast.unparse(node) not in {"sys.stdout", "sys.stderr"}, f"{file.name}: {ast.unparse(node)}"
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture
+def wicked(tmp_path):
+    """A survey whose name a terminal would obey."""
+    path = tmp_path / f"{WICKED.replace('/', '|')}.laz"
+    try:
+        path.symlink_to(QUARRY)
+    except OSError:
+        pytest.skip("the file system refuses such names")
+    return path
+
+
+@pytest.mark.parametrize("command", ["info", "map", "scan", "evaluate", "train"])
+def test_names_of_files_are_shown(command, wicked, tmp_path):
+    words = {
+        "info": [wicked],
+        "map": [
+            wicked.rename(tmp_path / "a\x1b[31m[red]\nError: b.laz"),
+            "--out",
+            tmp_path / "\x1b]\nError: d",
+            "--local",
+        ],
+        "scan": [wicked, "--out", tmp_path / "o"],
+        "evaluate": [wicked, "--out", tmp_path / "o", "--skip", "drives,density,invariance,timing,lunch"],
+        "train": ["--out", wicked],
+    }[command]
+    result = run(command, *words)
+    said = result.stdout + result.stderr
+    assert not isinstance(result.exception, UnicodeError)
+    assert nothing_acts(said), said
+    if command in {"info", "scan"}:
+        assert "\\x1b[31m" in said
+        assert "\\xff" in said
+    elif command == "map":
+        assert "\\x1b]\\nError: d" in result.stdout
+
+
+def test_what_click_refuses_is_shown():
+    result = run("map", "a.laz", "--out", "o", "--ground", WICKED)
+    assert result.exit_code == 2
+    assert nothing_acts(result.stderr)
+    assert len(result.stderr.splitlines()) == 4
+    result = run(WICKED)
+    assert result.exit_code == 2
+    assert nothing_acts(result.stderr)
+
+
+def test_lines_of_a_message_stay_lines(tmp_path):
+    for name in ("a.laz", "b\nError: forged.laz"):
+        (tmp_path / name).write_bytes(b"LASFnothing")
+    result = run("map", tmp_path, "--out", tmp_path / "o", "--skip-bad")
+    assert result.exit_code == 3
+    assert "forged" in result.stderr
+    assert not any(line.startswith("Error: forged") for line in result.stderr.splitlines())
+    found = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
+    assert found == ["Error: none of the inputs could be read:"]
+
+
+COMMAND = [sys.executable, "-c", "from bumpymap.cli import main; main()"]
+
+
+def piped(words, **streams):
+    return subprocess.run([*COMMAND, *map(str, words)], text=True, timeout=300, check=False, **streams)
+
+
+needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+
+
+@needs_full
+@pytest.mark.parametrize(
+    "words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY], ["info", QUARRY, "--json"]]
+)
+def test_a_full_output_is_one_message(words):
+    with Path("/dev/full").open("w") as full:
+        done = piped(words, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("Error: ")
+    assert "No space left on device" in done.stderr
+
+
+@needs_full
+def test_a_full_output_does_not_cost_the_layers(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = piped(["map", QUARRY, "--out", tmp_path / "o"], stdout=full, stderr=full)
+        assert done.returncode == 3
+        assert (tmp_path / "o" / "run.json").exists()
+        done = piped(["map", QUARRY, "--out", tmp_path / "p"], stdout=subprocess.PIPE, stderr=full)
+        assert done.returncode == 0
+        assert "Layers in" in done.stdout
+        assert piped(["info", tmp_path / "none.laz"], stdout=full, stderr=full).returncode == 3
+        assert piped(["info", "--none"], stderr=full).returncode == 2
+        events = piped(["map", QUARRY, "--out", tmp_path / "q", "--log-json"], stdout=subprocess.PIPE, stderr=full)
+        assert events.returncode == 0
+
+
+@pytest.mark.parametrize("words", [["--help"], ["info", QUARRY], ["info", QUARRY, "--json"]])
+def test_a_reader_that_leaves_is_no_error(words):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = piped(words, stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    assert done.returncode == 141
+    assert done.stderr == ""
+
+
+def test_closed_outputs_are_no_error(tmp_path):
+    words = " ".join([f"'{sys.executable}' -c 'from bumpymap.cli import main; main()' info '{QUARRY}' >&- 2>&-"])
+    assert subprocess.run(["sh", "-c", words], check=False, timeout=300).returncode == 0

@@ -1,0 +1,213 @@
+"""``bumpymap train`` as a user meets it: two networks, one command, no mixture of their options."""
+
+import re
+import subprocess
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main, train_command
+
+POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
+SHORT = ("--epochs", "2", "--sectors-per-class", "32")
+
+
+def train(*words):
+    return CliRunner().invoke(main, ["train", *map(str, words)])
+
+
+def ground(seed, count=9_000):
+    """Asphalt, grass and bushes, a third of a circle each; returns points and their labels."""
+    rng = np.random.default_rng(seed)
+    radius, azimuth = np.sqrt(rng.uniform(16.0, 400.0, count)), rng.uniform(0, 2 * np.pi, count)
+    third = (azimuth // (2 * np.pi / 3)).astype(int)
+    z = -1.0 + np.array([0.003, 0.06, 0.4])[third] * rng.standard_normal(count)
+    points = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z, np.ones(count)])
+    return points.astype("<f4"), np.array([10, 3, 19], "<u4")[third]
+
+
+@pytest.fixture(name="folder", scope="module")
+def folder_fixture(tmp_path_factory):
+    """Three frames in the layout of RELLIS-3D."""
+    root = tmp_path_factory.mktemp("data") / "Rellis-3D"
+    for number in range(3):
+        points, labels = ground(number)
+        for name, suffix, values in ((POINTS, "bin", points), (LABELS, "label", labels)):
+            (root / "00000" / name).mkdir(parents=True, exist_ok=True)
+            values.tofile(root / "00000" / name / f"{number:06d}.{suffix}")
+    return root
+
+
+def require_torch():
+    pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
+    pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+
+
+def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
+    require_torch()
+    out = tmp_path / "own.onnx"
+    result = train("--scans", folder, "--out", out, "--seed", 5, *SHORT)
+    assert result.exit_code == 0, result.output
+    assert [line.split(":")[0] for line in result.stderr.splitlines()] == ["epoch 1/2", "epoch 2/2"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["own.md", "own.onnx"]
+    card = (tmp_path / "own.md").read_text(encoding="utf-8")
+    said = re.findall(r"([\d.]+) %", result.stdout)
+    assert len(said) == 2
+    assert all(f"{share} %" in card for share in said)
+    frame = folder / "00000" / POINTS / "000002.bin"
+    used = CliRunner().invoke(main, ["scan", str(frame), "--out", str(tmp_path / "o"), "--model", str(out)])
+    assert used.exit_code == 0, used.output
+    assert f"bumpymap scan FRAME --out DIR --model {out}" in result.stdout
+    before = out.read_bytes()
+    out.write_text("an older one")
+    assert train("--scans", folder, "--out", out, "--seed", 5, *SHORT, "--overwrite").exit_code == 0
+    assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize("scans", [[], ["--scans", "simulated"]])
+def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
+    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
+    out = tmp_path / "m.onnx"
+    out.write_text("mine")
+    result = train("--out", out, *scans)
+    assert result.exit_code == 3
+    assert "--overwrite" in result.stderr
+    assert out.read_text() == "mine"
+
+
+def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatch):
+    require_torch()
+    from bumpymap.lab.train.scan import make
+
+    class EnoughError(Exception):
+        pass
+
+    def instead(settings, out, scans, told, gathered):
+        called.append((settings, out, scans))
+        gathered(1, 2)
+        raise EnoughError
+
+    called = []
+    monkeypatch.setattr(make, "make_scan_model", instead)
+    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
+    monkeypatch.setitem(sys.modules, "open3d", ModuleType("open3d"))
+    words = ("--seed", 3, "--epochs", 4, "--scenes", 5, "--sectors-per-class", 6, "--threads", 2)
+    simulated = train("--scans", "simulated", "--out", tmp_path / "a.onnx", *words)
+    assert isinstance(simulated.exception, EnoughError)
+    assert simulated.stderr == ""
+    settings, out, scans = called[0]
+    assert settings.options == " ".join(map(str, words))
+    assert (out, scans) == (tmp_path / "a.onnx", None)
+    own = train("--scans", folder, "--out", tmp_path / "a.onnx", *words)
+    assert "--scenes is about made-up scenes" in own.stderr  # the model's own command names it, so it is not refused
+    assert called[1] == (settings, out, folder)
+
+
+def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
+    require_torch()
+    from bumpymap.lab.train.scan import train as trainer
+
+    with pytest.MonkeyPatch.context() as patch:
+        run_epoch = trainer._run_epoch
+
+        def stop(*arguments):
+            if arguments[-1] == 1:
+                raise KeyboardInterrupt
+            return run_epoch(*arguments)
+
+        patch.setattr(trainer, "_run_epoch", stop)
+        ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+    assert ended.exit_code == 130
+    assert ended.stderr.endswith("Give the same command again to go on from the last whole epoch.\n")
+    again = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+    assert again.exit_code == 0
+    assert [line.split(":")[0] for line in again.stderr.splitlines()] == ["epoch 2/2"]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (["--scenes", "9"], 2, "--scenes is about scans: add --scans simulated"),
+        (["--sectors-per-class", "9"], 2, "--sectors-per-class is about scans"),
+        (["--scans", "simulated", "--pixels", "15"], 2, "--pixels is about the texture network"),
+        (["--scans", "simulated", "--tile-size", "3"], 2, "--tile-size is about the texture network"),
+        (["--scans", "here", "--patches-per-texture", "9"], 2, "--patches-per-texture is about the texture network"),
+        (["--scans", ""], 2, "--scans is empty"),
+        (["--scans", "nowhere"], 3, "nowhere does not exist"),
+        (["--scans", ".", "--epochs", "0"], 2, "epochs is 0"),
+        (["--scans", "."], 3, "holds no scans"),
+    ],
+)
+def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, words):
+    require_torch()
+    monkeypatch.chdir(tmp_path)
+    result = train("--out", "m.onnx", *options)
+    assert result.exit_code == code, result.output
+    assert words in result.stderr
+    assert "Traceback" not in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("there", "words"),
+    [
+        ((), "training needs torch, onnx and open3d. Install with: pip install 'bumpymap[learn,o3d]'"),
+        (("torch", "onnx"), "training needs open3d. Install with: pip install 'bumpymap[o3d]'"),
+        (("open3d",), "training needs torch and onnx. Install with: pip install 'bumpymap[learn]'"),
+    ],
+)
+def test_missing_libraries_are_named_with_their_extras(tmp_path, monkeypatch, there, words):
+    monkeypatch.setattr(train_command, "find_spec", lambda name: object() if name in there else None)
+    result = train("--scans", "simulated", "--out", tmp_path / "m.onnx")
+    assert result.exit_code == 2
+    assert words in result.stderr
+
+
+def test_a_folder_needs_no_simulator(tmp_path, monkeypatch):
+    require_torch()
+    monkeypatch.setattr(train_command, "find_spec", lambda name: None if name == "open3d" else object())
+    result = train("--scans", tmp_path, "--out", tmp_path / "m.onnx")
+    assert result.exit_code == 3
+    assert "holds no scans" in result.stderr
+
+
+def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
+    require_torch()
+    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
+    (tmp_path / "open3d.py").write_text('raise ImportError("libusb-1.0.so.0: cannot open shared object file")')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    result = train("--scans", "simulated", "--out", tmp_path / "m.onnx")
+    assert result.exit_code == 2
+    assert "open3d, which is installed but cannot be loaded: libusb-1.0.so.0" in result.stderr
+    assert "sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6" in result.stderr
+
+
+def test_the_help_names_the_defaults_of_the_library():
+    require_torch()
+    from bumpymap.lab.train.model import NetworkSettings
+    from bumpymap.lab.train.scan.train import ScanTrainSettings
+    from bumpymap.lab.train.train import TrainSettings
+
+    texture, scan = TrainSettings(), ScanTrainSettings()
+    help_of = {option.name: option.help for option in train_command.command.params}
+    assert f"[default: {texture.epochs}; with --scans {scan.epochs}]" in help_of["epochs"]
+    assert f"[default: {NetworkSettings().pixels}]" in help_of["pixels"]
+    for name in ("patches_per_texture", "tile_size"):
+        assert f"[default: {getattr(texture, name):g}]" in help_of[name]
+    for name in ("scenes", "sectors_per_class"):
+        assert f"[default: {getattr(scan, name)}]" in help_of[name]
+    for name in ("seed", "threads"):
+        assert getattr(texture, name) == getattr(scan, name)
+        assert f"[default: {getattr(scan, name)}]" in help_of[name]
+
+
+def test_help_loads_no_library_of_the_workshop():
+    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code, "train", "--help"], capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert "--scans" in loaded
+    assert not {"torch", "onnx", "open3d", "numpy", "scipy"} & set(loaded)

@@ -1,0 +1,139 @@
+import json
+from pathlib import Path
+
+import pytest
+import rasterio
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.vehicle.keys import KEYS
+from bumpymap.rating.vehicle.profile import load_profile
+
+SHIPPED = Path(__file__).parents[2] / "bumpymap" / "data"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def vehicle(*words):
+    return CliRunner().invoke(main, ["vehicle", *words])
+
+
+def test_the_list_names_what_ships():
+    assert [line.split()[0] for line in vehicle("list").stdout.splitlines()] == ["car", "small_rover", "warthog"]
+
+
+def test_a_new_profile_passes_only_when_it_is_filled_in(tmp_path):
+    assert vehicle("new", "mine").exit_code == 0
+    refused = vehicle("check", "mine.toml")
+    assert refused.exit_code == 3
+    faults = refused.stderr.splitlines()[1:]
+    wanted = [key for key in KEYS if key.default is None]
+    assert len(faults) == len(wanted) + 1  # and the description
+    for fault, key in zip(faults[1:], wanted, strict=True):
+        assert fault == f"  {key.name} is not filled in: {key.allowed}"
+    text = (tmp_path / "mine.toml").read_text()
+    assert all(f"In {key.allowed}." in text for key in KEYS)
+
+
+def test_a_new_profile_like_another_says_so_and_passes(tmp_path):
+    assert "change what differs" in vehicle("new", "mine", "--like", "car", "--out", "a.toml").stdout
+    assert "numbers are those of car" in (tmp_path / "a.toml").read_text()
+    made, car = load_profile(tmp_path / "a.toml").to_dict(), load_profile("car").to_dict()
+    assert made == car | {"name": "mine", "description": "like car"}
+    assert vehicle("check", "a.toml").exit_code == 0
+
+
+def test_nothing_is_overwritten(tmp_path):
+    (tmp_path / "mine.toml").write_text("old")
+    (tmp_path / "link.toml").symlink_to(tmp_path / "elsewhere.toml")
+    for words in (("mine",), ("mine", "--out", "link.toml")):
+        result = vehicle("new", *words)
+        assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (3, True)
+    assert (tmp_path / "mine.toml").read_text() == "old"
+    assert not (tmp_path / "elsewhere.toml").exists()
+    assert vehicle("new", "mine", "--out", "none/a.toml").exit_code == 3
+
+
+@pytest.mark.parametrize(("name", "word"), [("car", "ships with bumpymap"), ("../x", "letters"), ("", "letters")])
+def test_a_name_that_will_not_do(name, word):
+    result = vehicle("new", name)
+    assert (result.exit_code, word in result.stderr) == (2, True)
+
+
+def test_a_check_says_what_a_profile_means_and_which_calibration_it_has(tmp_path):
+    said = vehicle("check", "car").stdout
+    for words in ("1,900 kg", "3.9 m long, 1.84 m wide", "3 m/s", "25 degrees", Calibration.shipped("car").id):
+        assert words in said, words
+    vehicle("new", "mine", "--like", "car")
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("wheelbase_m = 2.7", "wheelbase_m = 2.8"))
+    said = vehicle("check", "mine.toml").stdout
+    assert "mine.json does not exist. Make it: bumpymap calibrate --vehicle mine.toml --out mine.json" in said
+    (tmp_path / "mine.json").write_text((SHIPPED / "calibrations" / "car.json").read_text())
+    assert "mine.json was made for another vehicle: wheelbase_m is 2.8, was 2.7" in vehicle("check", "mine.toml").stdout
+
+
+def test_a_vehicle_that_is_unknown_is_wrong_usage_in_every_command(tmp_path):
+    survey = tmp_path / "a.laz"
+    survey.touch()
+    for words in (
+        ["map", "a.laz", "--out", "o", "--vehicle", "tank"],
+        ["scan", "a.bin", "--poses", "p.txt", "--out", "o", "--vehicle", "tank"],
+        ["evaluate", "a.laz", "--out", "o", "--vehicle", "tank"],
+        ["calibrate", "--out", "c.json", "--vehicle", "tank"],
+        ["vehicle", "check", "tank"],
+        ["vehicle", "new", "mine", "--like", "tank"],
+    ):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 2, result.output
+        assert "no vehicle 'tank'" in result.stderr, words
+        assert "(car, small_rover, warthog)" in result.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]
+
+
+def test_a_profile_in_a_settings_file_is_beside_it(tmp_path):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    assert vehicle("new", "mine", "--out", "site/mine.toml").exit_code == 0
+    (folder / "run.toml").write_text('surveys = ["a.laz"]\nout = "o"\nvehicle = "mine.toml"\n')
+    result = CliRunner().invoke(main, ["map", "--config", "site/run.toml"])
+    assert result.exit_code == 3
+    assert "site/mine.toml: 20 faults" in result.stderr
+
+
+def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tmp_path):
+    vehicle("new", "mine", "--like", "car")
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("wheelbase_m = 2.7", "wheelbase_m = 2700"))
+    result = CliRunner().invoke(main, ["calibrate", "--vehicle", "mine.toml", "--check"])
+    assert result.exit_code == 3
+    assert "wheelbase_m = 2700: metres; between 0.1 and 20; 2700 mm would be 2.7" in result.stderr
+    calibration = json.loads((SHIPPED / "calibrations" / "car.json").read_text())
+    calibration["vehicle"]["wheelbase_m"] = 2700
+    (tmp_path / "c.json").write_text(json.dumps(calibration))
+    (tmp_path / "a.laz").touch()
+    result = CliRunner().invoke(main, ["map", "a.laz", "--out", "o", "--calibration", "c.json"])
+    assert result.exit_code == 3
+    assert "c.json, vehicle: wheelbase_m = 2700: metres" in result.stderr
+
+
+def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):
+    vehicle("new", "mine", "--like", "warthog")
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("ride_weight = 5.0", "ride_weight = 9").replace("= 300.0", "= 40"))
+    quarry = SHIPPED.parents[1] / "sample_data" / "quarry.laz"
+    words = ["map", str(quarry), "--vehicle", "mine.toml", "--out"]
+    result = CliRunner().invoke(main, [*words, "own", "--quiet"])
+    assert result.exit_code == 0, result.output
+    record = json.loads((tmp_path / "own" / "run.json").read_text())
+    assert record["settings"]["vehicle"] == "mine.toml"
+    assert record["calibration"]["preferences"] == {
+        "name": "mine", "description": "like warthog", "ride_weight": 9.0, "fail_weight": 40.0
+    }  # fmt: skip
+    assert record["calibration"]["id"] != Calibration.shipped("warthog").id
+    with rasterio.open(tmp_path / "own" / "roughness.tif") as raster:
+        assert (raster.tags()["vehicle"], raster.tags()["ride_weight_m_per_rad"]) == ("mine", "9")

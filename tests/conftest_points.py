@@ -1,0 +1,32 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bumpymap.core.config import FeatureSettings
+from bumpymap.patches.features import join_stacks, measure
+from bumpytiles import Grid, TileBuckets
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """Folder of the real surveys and scans; the test is skipped where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip("the real surveys (../shared/data) are not here")
+    return SHARED
+
+
+def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
+    """PatchStack of loose points."""
+    buckets = TileBuckets(grid or Grid())
+    x, y, z = (np.asarray(column, float) for column in (x, y, z))
+    buckets.add(x, y, z, np.zeros(len(x), bool) if flag is None else flag)
+    blocks = list(buckets.blocks())
+    return join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
+
+
+@pytest.fixture(name="measure_points")
+def measure_points_fixture():
+    return measure_points

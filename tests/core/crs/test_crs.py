@@ -1,0 +1,300 @@
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings, strategies as st
+from pyproj import CRS
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+
+from bumpymap.core import (
+    CrsStatement,
+    Place,
+    common_georeference,
+    georeference,
+    linear_unit,
+    parse_crs,
+    reproject_command,
+    same_crs,
+    scale_note,
+    statement_from_wkt,
+    unit_name,
+    utm_epsg,
+)
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.types import Georeference
+
+US_FOOT = 1200 / 3937
+HERE = Place(Path("site.laz"), (500000.0, 4000000.0, 100.0))
+
+
+SILENT = CrsStatement()
+
+
+def settle(statement=SILENT, crs=None, z_unit=None, place=HERE):
+    return georeference(place, statement, crs, z_unit)
+
+
+@pytest.mark.parametrize("text", ["EPSG:32614", "epsg:32614", "32614", "+proj=utm +zone=14 +datum=WGS84"])
+def test_what_a_user_may_write(text):
+    assert same_crs(parse_crs(text), CRS(32614))
+
+
+@pytest.mark.parametrize("text", ["", "EPSG:1", "utm zone 14", "EPSG:32614x"])
+def test_what_a_user_may_not_write(text):
+    with pytest.raises(UsageError, match="EPSG:32614"):
+        parse_crs(text)
+
+
+@pytest.mark.parametrize("spelling", ["WKT1_GDAL", "WKT1_ESRI", "WKT2_2019"])
+@pytest.mark.parametrize("code", [32614, 3005, 2992, 2276, 2154, 31467])
+def test_one_crs_in_every_spelling(code, spelling):
+    statement = statement_from_wkt(CRS(code).to_wkt(spelling))
+    assert same_crs(statement.crs, CRS(code))
+    place, _ = settle(statement)
+    assert place.metres_per_unit == {2992: 0.3048, 2276: US_FOOT}.get(code, 1.0)
+
+
+def test_us_feet_of_few_digits_are_the_same_unit():
+    text = CRS(2276).to_wkt("WKT1_GDAL").replace("0.304800609601219", "0.3048006096")
+    assert "0.3048006096," in text
+    assert settle(statement_from_wkt(text))[0].metres_per_unit == US_FOOT
+
+
+@pytest.mark.parametrize(
+    ("code", "unit"), [(9001, 1.0), (9002, 0.3048), (9003, US_FOOT), (9036, 1000.0), (32632, None)]
+)
+def test_units_by_code(code, unit):
+    assert linear_unit(code) == unit
+
+
+def test_units_have_names():
+    assert [unit_name(unit) for unit in (1.0, 0.3048, US_FOOT, 1000.0)] == [
+        "metre",
+        "foot",
+        "US survey foot",
+        "unit of 1000 m",
+    ]
+
+
+def test_heights_of_a_three_dimensional_crs():
+    place, _ = settle(CrsStatement(CRS(32614).to_3d()))
+    assert place.crs.to_epsg() == 32614
+    assert len(place.crs.axis_info) == 2
+
+
+def test_vertical_part_of_the_given_crs_wins_over_the_files():
+    file = CrsStatement(CRS("EPSG:32614+6360"))
+    assert settle(file, "EPSG:32614+5703")[0].metres_per_unit_z == 1.0
+
+
+def test_heights_of_the_file_stay_when_only_the_horizontal_crs_is_given():
+    file = CrsStatement(CRS("EPSG:32614+6360"))
+    place, notes = settle(file, "EPSG:32613")
+    assert place.metres_per_unit_z == US_FOOT
+    assert any("heights are in another unit" in note for note in notes)
+
+
+def test_a_given_crs_in_another_unit_denies_the_files_heights_too():
+    file = CrsStatement(CRS("EPSG:2276+6360"))
+    place, _ = settle(file, "EPSG:32614")
+    assert (place.metres_per_unit, place.metres_per_unit_z) == (1.0, 1.0)
+
+
+def test_given_crs_that_agrees_makes_no_noise():
+    _, notes = settle(CrsStatement(CRS("EPSG:32614+5703")), "EPSG:32614")
+    assert notes == ()
+
+
+def settled(statement=SILENT, crs=None, z_unit=None):
+    return settle(statement, crs, z_unit)[0].crs
+
+
+def test_the_vertical_part_stays():
+    compound = CRS("EPSG:32614+5703")
+    assert settled(CrsStatement(compound)) == compound
+    assert settled(crs="EPSG:32614+5703") == compound
+    assert settled(statement_from_wkt(compound.to_wkt("WKT1_GDAL"))) == compound
+    # Heights that are said to be feet are metres in the layers, from the same zero.
+    assert settled(CrsStatement(compound), z_unit="us-ft") == compound
+    # One that has a code of its own keeps it.
+    assert settled(CrsStatement(CRS(7405))).to_epsg() == 7405
+
+
+def test_the_files_vertical_part_goes_with_a_given_crs_that_agrees():
+    file = CrsStatement(CRS("EPSG:32614+5703"))
+    assert settled(file, "EPSG:32614") == CRS("EPSG:32614+5703")
+    assert settled(file, "EPSG:32613") == CRS("EPSG:32613")
+    assert settled(file, "EPSG:32614+5773") == CRS("EPSG:32614+5773")
+
+
+def test_heights_in_feet_are_written_without_their_crs_and_that_is_said():
+    place, notes = settle(CrsStatement(CRS("EPSG:2276+6360")))
+    assert (place.metres_per_unit_z, place.crs.is_compound) == (US_FOOT, True)
+    assert [note for note in notes if "NAVD88 height (ftUS) (EPSG:6360) is not in metres" in note]
+
+
+def test_depths_are_no_heights():
+    assert settled(CrsStatement(CRS("EPSG:32614+5715"))) == CRS("EPSG:32614")
+
+
+def test_trouble_is_refused_or_set_aside():
+    trouble = CrsStatement(trouble="it is a riddle")
+    with pytest.raises(BadInputError, match=r"site\.laz.*riddle.*--crs"):
+        settle(trouble)
+    place, notes = settle(trouble, "EPSG:32614")
+    assert place.crs.to_epsg() == 32614
+    assert any("riddle" in note for note in notes)
+
+
+def test_a_clause_around_a_crs_with_a_code_is_taken_off():
+    crs = CRS("+proj=utm +zone=33 +ellps=intl +towgs84=-87,-98,-121 +type=crs")
+    assert settle(CrsStatement(crs))[0].crs.is_bound
+    coded = statement_from_wkt(
+        CRS(23033)
+        .to_wkt("WKT1_GDAL")
+        .replace('AUTHORITY["EPSG","6230"]]', 'TOWGS84[-87,-98,-121,0,0,0,0],AUTHORITY["EPSG","6230"]]')
+    )
+    assert coded.crs.is_bound
+    assert settle(coded)[0].crs.to_epsg() == 23033
+
+
+def test_a_local_crs_is_no_crs_but_has_units():
+    place, notes = settle(statement_from_wkt('LOCAL_CS["pit grid",UNIT["foot",0.3048]]'))
+    assert place == Georeference(None, 0.3048, 0.3048)
+    assert any("pit grid" in note for note in notes)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4979", "EPSG:4269+5703"])
+def test_degrees_are_refused(crs):
+    place = Place(Path("my site.laz"), (-99.1, 19.4, 2240.0))
+    with pytest.raises(BadInputError) as caught:
+        settle(CrsStatement(CRS(crs)), place=place)
+    assert "pdal translate 'my site.laz' 'my site_metres.laz'" in str(caught.value)
+    assert "out_srs=EPSG:32614" in str(caught.value)
+    assert "in_srs" not in str(caught.value)
+
+
+def test_earth_centred_coordinates_are_refused_with_their_zone():
+    # 99.1 W, 19.4 N at 2240 m, by the closed formula on the WGS 84 ellipsoid.
+    place = Place(Path("a.laz"), (-952_258.6, -5_944_768.1, 2_106_146.8))
+    with pytest.raises(BadInputError, match=r"Earth-centred.*out_srs=EPSG:32614"):
+        settle(CrsStatement(CRS(4978)), place=place)
+
+
+def test_heights_alone_are_no_place():
+    with pytest.raises(BadInputError, match="what heights mean"):
+        settle(crs="EPSG:5703")
+
+
+def test_without_a_place_the_zone_is_left_to_the_user():
+    with pytest.raises(BadInputError, match=r"EPSG:326ZZ(.|\n)*ZZ is the UTM zone"):
+        settle(crs="EPSG:4326", place=Place(Path("a.ply")))
+
+
+@settings(deadline=None, max_examples=50)
+@given(longitude=st.floats(-179.99, 179.99).map(lambda v: round(v, 6)), latitude=st.floats(-79.9, 83.9))
+def test_utm_zone_is_one_that_the_registry_gives_for_the_place(longitude, latitude):
+    area = AreaOfInterest(longitude, latitude, longitude, latitude)
+    codes = {int(info.code) for info in query_utm_crs_info("WGS 84", area)}
+    assert utm_epsg(longitude, latitude) in codes
+
+
+def test_utm_at_the_ends_of_the_earth():
+    assert [utm_epsg(*place) for place in [(10, 85), (10, -81), (180, 1), (-180, -1), (190, 1)]] == [
+        5041, 5042, 32601, 32701, 32602,
+    ]  # fmt: skip
+
+
+def test_the_command_keeps_millimetres_where_integers_would_overflow():
+    command = reproject_command(Path("a.copc.laz"), (-99.1, 19.4), None)
+    assert command.startswith("pdal translate a.copc.laz a_metres.laz reprojection ")
+    for axis in "xyz":
+        assert f"--writers.las.scale_{axis}=0.001 --writers.las.offset_{axis}=auto" in command
+
+
+@pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
+def test_units_that_are_none(unit):
+    wkt = CRS("EPSG:32614").to_wkt("WKT1_GDAL").replace('UNIT["metre",1', f'UNIT["metre",{unit}')
+    with pytest.raises(BadInputError, match=r"the CRS of site\.laz is unclear: .* which is none\..*--crs"):
+        settle(statement_from_wkt(wkt))
+    with pytest.raises(UsageError, match="which is none"):
+        settle(crs=wkt)
+    assert settle(statement_from_wkt(wkt), crs="EPSG:32614")[0].metres_per_unit == 1.0
+
+
+def test_a_metre_that_is_none_is_noted():
+    (note,) = scale_note(CRS(3857), (1e6, 6.2e6, 0))  # 48.6 N: cos = 0.66
+    assert "0.66" in note
+    assert scale_note(CRS(32614), (500000, 2_136_000, 0)) == []
+    assert scale_note(CRS(2276), (2.5e6, 7e6, 0)) == []
+
+
+def test_coordinates_where_the_crs_ends_are_noted():
+    (note,) = scale_note(CRS(32614), (1e12, 1e12, 0))
+    assert "outside the area" in note
+
+
+@dataclass
+class Info:
+    path: Path
+    georeference: Georeference
+
+
+def infos(*crs):
+    return [Info(Path(f"{i}.laz"), Georeference(c and CRS(c), 1.0)) for i, c in enumerate(crs)]
+
+
+def test_files_of_one_crs_share_it_however_it_is_spelled():
+    esri = CRS(32614).to_wkt("WKT1_ESRI")
+    given = infos("EPSG:32614", esri, "EPSG:32614")
+    assert common_georeference(given) is given[0].georeference
+    assert common_georeference(given[::-1]) is given[0].georeference
+    assert common_georeference(infos(None, None)).crs is None
+
+
+@pytest.mark.parametrize(
+    ("crs", "says"), [(("EPSG:32614", "EPSG:32613"), "EPSG:32613"), (("EPSG:32614", None), "no CRS")]
+)
+def test_files_of_several_crs_are_listed(crs, says):
+    with pytest.raises(BadInputError) as caught:
+        common_georeference(infos(*crs))
+    message = str(caught.value)
+    assert "0.laz: WGS 84 / UTM zone 14N (EPSG:32614)" in message
+    assert says in message
+    assert "--crs" in message
+
+
+def test_files_of_several_vertical_crs_are_listed():
+    with pytest.raises(BadInputError) as caught:
+        common_georeference(infos("EPSG:32614+5703", "EPSG:32614+5773"))
+    message = str(caught.value)
+    assert "heights of the files are not in one vertical CRS" in message
+    assert "0.laz: WGS 84 / UTM zone 14N + NAVD88 height (EPSG:32614+5703)" in message
+    assert "1.laz: WGS 84 / UTM zone 14N + EGM96 height (EPSG:32614+5773)" in message
+    assert "--crs" in message
+
+
+def test_files_with_and_without_a_vertical_crs_share_the_horizontal_one(caplog):
+    assert common_georeference(infos("EPSG:32614+5703", "EPSG:32614")).crs == CRS("EPSG:32614")
+    assert "1 of 2 files state a vertical CRS (NAVD88 height (EPSG:5703)), so the layers carry none" in caplog.text
+
+
+def test_files_in_metres_and_in_feet_from_one_zero_share_it_in_metres(caplog):
+    assert common_georeference(infos("EPSG:32614+6360", "EPSG:32614+5703")).crs == CRS("EPSG:32614+5703")
+    assert common_georeference(infos("EPSG:32614+5703", "EPSG:32614+5703")).crs == CRS("EPSG:32614+5703")
+    spelled = (
+        CRS("EPSG:32614+5703").to_wkt("WKT1_GDAL").replace("Datum 1988", "Datum_1988").replace(",AUTHORITY[", ",X[")
+    )
+    assert common_georeference(infos("EPSG:32614+5703", spelled)).crs == CRS("EPSG:32614+5703")
+    assert not caplog.text
+
+
+def test_a_long_list_is_cut():
+    with pytest.raises(BadInputError, match="and 31 more"):
+        common_georeference(infos(*["EPSG:32614"] * 50, None))
+
+
+def test_no_files_share_nothing():
+    with pytest.raises(BadInputError, match="no survey"):
+        common_georeference([])

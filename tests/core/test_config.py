@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import pytest
+
+from bumpymap.core.config import FeatureSettings, MapConfig
+from bumpymap.core.errors import UsageError
+from bumpymap.core.settings_file import read_settings_file
+
+
+def test_defaults_need_no_file():
+    config = MapConfig(surveys=(Path("a.laz"),), out=Path("out"))
+    assert (config.tile_size, config.pixels, config.features.min_points) == (3.0, 15, 30)
+    assert config.threads >= 1
+
+
+def test_settings_from_a_file(tmp_path):
+    file = tmp_path / "site.toml"
+    file.write_text(
+        'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
+        'workers = 3\nscratch = "tmp"\n[features]\nmin_points = 50\n'
+    )
+    config = MapConfig(**read_settings_file(file, MapConfig))
+    assert (config.workers, config.scheduler, config.scratch) == (3, None, tmp_path / "tmp")
+    assert config.surveys == (tmp_path / "a.laz",)
+    assert config.out == tmp_path / "layers"
+    assert config.features == FeatureSettings(min_points=50)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tile_sice = 3", "unknown setting tile_sice; there are: .*tile_size"),
+        ("[features]\nholes = 2", r"\[features\]: unknown setting holes"),
+        ("features = 3", "must be a table"),
+        ("tile_size = ", "cannot read settings"),
+        ("tile_size = true", "tile_size is True; it must be a number"),
+        ("threads = 1.5", "threads is 1.5; it must be a whole number"),
+        ("crs = 32614", "crs is 32614; it must be a text"),
+        ("calibration = 3", "calibration is 3; it must be a text"),
+        ('surveys = "a.laz"', "surveys is 'a.laz'; it must be a list of texts"),
+        ("surveys = [1]", "value 1 of surveys is 1; it must be a text"),
+        ('ground = "some"', "ground is 'some'; it must be one of auto, all, class, csf"),
+        ("local = 1", "local is 1; it must be true or false"),
+        ("workers = true", "workers is True; it must be a whole number"),
+        ("workers = 0\nscheduler = 3", "scheduler is 3; it must be a text"),
+        ("[features]\nmin_points = 2", "min_points is 2; it must be a whole number, at least 3"),
+        ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number"),
+    ],
+)
+def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
+    file = tmp_path / "site.toml"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=message):
+        read_settings_file(file, MapConfig)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"tile_size": 0.0}, "tile_size"),
+        ({"pixels": 2}, "pixels"),
+        ({"threads": 0}, "threads"),
+        ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
+        ({"z_unit": "yard"}, "z_unit"),
+        ({"compat": "other"}, "compat"),
+        ({"workers": 0}, "workers is 0; it must be a whole number, at least 1"),
+        ({"workers": 2, "scheduler": "tcp://a:1"}, "give one of them"),
+        ({"scheduler": "tls://a:1"}, "wants certificates: give --tls-config FILE"),
+        ({"scheduler": "tcp://a:1", "tls_config": Path("t.toml")}, "address starts with tls://"),
+        ({"workers": 2, "tls_config": Path("t.toml")}, "scheduler is None; certificates are for a scheduler"),
+    ],
+)
+def test_values_out_of_bounds_are_refused(setting, message):
+    with pytest.raises(UsageError, match=message):
+        MapConfig(surveys=(Path("a.laz"),), out=Path("out"), **setting)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="cannot read settings"):
+        read_settings_file(tmp_path / "none.toml", MapConfig)

@@ -1,0 +1,91 @@
+"""ONNX Runtime leaves nothing, sends nothing, says nothing."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SURVEY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry_part.ply"
+SWITCHES = {"CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS"}
+"""Variables that keep the telemetry off by themselves."""
+PROGRAM = "import sys; from bumpymap.cli import main; main(sys.argv[1:])"
+
+
+@pytest.fixture
+def home(tmp_path):
+    for name in ("home", "cache", "scratch"):
+        (tmp_path / "place" / name).mkdir(parents=True)
+    return tmp_path / "place"
+
+
+def variables(home):
+    """A user who has set nothing."""
+    kept = {name: value for name, value in os.environ.items() if name not in SWITCHES}
+    return kept | {"HOME": str(home / "home"), "XDG_CACHE_HOME": str(home / "cache"), "TMPDIR": str(home / "scratch")}
+
+
+def scan_frame(folder):
+    rng = np.random.default_rng(3)
+    radius, azimuth = np.sqrt(rng.uniform(1.0, 400.0, 20_000)), rng.uniform(-np.pi, np.pi, 20_000)
+    x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    rows = np.column_stack([x, y, -1.0 + 0.05 * rng.standard_normal(20_000), np.ones(20_000)])
+    path = folder / "frame.bin"
+    rows.astype("<f4").tofile(path)
+    return path
+
+
+def words(command, tmp_path):
+    """What a user types."""
+    if command == "scan":
+        return ["scan", str(scan_frame(tmp_path)), "--out", str(tmp_path / "out")]
+    more = {"map": [], "map --rating table": ["--rating", "table"], "map --workers 2": ["--workers", "2"]}[command]
+    return ["map", str(SURVEY), "--local", "--out", str(tmp_path / "out"), *more]
+
+
+COMMANDS = ["map", "map --rating table", "map --workers 2", "scan"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_run_leaves_no_file_and_says_nothing_where_it_shall_be_quiet(tmp_path, home, command):
+    if "workers" in command:
+        pytest.importorskip("distributed")
+        pytest.importorskip("cryptography")
+    line = [sys.executable, "-c", PROGRAM, *words(command, tmp_path), "--quiet"]
+    done = subprocess.run(line, env=variables(home), capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    assert [path for path in home.rglob("*") if not path.is_dir()] == []
+
+
+def test_no_thread_is_left_that_could_send_something(home):
+    code = (
+        "import os, numpy\n"
+        "before = len(os.listdir('/proc/self/task'))\n"
+        "from bumpymap.core.onnx_file import session, shipped_network\n"
+        "session(shipped_network('textures.onnx'))\n"
+        "print(len(os.listdir('/proc/self/task')) - before)"
+    )
+    if not Path("/proc/self/task").is_dir():
+        pytest.skip("threads are counted in /proc, which is Linux's")
+    done = subprocess.run([sys.executable, "-c", code], env=variables(home), capture_output=True, text=True, check=True)
+    assert done.stdout == "0\n"
+
+
+@pytest.mark.parametrize("command", ["map --rating table", "scan"])
+def test_a_run_without_a_network_never_asks_for_one(tmp_path, home, command):
+    traced = ["unshare", "--net", "--", "strace", "--follow-forks", "--trace=network,%file", "--output", "trace"]
+    if shutil.which("strace") is None or shutil.which("unshare") is None:
+        pytest.skip("needs the programs strace and unshare")
+    tried = subprocess.run([*traced, "true"], cwd=tmp_path, capture_output=True, check=False)
+    if tried.returncode != 0:
+        pytest.skip(f"strace and unshare may not be used here: {tried.stderr.decode().strip()}")
+    line = [*traced, sys.executable, "-c", PROGRAM, *words(command, tmp_path), "--quiet"]
+    done = subprocess.run(line, cwd=tmp_path, env=variables(home), capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    calls = (tmp_path / "trace").read_text(encoding="utf-8", errors="replace").splitlines()
+    assert any("textures.onnx" in call or "onnxruntime" in call for call in calls)
+    assert [call for call in calls if "connect(" in call or "sendto(" in call or "sendmsg(" in call] == []
+    assert [call for call in calls if "deviceid" in call or "/.ses" in call] == []

@@ -1,0 +1,142 @@
+"""Settings from TOML: what is written comes back as the type that was asked for, or one message says what is wrong."""
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from hypothesis import given, strategies as st
+
+from bumpymap.core.errors import UsageError
+from bumpymap.core.settings_file import read_settings_file
+
+Colour = Literal["red", "blue"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    number: float = 1.0
+    corners: tuple[float, float] = (0.0, 1.0)
+    counts: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outer:
+    places: tuple[Path | str, ...] = ()
+    files: tuple[Path, ...] = ()
+    file: Path | None = None
+    text: str | None = None
+    count: int = 0
+    maybe: int | None = None
+    yes: bool = False
+    colour: Colour = "red"
+    other: Colour | None = None
+    colours: tuple[Colour, ...] = ()
+    inner: Inner = field(default_factory=Inner)
+
+
+def read(tmp_path, text):
+    file = tmp_path / "a.toml"
+    file.write_text(text, encoding="utf-8")
+    return read_settings_file(file, Outer)
+
+
+def toml(value):
+    """Return a TOML value. JSON's texts, lists and booleans are TOML's too."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml, value))}]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+whole = st.integers(-(2**63), 2**63 - 1)
+words = st.text(st.characters(codec="ascii", categories=("L", "N", "P", "Zs")), min_size=1)
+
+
+@given(
+    plain=st.fixed_dictionaries(
+        {},
+        optional={
+            "text": words,
+            "count": whole,
+            "maybe": whole,
+            "yes": st.booleans(),
+            "colour": st.sampled_from(["red", "blue"]),
+            "other": st.sampled_from(["red", "blue"]),
+            "colours": st.lists(st.sampled_from(["red", "blue"])).map(tuple),
+        },
+    ),
+    inner=st.fixed_dictionaries(
+        {},
+        optional={
+            "number": finite,
+            "corners": st.tuples(finite, finite),
+            "counts": st.lists(whole).map(tuple),
+        },
+    ),
+)
+def test_what_is_written_comes_back(tmp_path_factory, plain, inner):
+    lines = [f"{name} = {toml(value)}" for name, value in plain.items()]
+    lines += ["[inner]", *(f"{name} = {toml(value)}" for name, value in inner.items())]
+    settings = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
+    assert settings == plain | {"inner": Inner(**inner)}
+    assert Outer(**settings) == Outer(**plain, inner=Inner(**inner))
+
+
+def test_whole_numbers_become_numbers(tmp_path):
+    inner = read(tmp_path, "[inner]\nnumber = 3\ncorners = [1, 2.5]\n")["inner"]
+    assert inner == Inner(3.0, (1.0, 2.5))
+    assert {type(value) for value in (inner.number, *inner.corners)} == {float}
+    assert math.isinf(read(tmp_path, "[inner]\nnumber = inf")["inner"].number)
+
+
+def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
+    settings = read(tmp_path, 'places = ["a", "/b", "s3://c/d"]\nfiles = ["e", "f/g"]\nfile = "../h"')
+    assert settings == {
+        "places": (tmp_path / "a", Path("/b"), "s3://c/d"),
+        "files": (tmp_path / "e", tmp_path / "f" / "g"),
+        "file": tmp_path / "../h",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("none = 1\nnever = 2", r"a\.toml: unknown setting never, none; there are: places, files, file"),
+        ("[inner]\nnone = 1", r"a\.toml \[inner\]: unknown setting none; there are: number, corners, counts"),
+        ("inner = 1", r"inner is 1; it must be a table \[inner\]"),
+        ('places = "a"', "places is 'a'; it must be a list of texts"),
+        ('files = "a"', "files is 'a'; it must be a list of texts"),
+        ('places = ["a", 7]', "value 2 of places is 7; it must be a text"),
+        ("file = 1", "file is 1; it must be a text"),
+        ("text = true", "text is True; it must be a text"),
+        ("count = 1.0", r"count is 1\.0; it must be a whole number"),
+        ("count = true", "count is True; it must be a whole number"),
+        ("maybe = false", "maybe is False; it must be a whole number"),
+        ("yes = 1", "yes is 1; it must be true or false"),
+        ('colour = "green"', "colour is 'green'; it must be one of red, blue"),
+        ("other = [1]", r"other is \[1\]; it must be one of red, blue"),
+        ('colours = ["red", "green"]', "value 2 of colours is 'green'; it must be one of red, blue"),
+        ("colours = 1", "colours is 1; it must be a list of texts"),
+        ("[inner]\nnumber = true", "number is True; it must be a number"),
+        ("[inner]\nnumber = 2024-05-01", "it must be a number"),
+        (f"[inner]\nnumber = 1{'0' * 400}", "it must be a number"),
+        ("[inner]\ncorners = [1]", r"corners is \[1\]; it must be a list of 2 numbers"),
+        ("[inner]\ncounts = [1, 2.5]", r"value 2 of counts is 2\.5; it must be a whole number"),
+        ("count = ", "cannot read settings from .*a.toml"),
+        (f"count = {'9' * 5000}", "cannot read settings"),
+        (f"count = {'[' * 5000}", "cannot read settings"),
+    ],
+)
+def test_what_is_wrong_is_said_with_what_is_allowed(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read(tmp_path, text)
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"text = '\xff'")
+    for path in (tmp_path / "a.toml", tmp_path / "none.toml", tmp_path):
+        with pytest.raises(UsageError, match="cannot read settings"):
+            read_settings_file(path, Outer)

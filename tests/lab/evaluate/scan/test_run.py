@@ -1,0 +1,102 @@
+"""A whole evaluation of scans on a small drive; turned scans; the plain way beside ours."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.core import Scan
+from bumpymap.core.errors import UsageError
+from bumpymap.lab.evaluate.scan.plain import plain_classes
+from bumpymap.lab.evaluate.scan.timing import require_plain
+from bumpymap.lab.evaluate.scan.turning import kept_share, turned
+from bumpymap.scan import classify_filter, load_stripes, polar_sectors
+
+
+def ground(seed, rough=0.3):
+    """A field that is smooth on the right and churned on the left, as (n, 4) rows of a .bin file."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-18, 18, (60_000, 2))
+    z = -1.5 + rng.normal(0, 0.01, len(place)) + np.where(place[:, 1] > 0, rough * rng.uniform(-1, 1, len(place)), 0)
+    return np.column_stack([place, z, np.zeros(len(place))]).astype("<f4")
+
+
+@pytest.fixture
+def drive(tmp_path):
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for frame in range(2):
+        ground(frame).tofile(folder / f"{frame:06d}.bin")
+    return folder
+
+
+def test_a_report_holds_both_methods(drive, tmp_path):
+    out = tmp_path / "out"
+    run = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)], catch_exceptions=False)
+    assert run.exit_code == 0, run.output
+    record = json.loads((out / "report.json").read_text())
+    assert record["facts"]["scans"] == 2
+    assert record["facts"]["labelled"] == 0
+    assert record["accuracy"] == {}
+    sectors = [sum(row["sectors"] for row in record["classes"][method]) for method in ("filter", "learned")]
+    assert sectors == [record["facts"]["sectors"]] * 2
+    smooth, *_, rough = record["classes"]["filter"]
+    assert smooth["variance"][0] < rough["variance"][0]
+    assert smooth["stripes"][0] > rough["stripes"][0]
+    assert all(cost["points"] == 131_072 and cost["scan_ms"] > 0 for cost in record["costs"])
+    text = (out / "report.md").read_text()
+    assert "Beside the labels" not in text
+    assert "nan" not in text
+    again = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)])
+    assert again.exit_code != 0
+    assert "--overwrite" in again.output
+
+
+def test_an_empty_drive_says_so(tmp_path):
+    np.zeros((50, 4), "<f4").tofile(tmp_path / "0.bin")
+    run = CliRunner().invoke(main, ["evaluate", "--scans", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 3
+    assert "no scan has a sector" in run.output
+
+
+def test_a_turn_keeps_distances_and_comes_round():
+    scan = Scan(ground(3)[:, :3])
+    quarter = turned(scan, np.pi / 2)
+    assert quarter.points[:, 0] == pytest.approx(-scan.points[:, 1], abs=1e-5)
+    assert quarter.points[:, 2] == pytest.approx(scan.points[:, 2])
+    assert turned(quarter, -np.pi / 2).points == pytest.approx(scan.points, abs=1e-5)
+
+
+def test_the_kept_share_tells_a_grid_that_stands_still():
+    scan = Scan(ground(5)[:, :3])
+
+    def by_compass(one):
+        classed = classify_filter(polar_sectors(one))
+        east = np.where(classed.sectors.sector % 2, 0, 2).astype(np.uint8)
+        return type(classed)(classed.sectors, east, None, "filter")
+
+    angles = [0.3, 1.0, 2.5]
+    assert kept_share(scan, lambda one: classify_filter(polar_sectors(one)), angles) > 0.97
+    standing = kept_share(scan, by_compass, [0.0])
+    assert standing == 1.0
+    assert np.isnan(kept_share(Scan(np.empty((0, 3), np.float32)), by_compass, angles))
+
+
+def test_the_plain_way_finds_much_the_same():
+    scan = Scan(ground(6)[:, :3])
+    sectors, classes = plain_classes(scan, load_stripes())
+    ours = classify_filter(polar_sectors(scan))
+    assert sectors == pytest.approx(len(ours.class_id), rel=0.05)
+    plain = np.bincount(classes, minlength=3) / len(classes)
+    shares = np.bincount(ours.class_id[ours.sectors.traversable], minlength=3) / ours.sectors.traversable.sum()
+    assert plain == pytest.approx(shares, abs=0.25)
+
+
+def test_a_missing_library_is_named_with_what_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(UsageError, match=r"scikit-learn and scikit-image: pip install 'bumpymap\[scan\]'"):
+        require_plain(simulates=False)
+    with pytest.raises(UsageError, match=r"open3d: pip install 'bumpymap\[scan,o3d\]'"):
+        require_plain(simulates=True)

@@ -1,0 +1,199 @@
+"""Whole evaluations: of a corner of the sample survey and of a little library, with short drives."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.progress import SilentProgress
+from bumpymap.lab.evaluate.run import evaluate_library, evaluate_survey
+from bumpymap.lab.evaluate.settings import EvaluateSettings
+from bumpymap.lab.evaluate.subject import Subject
+from bumpymap.lab.evaluate.survey import open_readers
+from bumpymap.lab.evaluate.trial import Crew
+from bumpymap.lab.simulate import validate
+from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.readers import ReadOptions
+
+
+def crew(out):
+    return Crew(out, 1, overwrite=False, progress=SilentProgress())
+
+
+def evaluate(quarry, subjects, settings, out):
+    options = ReadOptions()
+    return evaluate_survey(open_readers([quarry], options, local=False), options, "all", subjects, settings, crew(out))
+
+
+@pytest.fixture
+def fake_drives(monkeypatch):
+    """Drives that cost nothing: C_r is the relief. Returns the keys of those that were made."""
+    made = []
+
+    def run(common, job):
+        made.append(job.key)
+        c_r = 0.01 + float(np.std(job.heights))
+        return PatchDrives(("completed",) * 2, (c_r, 1.05 * c_r))
+
+    monkeypatch.setattr(validate, "require_dart", lambda: None)
+    monkeypatch.setattr(validate, "_drive", run)
+    return made
+
+
+def test_a_survey_is_driven_rated_thinned_moved_and_timed(quarry, subject, settings, tmp_path):
+    pytest.importorskip("dartpy")
+    found = evaluate(quarry, [subject], settings, tmp_path)
+    own = found.comparisons["warthog"]
+    assert own.patches == 10
+    assert own.drives == 20
+    assert set(own.agreement) >= {"ride", "ride_raw", "table"}
+    assert {row.density for row in found.densities} == {40.0}
+    assert [cost.step for cost in found.timing] == ["measure", "texture", "ride", "table"]
+    assert all(cost.peak_kb >= cost.result_kb * 0.9 for cost in found.timing)
+    assert sum(row.tiles for row in found.classes["ride"].rows) == found.facts["judged_tiles"]
+    assert [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
+
+
+def test_drives_are_not_made_twice_even_for_another_calibration(quarry, subject, settings, tmp_path, fake_drives):
+    quick = replace(settings, skip=frozenset({"density", "invariance", "timing"}))
+    first = evaluate(quarry, [subject], quick, tmp_path)
+    assert len(fake_drives) == 10
+    again = evaluate(quarry, [subject], quick, tmp_path)
+    assert len(fake_drives) == 10
+    assert again.to_record() == first.to_record()
+    other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
+    evaluate(quarry, [Subject.of(other, subject.textures, "both")], quick, tmp_path)
+    assert len(fake_drives) == 10
+    evaluate(quarry, [subject], replace(quick, total_patches=15), tmp_path)
+    assert len(fake_drives) == 15
+
+
+def test_vehicles_drive_the_same_patches_and_are_put_in_order(quarry, subject, settings, tmp_path, fake_drives):
+    vehicle = dict(subject.calibration.vehicle) | {"name": "other"}
+    other = Subject.of(replace(subject.calibration, vehicle=vehicle), subject.textures, "both")
+    quick = replace(settings, skip=frozenset({"density", "invariance", "timing"}))
+    found = evaluate(quarry, [subject, other], quick, tmp_path)
+    assert found.patches["warthog"].names == found.patches["other"].names
+    assert [(order.rating, order.vehicles) for order in found.orders] == [
+        ("ride", ("warthog", "other")),
+        ("table", ("warthog", "other")),
+    ]
+
+
+def test_a_survey_too_sparse_to_judge_says_why(quarry, subject, settings, tmp_path):
+    picky = replace(settings, features=replace(settings.features, min_points=100_000))
+    with pytest.raises(BadInputError, match=r"too few points: \d+"):
+        evaluate(quarry, [subject], picky, tmp_path)
+
+
+def test_calibrations_for_different_tiles_are_refused(quarry, subject, settings, tmp_path):
+    other = replace(subject, calibration=replace(subject.calibration, tile_size=1.5))
+    with pytest.raises(UsageError, match=r"1\.5 m with 15 pixels, 3 m"):
+        evaluate(quarry, [subject, other], settings, tmp_path)
+
+
+def test_the_library_is_driven_and_told_apart_by_kind(subject, settings, tmp_path, fake_drives):
+    found = evaluate_library([subject], replace(settings, skip=frozenset({"noise"})), crew(tmp_path))
+    assert len(fake_drives) == found.facts["terrains"] == 17
+    assert {row.kind for row in found.kinds} == set(found.facts["kinds"])
+    assert len(found.moves) == 8
+    assert not found.classes
+
+
+def cli(*words):
+    return CliRunner().invoke(main, ["evaluate", *map(str, words)])
+
+
+def test_command_writes_a_report_without_drives(quarry, subject, tmp_path):
+    out, calibration = tmp_path / "trust", tmp_path / "own.json"
+    calibration.write_text(subject.calibration.to_json())
+    words = [quarry, "--out", out, "--calibration", calibration, "--rating", "table"]
+    words += ["--skip", "drives,density,invariance,timing"]
+    result = cli(*words)
+    assert result.exit_code == 0, result.output
+    record = json.loads((out / "report.json").read_text())
+    assert list(record["classes"]) == ["table"]
+    assert sorted(path.name for path in out.iterdir()) == ["report.json", "report.md"]
+    refused = cli(*words)
+    assert refused.exit_code == 3
+    assert "--overwrite" in refused.output
+    assert cli(*words, "--overwrite").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "either surveys"),
+        (["site.laz", "--library"], "either surveys"),
+        (["site.laz", "--densities", "many"], "--densities is 'many'"),
+        (["site.laz", "--densities", "-4"], "positive"),
+        (["site.laz", "--skip", "lunch"], "--skip lunch"),
+        (["site.laz", "--total-patches", "3"], "total_patches is 3"),
+        (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--rating", "table"], "twice"),
+    ],
+)
+def test_wrong_usage_is_said_before_anything_is_read(words, said, tmp_path):
+    result = cli(*words, "--out", tmp_path / "o")
+    assert result.exit_code == 2, result.output
+    assert said in result.output
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_survey_that_is_not_there_leaves_no_folder(subject, tmp_path):
+    (tmp_path / "own.json").write_text(subject.calibration.to_json())
+    words = ["--calibration", tmp_path / "own.json", "--skip", "drives", "--out", tmp_path / "o"]
+    result = cli(tmp_path / "gone.laz", *words)
+    assert result.exit_code == 3
+    assert "does not exist" in result.output
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, fake_drives, monkeypatch):
+    monkeypatch.setattr("bumpymap.lab.simulate.model.require_dart", lambda: None)
+    (tmp_path / "own.json").write_text(subject.calibration.to_json())
+    words = [
+        quarry,
+        "--calibration",
+        tmp_path / "own.json",
+        "--out",
+        tmp_path / "o",
+        "--total-patches",
+        "12",
+        "--workers",
+        "1",
+    ]
+    words += ["--skip", "density,invariance,timing"]
+    drive = validate._drive
+
+    def interrupted(common, job):
+        if len(fake_drives) == 5:
+            raise KeyboardInterrupt
+        return drive(common, job)
+
+    with monkeypatch.context() as during:
+        during.setattr(validate, "_drive", interrupted)
+        result = cli(*words)
+    assert result.exit_code == 130
+    assert "same command again" in result.output
+    assert [path.suffix for path in (tmp_path / "o").iterdir()] == [".jsonl"]
+    result = cli(*words)
+    assert result.exit_code == 0, result.output
+    assert len(fake_drives) == 12
+    assert "12 patches, 24 drives, 0 failed" in result.output
+
+
+def test_a_calibration_without_a_ride_model_names_the_way_out(subject, tmp_path):
+    bare = replace(subject.calibration, ride=None)
+    (tmp_path / "bare.json").write_text(bare.to_json())
+    result = cli("site.laz", "--calibration", tmp_path / "bare.json", "--out", tmp_path / "o")
+    assert result.exit_code == 2
+    assert "--rating table" in result.output
+
+
+def test_settings_ask_for_more_drives_than_they_allow():
+    assert EvaluateSettings(min_starts=48).effort.most == 48
+    assert EvaluateSettings(min_starts=16).effort.most == 48

@@ -1,0 +1,277 @@
+"""The calibration as a whole, with few and short drives."""
+
+import errno
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.types import TEXTURES
+from bumpymap.lab import KINDS
+from bumpymap.lab.simulate import calibrate as calibrate_module
+from bumpymap.lab.simulate.calibrate import calibrate
+from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.journal import Journal
+from bumpymap.lab.simulate.library import library_terrains, read_library
+from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
+from bumpymap.lab.simulate.summary import class_limits
+from bumpymap.rating.calibration import Calibration, shipped_calibrations
+from bumpymap.rating.vehicle.profile import VehicleProfile, load_profile
+
+pytest.importorskip("dartpy")
+SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
+SETTINGS = CalibrationSettings(
+    load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
+)
+TABLE, LIBRARY = 16, len(KINDS)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(SETTINGS)
+
+
+@pytest.fixture
+def fake_drives(monkeypatch):
+    """Jobs that cost nothing; returns the list of those that ran."""
+    ran = []
+
+    def run(settings, job):
+        ran.append(job)
+        if isinstance(job, TableJob):
+            c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
+        else:
+            c_r = 0.01 * (1 + KINDS.index(job.kind))
+        return PatchDrives(("completed",) * job.starts, (c_r,) * job.starts)
+
+    monkeypatch.setattr(calibrate_module, "run_job", run)
+    return ran
+
+
+def test_default_covers_the_papers_drives_from_two_centimetres_to_two_and_a_half_metres():
+    settings = CalibrationSettings(load_profile("warthog"))
+    assert settings.total_drives >= 2478
+    assert (settings.z_range[0], settings.z_range[-1]) == (0.02, 2.5)
+    assert settings.total_drives == 4 * 14 * 8 * 3 + 17 * 24 * 8
+    assert len({job.key for job in settings.jobs()}) == 4 * 14 * 8 + 17 * 24
+
+
+def test_quick_setting_is_at_most_a_quarter_of_the_drives_over_the_same_z_ranges():
+    full = CalibrationSettings(load_profile("car"))
+    quick = full.quick()
+    assert quick.total_drives < full.total_drives / 3.5
+    assert (quick.z_range[0], quick.z_range[-1]) == (full.z_range[0], full.z_range[-1])
+
+
+def test_library_is_as_high_as_the_wheels_ask_for():
+    warthog, rover = (CalibrationSettings(load_profile(name)) for name in ("warthog", "small_rover"))
+    assert warthog.height_scale == 1.0
+    assert rover.height_scale == pytest.approx(0.11 / 0.3)
+
+
+def test_log_spaced_values_have_equal_ratios():
+    values = log_spaced(0.02, 2.5, 14)
+    np.testing.assert_allclose(np.diff(np.log(values)), np.log(125) / 13, rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"patches": 1}, "patches is 1; it must be 2"),
+        ({"starts": 0}, "starts is 0"),
+        ({"terrains": 0}, "terrains is 0; it must be 1"),
+        ({"terrain_starts": 1}, "terrain_starts is 1; it must be 2"),
+        ({"seed": -1}, "seed is -1"),
+        ({"tile_size": 0.0}, "tile size is 0.0"),
+        ({"z_range": (0.2, 0.1)}, "rise"),
+        ({"z_range": ()}, "rise"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_refused(change, words):
+    with pytest.raises(UsageError, match=words):
+        replace(SETTINGS, **change)
+
+
+def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
+    assert all(low < high for low, high in calibration.c_r)
+    assert calibration.drives == ((2, 2),) * 4
+    assert calibration.ride is None
+    assert Calibration.from_json(calibration.to_json(), "x") == calibration
+
+
+def test_number_of_workers_changes_nothing(calibration):
+    assert calibrate(SETTINGS, workers=2) == calibration
+
+
+def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
+    path = tmp_path / "out.json.progress.jsonl"
+
+    def stop(done, _total):
+        if done >= TABLE + 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
+    assert len(path.read_text().splitlines()) == 1 + TABLE + 3
+    ran = []
+    monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
+    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
+    assert len(ran) == LIBRARY - 3
+
+
+def test_job_depends_on_nothing_but_the_settings(calibration):
+    more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
+    table, library = TableJob(3, 1, 1, 1), LibraryJob("furrows", 0, 2)
+    assert run_job(more, replace(table, starts=2)).c_r[:1] == run_job(SETTINGS, table).c_r
+    assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, table).c_r[0]
+    made = run_job(SETTINGS, library)
+    assert run_job(more, replace(library, starts=3)).c_r[:2] == made.c_r
+    assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
+
+
+def test_library_travels_in_the_file_with_the_ground_it_was(calibration):
+    again = Calibration.from_json(calibration.to_json(), "x")
+    terrains, driven = read_library(again)
+    assert [d.kind for d in driven] == list(KINDS)
+    assert all(d.drives == 2 for d in driven)
+    for terrain, record in zip(terrains, driven, strict=True):
+        np.testing.assert_array_equal(terrain.surface, library_terrain(SETTINGS, record.kind, record.index).surface)
+
+
+def test_fit_gets_ground_and_drives_and_its_answer_is_kept(fake_drives, tmp_path):
+    seen = {}
+
+    def fit(profile, terrains, driven):
+        seen.update(profile=profile, terrains=terrains, driven=driven)
+        return {"c_r": [1.0, 2.0], "origin": {"terrains": len(driven)}}
+
+    made = calibrate(replace(SETTINGS, terrains=2), fit=fit)
+    assert made.ride == {"c_r": [1.0, 2.0], "origin": {"terrains": 2 * LIBRARY}}
+    assert seen["profile"] == SETTINGS.profile
+    assert [t.kind for t in seen["terrains"]] == [d.kind for d in seen["driven"]]
+    assert seen["driven"] == library_terrains(Calibration.from_json(made.to_json(), "x"))
+
+
+def test_jobs_differ_in_patch_and_in_start():
+    jobs = [TableJob(3, 1, 0, 2), TableJob(3, 1, 1, 2), LibraryJob("furrows", 0, 2), LibraryJob("furrows", 1, 2)]
+    values = [value for job in jobs for value in run_job(SETTINGS, job).c_r]
+    assert len(set(values)) == 8
+
+
+def test_progress_counts_drives(fake_drives):
+    seen = []
+    calibrate(replace(SETTINGS, starts=3), lambda done, total: seen.append((done, total)))
+    total = 3 * TABLE + 2 * LIBRARY
+    assert seen[0] == (0, total)
+    assert seen[-1] == (total, total)
+    assert [done for done, _ in seen] == [*range(0, 3 * TABLE, 3), *range(3 * TABLE, total + 1, 2)]
+
+
+def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
+    path = tmp_path / "progress"
+    whole = calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
+    fake_drives.clear()
+    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
+    assert len(fake_drives) == TABLE + LIBRARY - 3
+    assert "damaged line" in caplog.text
+    assert path.read_text().splitlines() == lines
+
+
+def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
+    path = tmp_path / "progress"
+    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    other = replace(SETTINGS, seed=5)
+    with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
+        calibrate(other, journal=Journal(path, other.to_dict()))
+    fake_drives.clear()
+    calibrate(other, journal=Journal(path, other.to_dict()), discard_other=True)
+    assert len(fake_drives) == TABLE + LIBRARY
+    assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
+
+
+@pytest.mark.parametrize("target", ["mine", "none", "folder"])
+def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, target):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    path = tmp_path / "progress"
+    path.symlink_to(tmp_path / target)
+    with pytest.raises(OutputError, match="is a link, and is left alone"):
+        calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not (tmp_path / "none").exists()
+    path.unlink()
+    journal = Journal(path, SETTINGS.to_dict())
+    driven = journal.resume(discard_other=False)
+    path.unlink()
+    path.symlink_to(tmp_path / "mine")  # swapped while the run is under way
+    with pytest.raises(OutputError, match="is a link, and is left alone"):
+        journal.add(("a", 1), PatchDrives(("completed",), (0.1,)))
+    assert driven == {}
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
+    path = tmp_path / "progress"
+    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    before = path.read_text()
+
+    def full(file, *_, **__):
+        with file.open("w") as opened:
+            opened.write("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", full)
+        with pytest.raises(OutputError, match="No space left"):
+            Journal(path, SETTINGS.to_dict()).resume(discard_other=False)
+    assert path.read_text() == before
+
+
+def test_progress_file_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "progress"
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(OutputError, match="cannot use the progress file"):
+        Journal(path, {}).resume(discard_other=False)
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_calibration_is_what_this_code_makes(name):
+    shipped = Calibration.shipped(name)
+    made = shipped.settings
+    profile = load_profile(name)
+    assert VehicleProfile.from_dict(shipped.vehicle, name) == profile
+    effort = {name: made[name] for name in ("patches", "starts", "terrains", "terrain_starts")}
+    settings = CalibrationSettings(profile, made["seed"], **effort)
+    assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {
+        k: v for k, v in settings.to_dict().items() if k not in ("versions", "vehicle")
+    }
+    for texture, z in ((0, 5), (3, 2)):
+        drives = run_job(settings, TableJob(texture, z, 0, settings.starts))
+        assert drives.mean_c_r == pytest.approx(made["patch_c_r"][texture][z][0], rel=0.01)
+    drives = run_job(settings, LibraryJob("fractal_5", 1, settings.terrain_starts))
+    assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.class_limits == class_limits(library_terrains(shipped))
+    means = [
+        [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
+    ]
+    np.testing.assert_allclose(np.array(shipped.c_r, dtype=float), means, rtol=1e-12)
+
+
+def test_shipped_calibration_holds_together():
+    shipped = Calibration.shipped("warthog")
+    assert shipped.textures == TEXTURES
+    c_r = np.array([[np.nan if c is None else c for c in line] for line in shipped.c_r])
+    driven = np.array(shipped.p_fail) < 0.05
+    steps = np.diff(np.where(driven, c_r, np.nan), axis=1)
+    assert (steps[np.isfinite(steps)] > 0).all()
+    assert (c_r[0][driven.all(axis=0)] < c_r[3][driven.all(axis=0)]).all()

@@ -1,0 +1,57 @@
+"""Short versions of the checks that ``bumpymap calibrate --check`` makes in full."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from bumpymap.lab.simulate.checks import check_plane, check_repeat, check_sine, check_step, sine_c_r
+from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.model import Physics
+from bumpymap.rating.vehicle.profile import load_profile
+
+pytest.importorskip("dartpy")
+WARTHOG = load_profile("warthog")
+SHORT = DriveSettings(measure_s=5.0)
+
+
+@pytest.mark.parametrize(("degrees", "heading"), [(0, 0), (30, 0), (30, 90)])
+def test_planes_shake_nothing(degrees, heading):
+    result = check_plane(WARTHOG, degrees, heading, SHORT)
+    assert result.ok, result
+
+
+@pytest.mark.parametrize("wavelength", [2.0, 2.5, 5.0])
+def test_sine_meets_its_closed_form(wavelength):
+    result = check_sine(WARTHOG, wavelength, SHORT)
+    assert result.ok, result
+
+
+def test_half_the_time_step_changes_little():
+    result = check_step(WARTHOG, patches=6, settings=SHORT)
+    assert result.ok, result
+
+
+def test_same_seed_gives_the_same_bits_in_another_process():
+    result = check_repeat(WARTHOG, 3, SHORT)
+    assert result.ok, result
+
+
+def test_checks_can_fail():
+    # On ice the vehicle goes nowhere; a wave at the step that is far too coarse is not followed.
+    ice = DriveSettings(measure_s=1.0, physics=Physics(friction=0.0))
+    assert not check_plane(WARTHOG, 30, 0, ice).ok
+    assert not check_sine(WARTHOG, 2.5, ice).ok
+
+
+def test_closed_form_agrees_with_summing_the_pitch_of_the_axles():
+    amplitude, wavelength, base = 0.02, 2.5, WARTHOG.wheelbase_m
+    steps = 20_000
+    pitch = [
+        math.atan2(
+            amplitude * (math.sin(2 * math.pi * (x + base) / wavelength) - math.sin(2 * math.pi * x / wavelength)), base
+        )
+        for x in (wavelength * i / steps for i in range(steps + 1))
+    ]
+    turned = sum(abs(b - a) for a, b in pairwise(pitch))
+    assert sine_c_r(WARTHOG, amplitude, wavelength) == pytest.approx(turned / wavelength, rel=2e-3)

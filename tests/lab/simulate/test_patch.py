@@ -1,0 +1,126 @@
+"""Patches driven until they are known, one or many: made-up drives for the rules, a few real ones for the seams."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import UsageError
+from bumpymap.lab.simulate import patch as patch_module
+from bumpymap.lab.simulate.drive import Drive, DriveSettings
+from bumpymap.lab.simulate.journal import Journal
+from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.validate import drive_patches
+from bumpymap.rating.vehicle.profile import load_profile
+
+WARTHOG = load_profile("warthog")
+LEVEL = np.zeros((15, 15))
+SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
+
+
+@pytest.fixture
+def fake_drive(monkeypatch):
+    """Drives whose C_r is drawn from their seed; returns settings of the draw and the seeds that were driven."""
+    state = {"spread": 0.2, "fails": 0.0, "seeds": []}
+
+    def drive(_profile, _ground, seed, _settings):
+        state["seeds"].append(seed)
+        rng = np.random.default_rng(seed)
+        failed = rng.random() < state["fails"]
+        c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())
+        return Drive("rolled" if failed else "completed", c_r, 10.0, 10.0, seed)
+
+    monkeypatch.setattr(patch_module, "drive", drive)
+    return state
+
+
+def test_mean_and_error_are_those_of_the_completed_drives():
+    drives = PatchDrives(("completed", "stuck", "completed", "completed"), (0.1, None, 0.2, 0.4))
+    assert drives.mean_c_r == pytest.approx(0.7 / 3)
+    assert drives.standard_error == pytest.approx(np.std([0.1, 0.2, 0.4], ddof=1) / math.sqrt(3))
+    assert drives.failed == 1
+
+
+def test_too_few_drives_have_no_error_or_no_mean():
+    assert PatchDrives(("completed",), (0.1,)).standard_error is None
+    assert PatchDrives(("rolled", "stuck"), (None, None)).mean_c_r is None
+
+
+def test_fixed_effort_makes_exactly_so_many_drives_from_different_seeds(fake_drive):
+    drives = drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort.fixed(7))
+    assert len(drives.outcome) == len(set(fake_drive["seeds"])) == 7
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.2, 0.35])
+def test_drives_go_on_until_the_mean_is_known(fake_drive, spread):
+    fake_drive["spread"] = spread
+    effort = Effort(least=4, most=200, target_error=0.05)
+    drives = drive_patch(WARTHOG, LEVEL, 3.0, 3, effort)
+    assert drives.standard_error <= 0.05 * drives.mean_c_r
+    one_less = PatchDrives(drives.outcome[:-1], drives.c_r[:-1])
+    assert len(drives.c_r) == 4 or one_less.standard_error > 0.05 * one_less.mean_c_r
+
+
+def test_drives_end_at_the_most_even_when_the_mean_is_not_known(fake_drive):
+    fake_drive["spread"] = 0.9
+    assert len(drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(4, 9, 0.01)).outcome) == 9
+
+
+def test_failed_drives_count_and_do_not_help_the_mean(fake_drive):
+    fake_drive["fails"] = 0.5
+    drives = drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(4, 200, 0.05))
+    assert drives.failed > 3
+    assert drives.standard_error <= 0.05 * drives.mean_c_r
+
+
+def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
+    fake_drive["fails"] = 1.0
+    assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
+
+
+def test_more_effort_adds_drives_and_changes_none(fake_drive):
+    few, many = (drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort.fixed(n)) for n in (3, 8))
+    assert many.c_r[:3] == few.c_r
+
+
+@pytest.mark.parametrize("effort", [(0, 4, 0.05), (5, 4, 0.05), (4, 5, 0.0), (4, 5, math.nan)])
+def test_effort_that_cannot_be_is_refused(effort):
+    with pytest.raises(UsageError, match=r"must be"):
+        Effort(*effort)
+
+
+def test_patches_do_not_depend_on_their_neighbours_or_their_order(fake_drive):
+    patches = {(-3, 2): LEVEL, (7, 11): LEVEL, ("site", 4): LEVEL}
+    effort = Effort.fixed(3)
+    every = drive_patches(WARTHOG, patches, 3.0, 1, effort)
+    turned = drive_patches(WARTHOG, dict(reversed(patches.items())), 3.0, 1, effort)
+    assert every == turned
+    assert drive_patches(WARTHOG, {(7, 11): LEVEL}, 3.0, 1, effort)[7, 11] == every[7, 11]
+    assert len({drives.c_r for drives in every.values()}) == 3
+    assert drive_patches(WARTHOG, patches, 3.0, 2, effort)[-3, 2] != every[-3, 2]
+
+
+def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
+    patches = {(col, -1): LEVEL for col in range(4)}
+    journal = Journal(tmp_path / "j", {"survey": "x"})
+    effort = Effort.fixed(2)
+    first = drive_patches(WARTHOG, dict(list(patches.items())[:3]), 3.0, 1, effort, journal=journal)
+    fake_drive["seeds"].clear()
+    seen = []
+    again = drive_patches(
+        WARTHOG, patches, 3.0, 1, effort, journal=journal, progress=lambda done, total: seen.append((done, total))
+    )
+    assert {key: again[key] for key in first} == first
+    assert len(fake_drive["seeds"]) == 2
+    assert seen == [(6, 8), (8, 8)]
+
+
+def test_real_drives_are_the_same_in_a_pool():
+    pytest.importorskip("dartpy")
+    rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))
+    patches = {(0, 0): rough, (0, 1): rough.T.copy()}
+    alone, pooled = (
+        drive_patches(WARTHOG, patches, 3.0, 1, Effort.fixed(2), SHORT, workers=workers) for workers in (1, 2)
+    )
+    assert alone == pooled
+    assert alone[0, 0].completed

@@ -1,0 +1,155 @@
+"""Workers of the simulation: no thread of the main process tends them, and they end with it, however it ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from bumpymap.core.errors import BumpymapError
+from bumpymap.lab.simulate.pool import drive_jobs
+
+JOBS = """
+import os, time
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Job:
+    key: int
+    starts: int = 1
+
+def twice(job): return 2 * job.key
+def fail(job): return 1 // job.key
+def die(job): os._exit(1)
+def never(job):
+    print(os.getpid(), flush=True)
+    time.sleep(3600)
+"""
+BEGIN = """
+import os, signal, sys
+from bumpymap.core.interrupts import interruptible
+from bumpymap.lab.simulate.pool import drive_jobs
+import pool_jobs
+
+seen, at = 0, int(sys.argv[1])
+def tick(*_):
+    global seen
+    seen += 1
+    if seen == at:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+jobs = [pool_jobs.Job(key) for key in range(6)]
+try:
+    with interruptible():
+        sys.setprofile(tick)
+        drive_jobs(pool_jobs.twice, jobs, workers=2)
+except KeyboardInterrupt:
+    sys.setprofile(None)
+    sys.exit(9)
+sys.setprofile(None)
+print(seen)
+"""
+INSTANTS = 12
+CUT = """
+import sys
+from contextlib import contextmanager
+import bumpymap.lab.simulate.pool as pool
+import pool_jobs
+
+shielded, entered = pool.shielded, 0
+
+@contextmanager
+def cut_before_the_workers_are_killed():
+    global entered
+    entered += 1
+    if entered > 2:  # two workers have been started
+        raise KeyboardInterrupt
+    with shielded():
+        yield
+
+def interrupt(links):
+    raise KeyboardInterrupt
+
+pool.shielded, pool.wait = cut_before_the_workers_are_killed, interrupt
+try:
+    pool.drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)
+except KeyboardInterrupt:
+    sys.exit(9)
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path, monkeypatch):
+    """A module that workers can import."""
+    (tmp_path / "pool_jobs.py").write_text(JOBS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pool_jobs", raising=False)
+    return __import__("pool_jobs")
+
+
+def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
+    before, seen = threading.active_count(), []
+
+    def told(done, total):
+        seen.append((done, total, threading.active_count()))
+
+    assert drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], told, workers=3) == {
+        key: 2 * key for key in range(7)
+    }
+    assert seen == [(done, 7, before) for done in range(8)]
+
+
+def test_what_a_job_raises_comes_back(jobs):
+    with pytest.raises(ZeroDivisionError):
+        drive_jobs(jobs.fail, [jobs.Job(1), jobs.Job(0)], workers=2)
+
+
+def test_a_dead_worker_is_reported_with_what_to_do(jobs):
+    with pytest.raises(BumpymapError, match="run the same command again"):
+        drive_jobs(jobs.die, [jobs.Job(0), jobs.Job(1)], workers=2)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
+    def ended(at):
+        env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
+        command = [sys.executable, "-c", BEGIN, str(at)]
+        return subprocess.run(command, env=env, capture_output=True, text=True, timeout=120, check=False)
+
+    whole = ended(0)
+    assert whole.returncode == 0, whole.stderr
+    steps = int(whole.stdout)
+    for instant in range(INSTANTS):
+        done = ended(1 + instant * steps // INSTANTS)
+        assert done.stderr == "", f"instant {instant}"
+        assert done.returncode in ({9} if instant < INSTANTS - 2 else {0, 9})
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_signal_before_the_clearing_up_leaves_nobody_waiting(jobs):
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
+    command = [sys.executable, "-c", CUT]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (9, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
+def test_workers_end_with_a_main_process_that_was_killed(jobs):
+    code = (
+        "from bumpymap.lab.simulate.pool import drive_jobs\n"
+        "import pool_jobs\n"
+        "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
+    )
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
+    pipe = subprocess.PIPE
+    main = subprocess.Popen([sys.executable, "-c", code], env=env, stdout=pipe, stderr=pipe, text=True)
+    workers = {int(main.stdout.readline()) for _ in range(2)}
+    assert main.pid not in workers
+    for worker in workers:
+        os.kill(worker, signal.SIGTERM)  # of the whole group: it is for the main process
+    main.kill()
+    # The workers hold the pipes too: their ends are reached only when all are gone.
+    assert main.communicate(timeout=30) == ("", "")

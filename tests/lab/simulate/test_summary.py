@@ -1,0 +1,127 @@
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from bumpymap.core.errors import BumpymapError
+from bumpymap.core.types import TEXTURES
+from bumpymap.lab import KINDS
+from bumpymap.lab.simulate import summary
+from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.plan import CalibrationSettings
+from bumpymap.lab.simulate.summary import class_limits, natural_breaks
+from bumpymap.rating.calibration import DrivenTerrain
+from bumpymap.rating.vehicle.profile import load_profile
+
+SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
+
+
+def drives(*c_r):
+    return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
+
+
+def summarise(cells, command=""):
+    """Sum up cells, beside a library whose C_r rises from terrain to terrain."""
+    results = {("table", t, z, patch): d for (t, z), cell in cells.items() for patch, d in enumerate(cell)}
+    names = [("library", kind, index) for kind in KINDS for index in range(4)]
+    results |= {name: drives(0.01 * (1 + i), 0.01 * (1 + i)) for i, name in enumerate(names)}
+    return summary.summarise(SETTINGS, results, command)
+
+
+def terrain(c_r, completed=8, failed=0):
+    return DrivenTerrain("kerb", 0, c_r, 0.01, completed, failed, 0)
+
+
+@pytest.fixture
+def cells():
+    """C_r grows by texture and z range; patches differ by the factors 0.8, 1 and 1.2."""
+    return {
+        (t, z): [
+            drives(0.02 * 2**t * (1 + 4 * z) * f * 0.9, 0.02 * 2**t * (1 + 4 * z) * f * 1.1) for f in (0.8, 1, 1.2)
+        ]
+        for t in range(4)
+        for z in range(2)
+    }
+
+
+def spread(groups):
+    return sum(((g - g.mean()) ** 2).sum() for g in groups)
+
+
+@given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
+def test_natural_breaks_are_the_best_of_all_splits(values):
+    x = np.sort(values)
+    limits = natural_breaks(np.array(values), 4)
+    found = spread(np.split(x, np.searchsorted(x, limits)))
+    best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
+    assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
+
+
+def test_natural_breaks_find_clear_groups():
+    limits = natural_breaks(np.array([1.0, 1.1, 5.0, 20.0, 0.9, 40.0, 5.2, 21.0]), 4)
+    assert limits == pytest.approx([3.05, 12.8, 30.25])
+
+
+def test_cell_is_the_mean_over_patches_of_patch_means(cells):
+    calibration = summarise(cells, "how")
+    assert calibration.textures == TEXTURES
+    np.testing.assert_allclose(calibration.c_r, [[0.02 * 2**t, 0.1 * 2**t] for t in range(4)], rtol=1e-12)
+    assert len(calibration.settings["library"]["kerb"]["c_r"]) == 4
+    sd = np.std(np.log([0.8, 1.0, 1.2]), ddof=1)
+    np.testing.assert_allclose(calibration.c_r_log_sd, np.full((4, 2), sd), rtol=1e-9)
+    assert calibration.drives == ((6, 6),) * 4
+    assert calibration.p_fail == ((0.0, 0.0),) * 4
+    assert calibration.settings["command"] == "how"
+    assert calibration.settings["seed"] == 1
+    assert calibration.vehicle["name"] == "warthog"
+
+
+def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
+    cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
+    calibration = summarise(cells)
+    assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
+    assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
+    assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
+
+
+def test_cell_without_a_completed_drive_has_no_c_r(cells):
+    cells[2, 1] = [drives(None, None)] * 3
+    calibration = summarise(cells)
+    assert calibration.c_r[2][1] is None
+    assert calibration.c_r_log_sd[2][1] is None
+    assert calibration.p_fail[2][1] == 1.0
+
+
+def test_class_means_lie_between_their_limits(cells):
+    calibration = summarise(cells)
+    low, middle, high = calibration.class_limits
+    a, b, c, d = calibration.class_c_r
+    assert 0 < a < low <= b < middle <= c < high <= d
+
+
+def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
+    crossed = [terrain(c) for c in (0.1, 0.11, 0.3, 0.31, 0.6, 0.61, 1.0, 1.01)]
+    lost = [terrain(5.0, 5, 3), terrain(None, 0, 8)]
+    kept = [terrain(1.08, 6, 2)]
+    assert class_limits(crossed + lost) == class_limits(crossed) == pytest.approx((0.205, 0.455, 0.805))
+    assert class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
+
+
+def test_class_means_are_those_of_all_terrains_of_the_class(cells):
+    calibration = summarise(cells)
+    c_r = 0.01 * np.arange(1, 69)
+    class_id = np.searchsorted(calibration.class_limits, c_r, side="right")
+    expected = [c_r[class_id == k].mean() for k in range(4)]
+    np.testing.assert_allclose(calibration.class_c_r, expected, rtol=1e-6)
+
+
+def test_vehicle_that_fails_everywhere_is_said():
+    with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
+        class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
+
+
+def test_limits_too_close_together_are_refused():
+    with pytest.raises(BumpymapError, match="too close together"):
+        class_limits([terrain(1e-5 * i) for i in range(1, 20)])

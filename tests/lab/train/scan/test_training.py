@@ -1,0 +1,187 @@
+"""Training in seconds: it learns, repeats itself, goes on after a break, and hands over what it learned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bumpymap.core.errors import BadInputError, OutputError, UsageError
+
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
+onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+
+from bumpymap.lab.train.scan import make  # noqa: E402
+from bumpymap.lab.train.scan.data import Sectors  # noqa: E402
+from bumpymap.lab.train.scan.evaluate import confusion, evaluate, even_accuracy, predict  # noqa: E402
+from bumpymap.lab.train.scan.export import to_onnx  # noqa: E402
+from bumpymap.lab.train.scan.make import make_scan_model  # noqa: E402
+from bumpymap.lab.train.scan.train import ScanTrainSettings, train  # noqa: E402
+from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, _infer  # noqa: E402
+
+SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
+
+
+def _sectors(seed, each=60):
+    """Three kinds of relief: level, waves, walls."""
+    rng = np.random.default_rng(seed)
+    class_id = np.repeat(np.arange(3), each)
+    shape = (len(class_id), CHANNELS, 15, 15)
+    column = np.arange(15)
+    wave = np.sin(column[None] * rng.uniform(1, 2, (len(class_id), 1)) + rng.uniform(0, 6, (len(class_id), 1)))
+    wall = np.sign(column[None] - rng.uniform(4, 10, (len(class_id), 1)))
+    relief = np.choose(class_id[:, None], [0 * wave, wave, wall])[:, None, None, :]
+    patches = (relief + rng.normal(0, 0.2, shape)).astype(np.float32)
+    measures = rng.normal(0, 1, (len(class_id), len(MEASURES))).astype(np.float32)
+    return Sectors(
+        patches, measures, class_id, np.array([3, 19, 4], "i2")[class_id], class_id.astype("i2"), class_id < 2
+    )
+
+
+def _numbers(net):
+    return {name: value.numpy() for name, value in net.state_dict().items()}
+
+
+def _assert_same(one, two):
+    one, two = _numbers(one), _numbers(two)
+    assert one.keys() == two.keys()
+    for name, value in one.items():
+        assert_array_equal(value, two[name], err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return train(SMALL, _sectors(1))
+
+
+def test_a_short_training_learns():
+    reports = []
+    net = train(ScanTrainSettings(epochs=4, sectors_per_class=300, batch=32), _sectors(1, 200), None, reports.append)
+    assert [report.epoch for report in reports] == [1, 2, 3, 4]
+    assert reports[-1].loss < 0.6 * reports[0].loss
+    scores = evaluate(net, _sectors(2), 7)
+    assert scores.every.accuracy > 0.9
+    assert scores.every.count == 180
+    assert scores.gated.count == 120
+    assert scores.scans == 7
+    assert set(scores.labels) == {3, 4, 19}
+    assert sum(map(sum, scores.labels.values())) == 180
+    assert net.parameter_count() < 100_000
+
+
+def test_the_seed_decides_every_bit(small):
+    _assert_same(train(SMALL, _sectors(1)), small)
+    other = _numbers(train(replace(SMALL, seed=2), _sectors(1)))
+    assert (other["stem.0.weight"] != _numbers(small)["stem.0.weight"]).any()
+
+
+def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
+    checkpoint = tmp_path / "net.checkpoint"
+
+    def pull_the_plug(report):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(SMALL, _sectors(1), checkpoint, pull_the_plug)
+    reports = []
+    resumed = train(SMALL, _sectors(1), checkpoint, reports.append)
+    assert [report.epoch for report in reports] == [2]
+    _assert_same(resumed, small)
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    train(replace(SMALL, epochs=1), _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match=r"epochs 1 \(now 2\)"):
+        train(SMALL, _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match="sectors"):
+        train(replace(SMALL, epochs=1), _sectors(1, 61), tmp_path / "c")
+    (tmp_path / "c").write_bytes(b"something else")
+    with pytest.raises(UsageError, match="cannot be read"):
+        train(SMALL, _sectors(1), tmp_path / "c")
+
+
+def test_training_leaves_global_state_alone():
+    torch.manual_seed(123)
+    threads, expected = torch.get_num_threads(), torch.rand(1)
+    torch.manual_seed(123)
+    train(replace(SMALL, epochs=1, threads=2), _sectors(1))
+    assert torch.rand(1) == expected
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("wrong", [{"epochs": 0}, {"scenes": 0}, {"seed": -1}, {"sectors_per_class": 0}])
+def test_settings_that_cannot_be_are_refused(wrong):
+    with pytest.raises(UsageError, match="must be"):
+        ScanTrainSettings(**wrong)
+
+
+def test_onnx_says_what_torch_says(small):
+    net = train(replace(SMALL, epochs=1), _sectors(1))
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.running_mean.uniform_(-0.2, 0.2)
+                module.weight.uniform_(0.5, 2.0)
+                module.bias.uniform_(-0.5, 0.5)
+        net.head.bias.uniform_(-1.0, 1.0)
+    sectors = _sectors(3, 33)
+    content = to_onnx(net, {})
+    said = _infer(content, {"patches": sectors.patches, "measures": sectors.measures})
+    assert_allclose(said, predict(net, sectors), atol=2e-5)
+    alone = _infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
+    assert_array_equal(alone[0], said[7])  # whatever stands beside it
+
+
+def test_export_is_small_plain_and_repeatable(small):
+    content = to_onnx(small, {"seed": 1, "note": "text", "classes": ["a"]})
+    assert content == to_onnx(small, {"seed": 1, "note": "text", "classes": ["a"]})
+    proto = onnx.load_model_from_string(content)
+    assert {p.key: p.value for p in proto.metadata_props} == {"seed": "1", "note": "text", "classes": '["a"]'}
+    assert [value.name for value in proto.graph.input] == ["patches", "measures"]
+    assert {v.type.tensor_type.shape.dim[0].dim_param for v in (*proto.graph.input, *proto.graph.output)} == {"batch"}
+    assert len(content) < 200_000
+
+
+def test_scores():
+    score = confusion(np.array([0, 0, 0, 0, 1, 2]), np.array([0, 0, 0, 1, 1, 0]))
+    assert score.confusion == ((3, 1, 0), (0, 1, 0), (1, 0, 0))
+    assert score.accuracy == 4 / 6
+    assert even_accuracy(score) == pytest.approx((0.75 + 1 + 0) / 3)
+    assert even_accuracy(confusion(np.array([0, 0]), np.array([0, 1]))) == 0.5  # a class that is not there
+
+
+@pytest.mark.open3d
+def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
+    from bumpymap.lab import Sensor, write_folder
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.04)
+        folder = write_folder(tmp_path, 3, range(4), sensor=Sensor(lines=32, columns=512, end_m=40.0))
+    told = []
+    out = tmp_path / "m.onnx"
+    made = make_scan_model(SMALL, out, folder, None, lambda *numbers: told.append(numbers))
+    assert told == [(1, 3), (2, 3), (3, 3), (1, 1)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["Rellis-3D", "m.md", "m.onnx"]
+    model = ScanModel.load(out)
+    assert model.metadata["command"].startswith("bumpymap train --scans RELLIS_FOLDER --seed 1 --epochs 2")
+    card = made.card.read_text(encoding="utf-8")
+    assert f"{100 * made.evaluation.every.accuracy:.2f} % of all sectors" in card
+    assert "made-up" not in card
+    again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)
+    assert again.model.read_bytes() == out.read_bytes()
+
+
+def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(make, "UNSEEN_SCENES", 2)
+    monkeypatch.setattr(make, "simulated_sectors", lambda _seed, scenes, *_rest: _sectors(scenes[0]))
+    made = make_scan_model(replace(SMALL, scenes=3), tmp_path / "m.onnx")
+    assert "3 made-up scenes" in made.card.read_text(encoding="utf-8")
+    assert made.evaluation.scans == 2
+    assert ScanModel.load(made.model).metadata["sector_version"] == str(SECTOR_VERSION)
+
+
+def test_bad_places_and_folders_are_refused(tmp_path):
+    with pytest.raises(OutputError, match="no folder"):
+        make_scan_model(SMALL, tmp_path / "nowhere" / "m.onnx", tmp_path)
+    with pytest.raises(BadInputError, match="holds no scans"):
+        make_scan_model(SMALL, tmp_path / "m.onnx", tmp_path)

@@ -1,0 +1,66 @@
+"""Training and validation sets: labels, sizes, and that nothing leaks between them."""
+
+import numpy as np
+from numpy.testing import assert_array_equal
+
+from bumpymap.lab.train import data
+from bumpymap.lab.train.alter import NONE
+from bumpymap.lab.train.data import (
+    LIGHT_EVERY,
+    SHORT_WAVES,
+    altered_copies,
+    epoch_samples,
+    training_patches,
+    unseen_patches,
+)
+
+
+def test_labels_go_with_patches():
+    samples = training_patches(1, 40, 15)
+    assert_array_equal(samples.labels, np.repeat(range(4), 40))
+    rough = np.abs(np.diff(samples.patches, axis=2)).mean(axis=(1, 2)).reshape(4, 40).mean(axis=1)
+    assert rough[0] < rough[1] < rough[2] < rough[3]
+
+
+def test_epochs_shuffle_and_alter_anew_but_repeatably():
+    training = training_patches(1, 40, 15)
+    first, again, second = epoch_samples(training, 1, 0), epoch_samples(training, 1, 0), epoch_samples(training, 1, 1)
+    assert_array_equal(first.patches, again.patches)
+    assert_array_equal(first.labels, again.labels)
+    assert (np.diff(first.labels) < 0).any()
+    assert_array_equal(np.sort(first.labels), np.concatenate([training.labels, [3] * 8]))
+    assert np.abs(first.patches - second.patches).mean() > 0.05
+
+
+def test_unseen_patches_share_none_with_training():
+    training, unseen = training_patches(1, 60, 15), unseen_patches(1, 60, 15, NONE)
+    flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
+    assert len(np.unique(flat, axis=0)) == 480
+    assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05
+
+
+def test_altered_copies_are_like_their_originals():
+    training = training_patches(1, 50, 15)
+    copies = altered_copies(training, 1)
+    assert_array_equal(copies.labels, training.labels)
+    assert np.abs(copies.patches - training.patches).max(axis=(1, 2)).min() > 1e-3
+
+
+def test_short_waves_come_on_top_of_the_rubble():
+    training = training_patches(1, 100, 15)
+    kept = training.patches.copy()
+    epoch = epoch_samples(training, 1, 0)
+    assert_array_equal(training.patches, kept)
+    assert_array_equal(np.bincount(epoch.labels), [100, 100, 100, 100 + 100 * SHORT_WAVES])
+
+
+def test_one_patch_in_a_few_is_altered_lightly(monkeypatch):
+    training = training_patches(1, 100, 15)
+    full = epoch_samples(training, 1, 0)
+    monkeypatch.setattr(data, "LIGHT", NONE)
+    bare = epoch_samples(training, 1, 0)
+    lightly = np.any(full.patches != bare.patches, axis=(1, 2))
+    assert set(np.flatnonzero(lightly) % LIGHT_EVERY) == {0}
+    untouched = {patch.tobytes() for patch in training.patches.round(4)}
+    found = [patch.tobytes() in untouched for patch in bare.patches[::LIGHT_EVERY].round(4)]
+    assert np.mean(found) > 0.5

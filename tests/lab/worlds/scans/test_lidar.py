@@ -1,0 +1,153 @@
+"""The LiDAR against closed forms: level ground, tilt, grass, lost returns; and its files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bumpymap.core.errors import UsageError
+from bumpymap.lab.worlds.scans import ground
+from bumpymap.lab.worlds.scans.folder import LABELS, POINTS, write_folder
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.lab.worlds.scans.lidar import simulate_scan
+from bumpymap.lab.worlds.scans.regions import Blob
+from bumpymap.lab.worlds.scans.scene import Scene, make_scene
+from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor, draw_sensor
+
+SMALL = Sensor(lines=16, columns=128, end_m=25.0)
+PERFECT = replace(SMALL, noise_m=0.0, lost=0.0, reach_m=1000.0)
+
+
+@pytest.fixture(autouse=True)
+def _coarse_mesh(monkeypatch):
+    monkeypatch.setattr(ground, "_STEP", 0.04)
+
+
+@pytest.fixture(scope="module")
+def level():
+    made = replace(
+        make_scene(1, 0).ground, regions=(), hills_m=0.0, bumps_m=0.0, cover_rough_m=0.0, cover=Label.DIRT, grass_m=0.3
+    )
+    return Scene("level", made, ())
+
+
+@pytest.mark.open3d
+def test_the_seed_decides_every_bit():
+    scene = make_scene(2, 4)
+    one, two, other = (simulate_scan(scene, SMALL, seed) for seed in (1, 1, 2))
+    for name in ("points", "intensity", "label"):
+        assert_array_equal(getattr(one, name), getattr(two, name))
+    assert (one.points != other.points).any()
+
+
+@pytest.mark.open3d
+def test_level_ground_is_met_where_the_height_says(level):
+    scan = simulate_scan(level, PERFECT, 1)
+    seen = scan.label > 0
+    elevation = np.repeat(np.radians(np.linspace(-22.5, 22.5, 16)), 128)
+    assert_array_equal(seen, (elevation < 0) & (1.4 / np.sin(-np.minimum(elevation, -1e-9)) < 25.0))
+    assert_allclose(scan.points[seen, 2], -1.4, atol=1e-4)
+    assert (scan.label[seen] == Label.DIRT).all()
+    assert_array_equal(scan.points[~seen], 0.0)
+    assert_array_equal(scan.intensity[~seen], 0.0)
+
+
+@pytest.mark.open3d
+def test_a_tilted_sensor_sees_tilted_ground(level):
+    tilted = replace(PERFECT, tilt_deg=(3.0, -5.0))
+    scan = simulate_scan(level, tilted, 1)
+    upright = scan.points[scan.label > 0] @ tilted.to_level().T
+    assert_allclose(upright[:, 2], -1.4, atol=1e-4)
+    # Nose up (negative pitch about y), the ground ahead lies lower in the sensor's own frame.
+    ahead = scan.points[(scan.label > 0) & (scan.points[:, 0] > 4) & (np.abs(scan.points[:, 1]) < 1)]
+    assert (ahead[:, 2] < -1.4).all()
+
+
+@pytest.mark.open3d
+def test_range_noise_is_as_large_as_said(level):
+    noisy = simulate_scan(level, replace(PERFECT, noise_m=0.03, columns=512), 1)
+    clean = simulate_scan(level, replace(PERFECT, columns=512), 1)
+    seen = clean.label > 0
+    error = np.linalg.norm(noisy.points[seen], axis=1) - np.linalg.norm(clean.points[seen], axis=1)
+    assert error.std() == pytest.approx(0.03, rel=0.1)
+    assert abs(error.mean()) < 0.005
+
+
+@pytest.mark.open3d
+def test_grass_stops_beams_above_the_soil_and_never_above_itself(level):
+    meadow = replace(level, ground=replace(level.ground, cover=Label.GRASS))
+    scan = simulate_scan(meadow, PERFECT, 1)
+    above = scan.points[scan.label > 0, 2] + 1.4
+    assert above.min() > -1e-3
+    assert above.max() < 2.5 * 0.3 + 1e-3
+    assert above.std() > 0.02
+    thin = replace(meadow, ground=replace(meadow.ground, grass_path_m=1e6))
+    assert np.abs(simulate_scan(thin, PERFECT, 1).points[scan.label > 0, 2] + 1.4).max() < 1e-3
+
+
+@pytest.mark.open3d
+def test_herbs_are_labelled_as_grass_and_no_turf_stands_before_them(level):
+    """The layer of grass belongs to ground that it covers: on bare dirt nothing stops a beam before a leaf."""
+    card = np.array([[[5, -1, -1], [5, 1, -1], [5, 1, 1]], [[5, -1, -1], [5, 1, 1], [5, -1, 1]]], np.float32)
+    scan = simulate_scan(replace(level, things=((Label.GRASS, card),)), PERFECT, 1)
+    herb = scan.label == Label.GRASS
+    assert herb.sum() > 5
+    assert_allclose(scan.points[herb, 0], 5.0, atol=1e-3)
+
+
+@pytest.mark.open3d
+def test_returns_fade_with_distance_and_water_throws_them_away(level):
+    sensor = replace(SMALL, lines=64, lowest_deg=-30, highest_deg=-2, reach_m=12.0, lost=0.0)
+    scan = simulate_scan(level, sensor, 1)
+    share = (scan.label > 0).reshape(64, 128).mean(axis=1)
+    assert share[:8].mean() > 0.9  # down to 2.8 m away
+    assert share[-8:].mean() < 0.3  # 15 m and more
+    pond = Blob(Label.WATER, (0.0, 0.0), 200.0, (), 0.0, 0.0)
+    wet = replace(level, ground=replace(level.ground, regions=(pond,)))
+    assert (simulate_scan(wet, sensor, 1).label > 0).sum() < 0.6 * (scan.label > 0).sum()
+
+
+@pytest.mark.open3d
+def test_what_stands_in_the_way_hides_what_lies_behind(level):
+    wall = np.array([[[5, -2, -1], [5, 2, -1], [5, 2, 3]], [[5, -2, -1], [5, 2, 3], [5, -2, 3]]], np.float32)
+    scan = simulate_scan(replace(level, things=((Label.BARRIER, wall),)), PERFECT, 1)
+    ahead = (np.abs(scan.points[:, 1]) < 0.35 * scan.points[:, 0]) & (scan.label > 0)
+    assert_allclose(scan.points[ahead & (scan.label == Label.BARRIER), 0], 5.0, atol=1e-3)
+    assert scan.points[ahead, 0].max() < 5.001
+    assert (scan.label[ahead] == Label.BARRIER).any()
+
+
+def test_a_sensor_that_cannot_be_is_refused():
+    for wrong in ({"lines": 1}, {"lowest_deg": 30.0}, {"noise_m": -1.0}, {"lost": 1.0}, {"height_m": 0.0}):
+        with pytest.raises(UsageError, match=r"must|at least"):
+            Sensor(**wrong)
+
+
+def test_drawn_sensors_vary_and_repeat():
+    drawn = [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
+    assert drawn == [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
+    assert {(s.lines, s.columns) for s in drawn} == {(s.lines, s.columns) for s in SENSORS.values()}
+    assert all(0.5 <= s.height_m <= 2.1 and 0.008 <= s.noise_m <= 0.03 for s in drawn)
+    assert_allclose(np.linalg.norm(drawn[0].directions(), axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.open3d
+def test_folder_holds_what_was_simulated(tmp_path):
+    folder = write_folder(tmp_path, 2, [4, 5], sensor=SMALL)
+    assert folder == tmp_path / "Rellis-3D"
+    sequence = folder / "00000"
+    assert sorted(p.name for p in (sequence / POINTS).iterdir()) == ["000000.bin", "000001.bin"]
+    scan = simulate_scan(make_scene(2, 5), SMALL, 5)
+    rows = np.fromfile(sequence / POINTS / "000001.bin", "<f4").reshape(-1, 4)
+    assert_array_equal(rows[:, :3], scan.points)
+    assert_array_equal(rows[:, 3], scan.intensity)
+    assert_array_equal(np.fromfile(sequence / LABELS / "000001.label", "<u4"), scan.label)
+
+
+def test_open3d_stays_out_until_it_is_needed():
+    import subprocess
+    import sys
+
+    code = "import bumpymap.lab.worlds.scans, sys; print('open3d' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

@@ -1,0 +1,172 @@
+"""Scenes follow from their seed and hold what their labels say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bumpymap.core.errors import UsageError
+from bumpymap.lab.worlds.scans._fields import make_field
+from bumpymap.lab.worlds.scans._solids import boxes, leaves, ribbon, stones, tube
+from bumpymap.lab.worlds.scans.ground import ground_mesh
+from bumpymap.lab.worlds.scans.labels import ANSWERS, Label
+from bumpymap.lab.worlds.scans.objects import block_field
+from bumpymap.lab.worlds.scans.plants import herb
+from bumpymap.lab.worlds.scans.regions import make_blob, make_way
+from bumpymap.lab.worlds.scans.scene import THEMES, make_scene
+
+AREA = np.linspace(-30, 30, 121)
+X, Y = (axis.ravel() for axis in np.meshgrid(AREA, AREA))
+
+
+def _area(soup):
+    edges = soup[:, 1:] - soup[:, :1]
+    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_seed_decides_every_bit_of_a_scene(theme):
+    one, two, other = make_scene(3, 5, theme), make_scene(3, 5, theme), make_scene(3, 6, theme)
+    assert_array_equal(one.ground.sample(X, Y).z, two.ground.sample(X, Y).z)
+    assert [label for label, _ in one.things] == [label for label, _ in two.things]
+    for (_, soup), (_, again) in zip(one.things, two.things, strict=True):
+        assert_array_equal(soup, again)
+    assert (one.ground.sample(X, Y).z != other.ground.sample(X, Y).z).any()
+
+
+def test_an_unknown_theme_is_refused():
+    with pytest.raises(UsageError, match="'moon'; it must be one of meadow"):
+        make_scene(1, 1, "moon")
+
+
+def test_all_labels_turn_up_and_all_have_an_answer_to_light():
+    found = set()
+    for index in range(2 * len(THEMES)):
+        scene = make_scene(8, index)
+        found |= {label for label, _ in scene.things} | set(scene.ground.sample(X, Y).label.tolist())
+    assert found == set(ANSWERS) == set(Label) - {Label.VOID}
+
+
+def test_nothing_but_ground_is_nearer_than_the_robot_is_wide():
+    for index in range(len(THEMES)):
+        for label, soup in make_scene(9, index).things:
+            if label not in {Label.TREE, Label.RUBBLE}:  # a crown may hang over it
+                assert np.hypot(soup[..., 0], soup[..., 1]).min() > 1.0, label
+
+
+def test_a_scene_without_anything_is_no_error(monkeypatch):
+    monkeypatch.setitem(THEMES, "bare", replace(THEMES["meadow"], bushes=0, trees=0, persons=0, vehicles=0, fences=0))
+    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, herbs=0, ways=0, mud=0, puddles=0, bare=0))
+    scene = make_scene(1, 1, "bare")
+    assert scene.things == ()
+    assert set(scene.ground.sample(X, Y).label) == {Label.GRASS}
+
+
+def test_water_is_level_and_ground_is_not():
+    rng = np.random.default_rng(4)
+    scene = make_scene(1, 0, "meadow")
+    pond = make_blob(rng, Label.WATER, (8.0, 0.0), 6.0, 0.001, -0.5)
+    ground = replace(scene.ground, regions=(pond,))
+    sample = ground.sample(X, Y)
+    wet = sample.label == Label.WATER
+    assert_array_equal(wet, pond.reach(X, Y) < 1)
+    assert 0.2 < wet.sum() * 0.25 / (np.pi * 36) < 3  # a quarter of a square metre each
+    assert np.abs(sample.z[wet] + 0.5).max() < 0.01
+    far = pond.reach(X, Y) > 1.4
+    dry = replace(ground, regions=()).sample(X, Y)
+    assert_array_equal(sample.z[far], dry.z[far])
+
+
+def test_roads_are_graded_and_tracks_have_ruts_150_cm_apart():
+    rng = np.random.default_rng(5)
+    scene = make_scene(1, 0, "meadow")
+    way = replace(make_way(rng, Label.DIRT, 0.0), bearing=(1.0, 0.0), bends=(), rut_m=0.2, rough_m=0.0)
+    ground = replace(scene.ground, regions=(way,), hills_m=0.0, cover_rough_m=0.0, bumps_m=0.1)
+    y = np.linspace(-1.2, 1.2, 2401)
+    across = ground.sample(np.zeros_like(y), y).z
+    assert_allclose(abs(y[np.argmin(across)]), 0.75, atol=0.02)
+    assert across.min() == pytest.approx(-0.2, abs=0.02)
+    assert_allclose(across, across[::-1], atol=1e-12)  # the bumps are gone
+    flat = replace(ground, regions=(replace(way, rut_m=0.0),)).sample(np.zeros_like(y), y)
+    assert np.abs(flat.z).max() < 1e-12
+
+
+def test_a_kerb_is_a_step_of_concrete():
+    way = replace(make_way(np.random.default_rng(5), Label.ASPHALT, 0.0), bearing=(1.0, 0.0), bends=(), kerb_m=0.12)
+    way = replace(way, crown_m=0.0)
+    ground = replace(make_scene(1, 0, "meadow").ground, regions=(way,), hills_m=0.0, bumps_m=0.0)
+    y = way.half_width_m + np.array([-0.1, 0.1, 0.4])
+    sample = ground.sample(np.zeros(3), y)
+    assert sample.label.tolist() == [Label.ASPHALT, Label.CONCRETE, Label.GRASS]
+    assert sample.z[1] - sample.z[0] == pytest.approx(0.12, abs=0.03)
+
+
+def test_fields_have_unit_spread_the_asked_waves_and_repeat():
+    field = make_field(np.random.default_rng(1), 256, 0.5, 0.7, (4.0, 40.0))
+    assert field.values.std() == pytest.approx(1.0, abs=1e-3)
+    power = np.abs(np.fft.rfft2(field.values)) ** 2
+    k = np.hypot(np.fft.fftfreq(256, 0.5)[:, None], np.fft.rfftfreq(256, 0.5)[None, :])
+    outside = (k > 1 / 4.0) | (k < 1 / 40.0)
+    assert power[outside].max() < 1e-6 * power.max()
+    cos, sin = field.turn
+    x, y = np.random.default_rng(2).uniform(-500, 500, (2, 50))
+    assert_allclose(field.at(x, y), field.at(x + 128 * cos, y + 128 * sin), atol=1e-3)
+
+
+def test_bodies_have_their_areas_and_sizes():
+    box = boxes(np.array([[1.0, 2.0, 3.0]]), np.zeros((1, 3)), np.array([0.7]))
+    assert _area(box) == pytest.approx(22.0, rel=1e-6)
+    assert box[..., 2].min() == 0
+    assert box[..., 2].max() == 3
+    pole = tube(np.zeros(3), np.array([0.0, 3.0, 4.0]), 0.1, 0.1, 200)
+    assert _area(pole) == pytest.approx(2 * np.pi * 0.1 * 5, rel=1e-3)
+    band = ribbon(np.array([[0.0, 0, 0], [3.0, 4, 0], [3.0, 4.0, 2.0]]), 0.5)
+    assert _area(band) == pytest.approx(2.5, rel=1e-6)  # the second stretch goes straight up
+    rock = stones(np.random.default_rng(1), np.array([[5.0, 5, 1]]), np.array([[0.4, 0.3, 0.2]]))
+    assert len(rock) == 20
+    assert (np.abs(rock - [5, 5, 1]) <= 1.25 * np.array([0.5, 0.5, 0.2])).all()
+
+
+def test_leaves_stop_beams_after_their_free_path():
+    """A cube cut out of a large cloud holds 1 / path m2 of leaves in a cubic metre, seen from any side."""
+    rng = np.random.default_rng(3)
+    soup = leaves(rng, np.zeros(3), np.full(3, 2.0), 20_000, 0.5)
+    assert len(soup) == 20_000
+    volume = 4 / 3 * np.pi * 8
+    # Triangles any way up show half of their area; sides vary by 0.6 to 1.4, which adds 5 % of area.
+    assert _area(soup) / volume / 2 == pytest.approx(1 / 0.5, rel=0.08)
+
+
+def test_herbs_are_low_and_stand_where_they_grow():
+    for seed in range(5):
+        soup = herb(np.random.default_rng(seed), np.array([4.0, 2.0, 1.0]), 0.3)
+        middle = soup.mean(axis=1)
+        assert np.abs(middle[:, :2] - [4.0, 2.0]).max() < 0.35
+        assert 0.9 < middle[:, 2].min() < middle[:, 2].max() < 1.4
+        assert np.ptp(middle[:, 2]) > 0.15
+
+
+def test_blocks_are_packed_and_as_high_as_they_happen():
+    places = np.random.default_rng(1).uniform(-4, 4, (5000, 2))
+    for seed in range(4):
+        soup = block_field(np.random.default_rng(seed), places, lambda x, _y: 0.1 * x)
+        block = soup.reshape(-1, 36, 3)
+        wide = np.ptp(block[..., :2], axis=1).max(axis=1)
+        assert 0.2 < wide.min() <= wide.max() < 1.05 * 0.8 * 1.3
+        high = block[..., 2].max(axis=1) - 0.1 * block[..., 0].mean(axis=1)
+        assert 0.0 <= high.min() < high.max() < 0.9
+        assert np.ptp(high) > 0.1
+        tops = _area(soup[np.ptp(soup[..., 2], axis=1) == 0]) / 2  # a lid and a floor each
+        assert tops > 0.9 * 64  # side by side: no ground between
+    assert block_field(np.random.default_rng(1), places[:0], lambda x, _y: x).shape == (0, 3, 3)
+
+
+def test_the_mesh_follows_the_ground(monkeypatch):
+    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.03)
+    ground = make_scene(2, 3).ground
+    corners, triangles = ground_mesh(ground, np.random.default_rng(1), 20.0)
+    assert_allclose(corners[:, 2], ground.sample(*corners[:, :2].astype(float).T).z, atol=0.05)
+    edges = corners[triangles[:, 1:]] - corners[triangles[:, :1]]
+    up = np.cross(edges[:, 0], edges[:, 1])[:, 2]
+    assert (up > 0).all() or (up < 0).all()  # no triangle is folded over

@@ -1,0 +1,182 @@
+"""The terrain library: the same bits of a seed, finite, on the slopes it says, and of the shapes it names."""
+
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import UsageError
+from bumpymap.core.types import TEXTURES
+from bumpymap.lab import KINDS, Terrain, make_terrain
+from bumpymap.lab.worlds.terrains._shapes import fractal
+from bumpymap.lab.worlds.terrains.library import FINE
+
+
+def without_plane(surface):
+    """Residual of a square surface, by least squares."""
+    row, col = np.indices(surface.shape)
+    design = np.stack([np.ones(row.size), row.ravel(), col.ravel()], axis=1)
+    fitted = design @ np.linalg.lstsq(design, surface.ravel(), rcond=None)[0]
+    return surface - fitted.reshape(surface.shape)
+
+
+def slope_deg(terrain):
+    axis = (np.arange(len(terrain.surface)) + 0.5) * terrain.tile_size / len(terrain.surface)
+    x, y = np.meshgrid(axis, axis[::-1])
+    design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
+    _, east, north = np.linalg.lstsq(design, terrain.surface.ravel(), rcond=None)[0]
+    return np.degrees(np.arctan(np.hypot(east, north)))
+
+
+def test_the_papers_textures_come_first_and_thirteen_others_follow():
+    assert KINDS[:4] == TEXTURES
+    assert len(set(KINDS)) == len(KINDS) == 17
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_same_seed_and_index_give_the_same_bits_and_others_do_not(kind):
+    first, again, other, seeded = (make_terrain(kind, *which).surface for which in ((1, 3), (1, 3), (1, 4), (2, 3)))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert not np.array_equal(first, seeded)
+
+
+def test_another_process_gives_the_same_bits():
+    code = (
+        "from bumpymap.lab.worlds.terrains import *\nprint(*(make_terrain(k, 5, 1).surface.sum().hex() for k in KINDS))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert out == [make_terrain(kind, 5, 1).surface.sum().hex() for kind in KINDS]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_terrain_is_finite_has_relief_and_no_more_than_the_ground_of_its_size(kind):
+    for index in range(24):
+        terrain = make_terrain(kind, 7, index, slope_limit_deg=30.0)
+        assert np.isfinite(terrain.surface).all()
+        relief = np.ptp(without_plane(terrain.surface))
+        assert 0.002 < relief < 4.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_relief_reaches_from_what_no_vehicle_feels_to_what_is_rough(kind):
+    relief = [np.ptp(without_plane(make_terrain(kind, 3, i).heights)) for i in range(60)]
+    assert min(relief) < 0.12
+    assert max(relief) > (0.08 if kind == "washboard" else 0.4)
+
+
+def test_heights_are_the_means_of_their_pixels():
+    terrain = make_terrain("stones", 2, 5)
+    assert terrain.surface.shape == (15 * FINE, 15 * FINE)
+    for row, col in ((0, 0), (3, 9), (14, 14)):
+        block = terrain.surface[row * FINE : (row + 1) * FINE, col * FINE : (col + 1) * FINE]
+        assert terrain.heights[row, col] == pytest.approx(block.mean(), rel=1e-12)
+    assert terrain.heights.shape == (15, 15)
+
+
+def test_height_scale_scales_the_ground_and_not_its_slope():
+    for kind in KINDS:
+        whole, half = (make_terrain(kind, 4, 2, height_scale=scale).surface for scale in (1.0, 0.5))
+        np.testing.assert_allclose(without_plane(half), without_plane(whole) / 2, atol=1e-9)
+        zero = make_terrain(kind, 4, 2, height_scale=0.0)
+        np.testing.assert_allclose(without_plane(zero.surface), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("limit", [10.0, 30.0])
+def test_slopes_reach_a_little_beyond_the_limit_and_half_of_them_are_gentle(limit):
+    slopes = np.array(
+        [slope_deg(make_terrain("low_noise", 1, i, height_scale=0.0, slope_limit_deg=limit)) for i in range(300)]
+    )
+    assert 0.9 * 1.2 * limit < slopes.max() < 1.2 * limit
+    # Half are below 8 degrees by design; of the others the share 8 / (1.2 limit).
+    expected = 0.5 + 0.5 * min(1.0, 8.0 / (1.2 * limit))
+    assert np.mean(slopes <= 8.0) == pytest.approx(expected, abs=0.09)
+
+
+@pytest.mark.parametrize("hurst", [0.2, 0.5, 0.8])
+def test_fractal_ground_has_the_spectrum_of_its_exponent(hurst):
+    # Mean squared height difference of a self-affine surface grows as lag^(2 H) well below the longest wave. The flat
+    # part of the spectrum and the samples bend it, so the wanted exponent is that of the spectrum itself, summed.
+    n, step, lags = 256, 0.05, np.array([4, 8, 16])
+    x = np.broadcast_to(np.arange(n) * step, (n, n))
+    rng = np.random.default_rng(3)
+    found = np.zeros(3)
+    for _ in range(6):
+        surface = fractal(rng, x, hurst, 0.1)
+        found += [np.mean((surface[:, lag:] - surface[:, :-lag]) ** 2) for lag in lags]
+    waves = np.fft.fftfreq(4 * n, step)
+    k = np.hypot(*np.meshgrid(waves, waves))
+    power = np.where(k > 1 / 6, np.maximum(k, 1e-9) ** (-2 * hurst - 2), 0.0)
+    wanted = [np.sum(power * (1 - np.cos(2 * np.pi * waves[None, :] * lag * step))) for lag in lags]
+    np.testing.assert_allclose(np.diff(np.log(found)), np.diff(np.log(wanted)), atol=0.12)
+
+
+def test_fractal_ground_has_the_deviation_that_is_asked_for_and_no_plane():
+    x = np.broadcast_to(np.arange(60) * 0.05, (60, 60))
+    surface = fractal(np.random.default_rng(1), x, 0.5, 0.07)
+    assert surface.std() == pytest.approx(0.07, rel=1e-9)
+    np.testing.assert_allclose(without_plane(surface), surface, atol=1e-9)
+
+
+def test_rougher_exponents_have_more_of_the_short_waves():
+    x = np.broadcast_to(np.arange(60) * 0.05, (60, 60))
+    short = [
+        np.mean([np.diff(fractal(np.random.default_rng(i), x, hurst, 0.1), axis=1).std() for i in range(10)])
+        for hurst in (0.2, 0.5, 0.8)
+    ]
+    assert short[0] > 1.3 * short[1] > 1.3**2 * short[2]
+
+
+@pytest.mark.parametrize("kind", ["washboard", "ruts", "kerb", "steps", "ditch"])
+def test_ground_along_its_line_is_level_but_for_the_roughness_around_it(kind):
+    # These vary across one bearing alone: some direction has nearly none of the relief, its normal has it all.
+    along = []
+    for index in range(8):
+        surface = without_plane(make_terrain(kind, 6, index).surface)
+        down, right = np.gradient(surface)
+        tensor = np.array([[np.mean(right**2), np.mean(right * down)], [np.mean(right * down), np.mean(down**2)]])
+        low, high = np.linalg.eigvalsh(tensor)
+        along.append(low / high)
+    assert min(along) < 0.05
+
+
+@pytest.mark.parametrize(("kind", "sign"), [("stones", 1), ("tufts", 1), ("potholes", -1)])
+def test_things_on_the_ground_point_the_way_they_should(kind, sign):
+    skew = []
+    for index in range(12):
+        surface = make_terrain(kind, 8, index, slope_limit_deg=0.001).surface
+        level = surface - np.median(surface)
+        skew.append(sign * (np.abs(level.max()) - np.abs(level.min())))
+    assert np.mean(np.array(skew) > 0) > 0.7
+
+
+def test_a_kerb_is_one_step_that_rises_within_a_pixel():
+    for index in range(12):
+        surface = without_plane(make_terrain("kerb", 11, index, slope_limit_deg=0.001).surface)
+        down, right = np.gradient(surface)
+        steep = np.hypot(down, right)
+        # The rough ground about a kerb is gentle: all that is as steep as half of the steepest is the step.
+        assert np.mean(steep > steep.max() / 2) < 0.06
+
+
+@pytest.mark.parametrize(("tile_size", "pixels"), [(1.5, 30), (3.0, 4), (6.0, 15)])
+def test_other_tiles_have_ground_too(tile_size, pixels):
+    for kind in KINDS:
+        terrain = make_terrain(kind, 1, 0, tile_size=tile_size, pixels=pixels)
+        assert terrain.heights.shape == (pixels, pixels)
+        assert terrain.pixels == pixels
+        assert np.isfinite(terrain.surface).all()
+
+
+def test_what_cannot_be_made_is_refused():
+    with pytest.raises(UsageError, match=r"kind is 'lawn'; it must be one of flat, .*ditch"):
+        make_terrain("lawn", 1, 0)
+    with pytest.raises(UsageError, match="3 pixels"):
+        make_terrain("flat", 1, 0, pixels=3)
+
+
+def test_terrains_are_frozen():
+    with pytest.raises(FrozenInstanceError):
+        Terrain("flat", np.zeros((60, 60)), 3.0).kind = "x"

@@ -1,0 +1,87 @@
+"""sectors.parquet against the sectors it was made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from bumpymap.layers import open_table
+from bumpymap.layers.scan import table
+from bumpymap.layers.scan.table import COLUMNS
+
+
+def write(path, *frames):
+    with open_table(path) as sectors:
+        for name, classed in frames:
+            sectors.add(name, classed)
+    return pq.read_table(path)
+
+
+def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path):
+    found = write(tmp_path / "a.parquet", ("one", classed), ("empty", nothing[1]), ("two", classed))
+    stack, count = classed.sectors, len(classed.class_id)
+    assert found.column_names == [name for name, *_ in COLUMNS]
+    assert found["frame"].to_pylist() == ["one"] * count + ["two"] * count
+    for name, values in (
+        ("zone", stack.zone),
+        ("ring", stack.ring),
+        ("sector", stack.sector),
+        ("points", stack.count),
+        ("normal_x", stack.normal[:, 0]),
+        ("normal_y", stack.normal[:, 1]),
+        ("normal_z", stack.normal[:, 2]),
+        ("traversable", stack.traversable),
+        ("stripes", classed.stripes),
+        ("variance", stack.variance),
+        ("residual", stack.residual),
+        ("coverage", stack.coverage),
+        ("label", stack.label),
+    ):
+        np.testing.assert_array_equal(found[name].to_numpy(), np.concatenate([values, values]), err_msg=name)
+    class_id = [None if value == 255 else value for value in classed.class_id.tolist()]
+    assert found["class"].to_pylist() == class_id + class_id
+    assert [value is None for value in class_id] == (~stack.traversable).tolist()
+
+
+def test_a_point_lies_between_the_bounds_of_its_row(scan, classed, tmp_path):
+    found = write(tmp_path / "a.parquet", ("one", classed))
+    place = classed.sectors.point_sector
+    inside = place >= 0
+    x, y = scan.points[inside, :2].T.astype(float)
+    near, far, right, left = (found[name].to_numpy()[place[inside]] for name in ("near", "far", "right", "left"))
+    assert (right >= 0.0).all()
+    distance, turn = np.hypot(x, y), (np.arctan2(y, x) - right) % (2 * np.pi)
+    assert ((distance >= near - 1e-4) & (distance <= far + 1e-4)).all()
+    assert ((turn <= left - right + 1e-5) | (turn >= 2 * np.pi - 1e-5)).all()
+
+
+def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "_ROW_GROUP", 100)
+    path = tmp_path / "a.parquet"
+    with open_table(path) as sectors:
+        for number in range(9):
+            sectors.add(str(number), classed)
+            assert sum(part.num_rows for part in sectors._waiting) < 100
+    file = pq.ParquetFile(path)
+    assert file.metadata.num_rows == 9 * len(classed.class_id)
+    assert file.metadata.num_row_groups > 1
+    assert file.read(["frame"])["frame"].to_pylist() == [str(n) for n in range(9) for _ in classed.class_id]
+
+
+def test_the_learned_method_has_no_stripes_and_unlabelled_scans_no_label(classed, tmp_path):
+    unlabelled = replace(classed.sectors, label=np.full_like(classed.sectors.label, -1))
+    found = write(tmp_path / "a.parquet", ("one", replace(classed, sectors=unlabelled, stripes=None, method="learned")))
+    assert found["stripes"].null_count == found["label"].null_count == found.num_rows
+
+
+def test_no_frame_at_all_gives_a_table_without_rows(tmp_path):
+    assert write(tmp_path / "a.parquet").num_rows == 0
+
+
+def test_columns_say_what_they_are(classed, tmp_path):
+    found = write(tmp_path / "a.parquet", ("one", classed))
+    for name, kind, unit, text in COLUMNS:
+        field = found.schema.field(name)
+        assert field.type == kind
+        assert field.metadata[b"description"].decode() == text
+        assert field.metadata.get(b"unit", b"").decode() == unit

@@ -1,0 +1,197 @@
+import os
+import resource
+from contextlib import contextmanager
+
+import pytest
+
+from bumpymap.core.errors import OutputError
+from bumpymap.core.files import atomic, together
+from bumpymap.core.types import CostTable
+from bumpymap.layers import (
+    GeoJsonPlace,
+    dissolve,
+    flatgeobuf_writer,
+    geojson_writer,
+    write_classes,
+    write_heightmap,
+    write_roughness,
+    write_tiles,
+)
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(CostTable.of(cost_map))
+    return regions
+
+
+def write_geojson(regions, path, *, local, about=None):
+    place = GeoJsonPlace.of(regions.placement, local=local)
+    with geojson_writer(path, place, about) as add:
+        add(regions)
+
+
+def write_flatgeobuf(regions, path):
+    with flatgeobuf_writer(path, regions.placement) as add:
+        add(regions)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@contextmanager
+def largest_file(size):
+    """No file may grow beyond ``size`` bytes: what a full disk looks like to a program."""
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+
+
+def test_file_appears_only_when_it_is_whole(tmp_path):
+    target = tmp_path / "a.txt"
+    with atomic(target) as temporary:
+        temporary.write_text("new")
+        assert not target.exists()
+        assert temporary.parent == tmp_path
+        assert temporary.suffix == ".txt"
+    assert target.read_text() == "new"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_failure_keeps_the_old_file_and_leaves_no_scratch(tmp_path):
+    target = tmp_path / "a.tif"
+    target.write_text("old")
+
+    def write_half():
+        with atomic(target) as temporary:
+            temporary.write_text("half")
+            temporary.with_name(f"{temporary.stem}.scratch.tif").write_text("scratch")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert target.read_text() == "old"
+    assert names(tmp_path) == ["a.tif"]
+
+
+def test_failure_to_write_names_the_file_and_what_to_do(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot write .*a\.txt.*--out"), atomic(tmp_path / "no" / "a.txt") as path:
+        path.write_text("x")
+    with pytest.raises(OutputError, match="broken pipe of a library"), atomic(tmp_path / "a", (KeyError,)):
+        raise KeyError("broken pipe of a library")
+
+
+def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
+    target, side = tmp_path / "a.tif", tmp_path / "a.tif.aux.xml"
+    side.write_text("statistics of other pixels")
+    with atomic(target) as temporary:
+        temporary.write_text("1")
+    assert names(tmp_path) == ["a.tif"]
+    with atomic(target) as temporary:
+        temporary.write_text("2")
+        temporary.with_name(temporary.name + ".aux.xml").write_text("categories")
+    assert (target.read_text(), side.read_text()) == ("2", "categories")
+    assert names(tmp_path) == ["a.tif", "a.tif.aux.xml"]
+
+
+WRITERS = {
+    "roughness.tif": lambda cost_map, path: write_roughness(CostTable.of(cost_map), path),
+    "class.tif": lambda cost_map, path: write_classes(CostTable.of(cost_map), path),
+    "heightmap.tif": lambda cost_map, path: write_heightmap(CostTable.of(cost_map), path),
+    "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
+    "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
+    "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),
+}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
+@pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
+@pytest.mark.parametrize("small", [True, False])
+@pytest.mark.parametrize("product", WRITERS)
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, missing, small):
+    if not small:  # what large layers do
+        monkeypatch.setattr("bumpymap.layers.vector._IN_MEMORY", 0)
+        monkeypatch.setattr("bumpymap.layers._cog._SMALL", 0)
+    cost_map, path = make_field(20, 15), tmp_path / product
+    WRITERS[product](cost_map, path)
+    whole = path.stat().st_size
+    for file in tmp_path.iterdir():
+        file.unlink()
+    size = {"all but 1 kB": 1000, "half": whole // 2, "100 bytes": whole - 100, "1 byte": whole - 1}[missing]
+    with pytest.raises(OutputError, match="cannot write"), largest_file(size):
+        WRITERS[product](cost_map, path)
+    assert names(tmp_path) == []
+
+
+OLD = {"a.tif": "old a", "a.tif.aux.xml": "old side", "b.tif": "old b", "run.json": "old run", "notes.txt": "mine"}
+NEW = {"a.tif": "new a", "b.tif": "new b", "b.tif.aux.xml": "new side", "c.tif": "new c", "run.json": "new run"}
+
+
+def content(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def write_all(folder, files):
+    for name, text in files.items():
+        (folder / name).write_text(text)
+
+
+def test_files_appear_together_and_the_last_one_last(tmp_path, monkeypatch):
+    write_all(tmp_path, OLD)
+    moved = []
+    replace = os.replace
+    monkeypatch.setattr("os.replace", lambda source, target: (moved.append(target), replace(source, target)))
+    with together(tmp_path, "run.json") as staged:
+        write_all(staged, NEW)
+        assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
+    assert content(tmp_path) == {"notes.txt": "mine", **NEW}
+    assert moved[0].name == "run.json"
+    assert moved[0].parent != tmp_path
+    assert moved[-1] == tmp_path / "run.json"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, error):
+    write_all(tmp_path, OLD)
+    replace, moves = os.replace, len(OLD) - 1 + len(NEW)
+
+    def move_all_but(number):
+        left = iter([True] * number)
+
+        def move(source, target):
+            if next(left, None) is None and "armed" in state:
+                state.clear()
+                raise error
+            replace(source, target)
+
+        state = {"armed": True}
+        monkeypatch.setattr("os.replace", move)
+        with together(tmp_path, "run.json") as staged:
+            write_all(staged, NEW)
+
+    for number in range(moves):
+        with pytest.raises((OutputError, KeyboardInterrupt)) as caught:
+            move_all_but(number)
+        assert isinstance(caught.value, KeyboardInterrupt) or "Nothing was replaced" in str(caught.value)
+        assert content(tmp_path) == OLD
+    move_all_but(moves)
+    assert content(tmp_path) == {"notes.txt": "mine", **NEW}
+
+
+def test_failure_while_writing_leaves_the_folder_as_it_was(tmp_path):
+    write_all(tmp_path, OLD)
+
+    def write_half():
+        with together(tmp_path, "run.json") as staged:
+            write_all(staged, {"a.tif": "half"})
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert content(tmp_path) == OLD
+    with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"), together(tmp_path / "no", "run.json"):
+        pass

@@ -1,0 +1,217 @@
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.types import NO_CLASS, CostTable, Georeference
+from bumpymap.layers import PRODUCT_NAMES, check_folder, write_products
+from bumpytiles import Grid
+
+SIDE = "class.tif.aux.xml"
+RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
+
+
+def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
+    return write_products(CostTable.of(cost_map), folder, local=local, manifest=manifest, progress=progress)
+
+
+def hashes(folder):
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+
+def shuffled(cost_map, seed=0):
+    """The same map, its tiles in another order."""
+    order = np.random.default_rng(seed).permutation(len(cost_map.class_id))
+
+    def mix(record):
+        changes = {}
+        for field in fields(record):
+            value = getattr(record, field.name)
+            if isinstance(value, np.ndarray):
+                changes[field.name] = value[order]
+            elif is_dataclass(value) and field.name in {"patches", "textures"}:
+                changes[field.name] = mix(value)
+        return replace(record, **changes)
+
+    return mix(cost_map)
+
+
+def test_all_files_of_a_run(tmp_path, cost_map):
+    paths, summary = write(cost_map, tmp_path)
+    assert summary.tiles == len(cost_map.class_id)
+    assert [path.name for path in paths] == list(PRODUCT_NAMES)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, SIDE])
+    record = json.loads((tmp_path / "run.json").read_text())
+    found = hashes(tmp_path)
+    assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
+        name: found[name] for name in PRODUCT_NAMES if name != "run.json"
+    }
+    assert record["seconds"]["read"] == 1.5
+    assert record["seconds"]["write"] > 0
+    assert record["counts"]["tiles"] == len(cost_map.class_id)
+    newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    assert newest.name == "run.json"
+
+
+def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_field):
+    cost_map = make_field(150, 140, grid=Grid(3.0, 5))
+    seen = []
+    for name, twin in {"a": cost_map, "b": cost_map, "other_name": shuffled(cost_map)}.items():
+        (tmp_path / name).mkdir()
+        write(twin, tmp_path / name)
+        seen.append({key: value for key, value in hashes(tmp_path / name).items() if key != "run.json"})
+    assert not np.array_equal(shuffled(cost_map).patches.col, cost_map.patches.col)
+    assert seen[0] == seen[1] == seen[2]
+
+
+def test_same_bytes_in_another_process(tmp_path, cost_map):
+    code = (
+        "import sys, importlib.util, pathlib\n"
+        "spec = importlib.util.spec_from_file_location('maps', sys.argv[1])\n"
+        "maps = importlib.util.module_from_spec(spec); spec.loader.exec_module(maps)\n"
+        "from bumpymap.layers import write_products\n"
+        "from bumpymap.core.types import CostTable\n"
+        "write_products(CostTable.of(maps.make_field(40, 30)), pathlib.Path(sys.argv[2]), local=False, manifest={})\n"
+    )
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    there.mkdir()
+    write(cost_map, here, manifest={})
+    conftest = __file__.replace("test_folder.py", "conftest.py")
+    subprocess.run([sys.executable, "-c", code, conftest, str(there)], check=True, env={"PYTHONHASHSEED": "7"})
+    first, second = hashes(here), hashes(there)
+    del first["run.json"], second["run.json"]
+    assert first == second
+
+
+def test_folder_is_created_and_left_empty(tmp_path):
+    check_folder(tmp_path / "a" / "b", overwrite=False)
+    assert list((tmp_path / "a" / "b").iterdir()) == []
+
+
+def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
+    code = (
+        "import os, pathlib, sys\n"
+        "from bumpymap.core.files import together\n"
+        "with together(pathlib.Path(sys.argv[1]), 'run.json') as staged:\n"
+        "    (staged / 'heightmap.tif').write_text('half'); (staged / 'old').mkdir(); os._exit(1)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert len(list(tmp_path.iterdir())) == 1
+    mine = [tmp_path / ".heightmap.notes", tmp_path / ".class.txt", tmp_path / "heightmap.bak"]
+    for path in mine:
+        path.write_text("mine")
+    check_folder(tmp_path, overwrite=False)
+    assert sorted(tmp_path.iterdir()) == sorted(mine)
+
+
+@pytest.mark.parametrize("name", PRODUCT_NAMES)
+def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("not ours")
+    check_folder(tmp_path, overwrite=False)
+    (tmp_path / name).write_text("ours")
+    with pytest.raises(OutputError, match=f"already holds {name}.*--overwrite"):
+        check_folder(tmp_path, overwrite=False)
+    check_folder(tmp_path, overwrite=True)
+    if name == "run.json":
+        with pytest.raises(OutputError, match=r"already holds run\.json"):
+            check_folder(tmp_path, overwrite=False, resume=True)
+    else:
+        check_folder(tmp_path, overwrite=False, resume=True)
+    assert (tmp_path / name).read_text() == "ours"
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("x")
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"):
+            check_folder(place, overwrite=True)
+    (tmp_path / "out" / "class.tif").mkdir(parents=True)
+    with pytest.raises(OutputError, match="is not a file"):
+        check_folder(tmp_path / "out", overwrite=True)
+
+
+def test_a_run_that_breaks_leaves_the_folder_as_it_was(tmp_path, cost_map, monkeypatch):
+    write(cost_map, tmp_path)
+    old = hashes(tmp_path)
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("bumpymap.layers._cog._write_scratch", full)
+    with pytest.raises(OutputError, match=r"\.tif.*No space left"):
+        write(cost_map, tmp_path)
+    assert hashes(tmp_path) == old
+
+
+def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
+    cost_map = make_field(4, 4, georeference=Georeference(None))
+    with pytest.raises(BadInputError, match="--local"):
+        write(cost_map, tmp_path, manifest={})
+    assert list(tmp_path.iterdir()) == []
+    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES)
+
+
+def test_single_tile_and_nothing_known(tmp_path, make_map):
+    for name, cost_map in {
+        "one": make_map([110_000], [680_000], [2], [0]),
+        "unknown": make_map([110_000, 110_003], [680_000, 680_001], [NO_CLASS] * 2, [2, 4]),
+    }.items():
+        (tmp_path / name).mkdir()
+        write(cost_map, tmp_path / name)
+        assert (tmp_path / name / "run.json").exists()
+
+
+def test_overwriting_forgets_statistics_that_a_viewer_left(tmp_path, cost_map):
+    write(cost_map, tmp_path)
+    (tmp_path / "roughness.tif.aux.xml").write_text("<PAMDataset/>")
+    write(cost_map, tmp_path)
+    assert not (tmp_path / "roughness.tif.aux.xml").exists()
+    assert (tmp_path / SIDE).exists()
+
+
+class Steps:
+    """A progress that counts."""
+
+    def __init__(self):
+        self.total, self.done = None, 0
+
+    def start(self, stage, total):
+        self.total = total
+
+    def advance(self, steps):
+        self.done += steps
+
+
+def test_progress_is_told_of_each_layer(tmp_path, cost_map):
+    steps = Steps()
+    write(cost_map, tmp_path, progress=steps)
+    assert steps.done == steps.total > 1
+
+
+def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
+    class Impatient(Steps):
+        def advance(self, steps):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(cost_map, tmp_path, progress=Impatient())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_inputs_get_size_and_checksum_unless_they_have_them(tmp_path, cost_map):
+    survey = tmp_path / "survey.laz"
+    survey.write_bytes(b"points")
+    url = {"path": "https://host/survey.laz", "bytes": 12, "sha256": None}
+    (tmp_path / "out").mkdir()
+    write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": survey}, url]})
+    first, second = json.loads((tmp_path / "out" / "run.json").read_text())["inputs"]
+    assert first == {"path": str(survey), "bytes": 6, "sha256": hashlib.sha256(b"points").hexdigest()}
+    assert second == url
+    with pytest.raises(BadInputError, match=r"gone\.laz"):
+        write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": tmp_path / "gone.laz"}]})

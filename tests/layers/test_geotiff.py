@@ -1,0 +1,306 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+from rio_cogeo import cog_validate
+
+from bumpymap.core.errors import OutputError
+from bumpymap.core.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference
+from bumpymap.layers import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
+from bumpymap.layers._whole import digest, require_room, require_same
+from bumpytiles import Grid
+
+WRITERS = {
+    "roughness": lambda cost_map, *rest: write_roughness(CostTable.of(cost_map), *rest),
+    "class": lambda cost_map, *rest: write_classes(CostTable.of(cost_map), *rest),
+    "cost": lambda cost_map, *rest: write_cost(CostTable.of(cost_map), *rest),
+    "heightmap": lambda cost_map, *rest: write_heightmap(CostTable.of(cost_map), *rest),
+}
+WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+US_FOOT = 1200 / 3937
+FEET = Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)
+
+
+@pytest.fixture(scope="module")
+def rasters(tmp_path_factory, cost_map):
+    folder = tmp_path_factory.mktemp("rasters")
+    for name, write in WRITERS.items():
+        write(cost_map, folder / f"{name}.tif", {"vehicle": "warthog"})
+    return {name: folder / f"{name}.tif" for name in WRITERS}
+
+
+def centres(cost_map):
+    """CRS coordinates of the tile centres, computed apart from the package."""
+    size = cost_map.patches.grid.tile_size / cost_map.georeference.metres_per_unit
+    return (cost_map.patches.col + 0.5) * size, (cost_map.patches.row + 0.5) * size
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_is_a_strictly_valid_cog_in_the_right_place(rasters, cost_map, name):
+    assert cog_validate(rasters[name], strict=True) == (True, [], [])
+    patches = cost_map.patches
+    with rasterio.open(rasters[name]) as file:
+        assert file.crs.to_epsg() == 32614
+        assert file.bounds == (
+            patches.col.min() * 3.0,
+            patches.row.min() * 3.0,
+            (patches.col.max() + 1) * 3.0,
+            (patches.row.max() + 1) * 3.0,
+        )
+        assert file.res == ((0.2, 0.2) if name == "heightmap" else (3.0, 3.0))
+        assert file.transform.b == file.transform.d == 0.0
+        assert file.transform.e < 0.0
+        assert file.tags()["vehicle"] == "warthog"
+        assert file.tags()["AREA_OR_POINT"] == "Area"
+
+
+def test_roughness_at_a_tile_centre_is_the_tiles_value(rasters, cost_map):
+    with rasterio.open(rasters["roughness"]) as file:
+        assert file.descriptions == tuple(band.name for band in BANDS)
+        assert file.units == tuple(band.unit or None for band in BANDS)
+        assert set(file.dtypes) == {"float32"}
+        assert all(np.isnan(value) for value in file.nodatavals)
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
+        everything = file.read()
+    for number, band in enumerate(BANDS):
+        expected = cost_map.band(band.name).astype(np.float32)
+        np.testing.assert_array_equal(sampled[:, number], expected)
+        assert np.isfinite(everything[number]).sum() == np.isfinite(expected).sum()
+
+
+def test_statistics_are_those_of_the_tiles(rasters, cost_map):
+    with rasterio.open(rasters["roughness"]) as file:
+        tags = [file.tags(number) for number in file.indexes]
+    for band, found in zip(BANDS, tags, strict=True):
+        values = cost_map.band(band.name).astype(np.float64)
+        values = values[np.isfinite(values)]
+        assert found["long_name"] == band.description
+        for key, expected in {"MINIMUM": values.min(), "MAXIMUM": values.max(), "MEAN": values.mean()}.items():
+            assert float(found[f"STATISTICS_{key}"]) == pytest.approx(expected, rel=1e-6)
+        assert float(found["STATISTICS_STDDEV"]) == pytest.approx(values.std(), rel=1e-5)
+
+
+def test_classes_and_reasons(rasters, cost_map):
+    with rasterio.open(rasters["class"]) as file:
+        assert file.descriptions == ("class", "reason")
+        assert file.dtypes == ("uint8", "uint8")
+        assert file.nodata == NO_CLASS
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
+        class_id, reason = file.read()
+        colours = file.colormap(1)
+        interpretation = [kind.name for kind in file.colorinterp]
+    np.testing.assert_array_equal(sampled[:, 0], cost_map.class_id)
+    np.testing.assert_array_equal(sampled[:, 1], cost_map.patches.reason)
+    gaps = class_id.size - len(cost_map.class_id)
+    assert gaps > 0
+    assert (reason == 1).sum() == gaps
+    assert (class_id[reason == 1] == NO_CLASS).all()
+    assert {value: colours[value] for value in CLASS_COLOURS} == CLASS_COLOURS
+    assert interpretation == ["palette", "undefined"]  # not alpha: viewers would fade the classes by their reason
+
+
+def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_map):
+    with rasterio.open(rasters["cost"]) as file:
+        assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
+        assert np.isnan(file.nodata)
+        tags = file.tags()
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
+        everything = file.read(1)
+    ride, fail, drive, steep = (float(tags[name]) for name in WEIGHTS)
+    p_fail = cost_map.p_fail.astype(float)
+    with np.errstate(divide="ignore"):
+        hazard = -np.log(1 - p_fail) / drive
+    expected = 1 + ride * cost_map.c_r.astype(float) + fail * hazard
+    passable = (cost_map.class_id != NO_CLASS) & (p_fail < 0.5) & (cost_map.patches.slope <= steep)
+    assert 0 < passable.sum() < (cost_map.class_id != NO_CLASS).sum()
+    np.testing.assert_allclose(sampled[passable], expected[passable], rtol=1e-6)
+    assert np.isnan(sampled[~passable]).all()
+    assert np.isfinite(everything).sum() == passable.sum()
+
+
+def test_category_names_are_beside_the_class_raster(rasters, tmp_path):
+    with rasterio.open(rasters["class"]) as file:
+        assert sorted(path.rsplit("/", 1)[-1] for path in file.files) == ["class.tif", "class.tif.aux.xml"]
+    virtual = tmp_path / "seen.vrt"  # what GDAL itself reads from the pair
+    rasterio.shutil.copy(rasters["class"], virtual, driver="VRT")
+    text = virtual.read_text()
+    for name in (*CLASS_NAMES, *REASON_TEXT.values()):
+        assert f"<Category>{name}</Category>" in text
+
+
+def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
+    with rasterio.open(rasters["heightmap"]) as file:
+        assert file.units == ("m",)
+        assert file.descriptions == ("height",)
+        pixels = file.read(1)
+        index = file.index
+        heights = cost_map.patches.heights
+        x, y = centres(cost_map)
+        seen = np.zeros(pixels.shape, bool)
+        for tile in range(len(heights)):
+            line, column = map(int, index(x[tile] - 1.4, y[tile] + 1.4))  # north-west pixel of the tile
+            part = np.s_[line : line + 15, column : column + 15]
+            np.testing.assert_array_equal(pixels[part], heights[tile])
+            seen[part] = True
+    assert np.isnan(pixels[~seen]).all()
+
+
+def test_overviews_average_and_most_frequent(tmp_path, make_field):
+    cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
+    for name, write in WRITERS.items():
+        write(cost_map, tmp_path / f"{name}.tif")
+        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
+    with rasterio.open(tmp_path / "roughness.tif") as file:
+        assert file.overviews(1) == [2, 4]
+        full = file.read(1)
+    with rasterio.open(tmp_path / "roughness.tif", overview_level=0) as file:
+        blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
+        with np.errstate(invalid="ignore"):
+            expected = np.nansum(blocks, axis=2) / np.isfinite(blocks).sum(axis=2)
+        np.testing.assert_allclose(file.read(1), expected, rtol=1e-5)
+    with rasterio.open(tmp_path / "class.tif") as file:
+        assert file.overviews(1) == [2, 4]
+        full = file.read(1)
+    with rasterio.open(tmp_path / "class.tif", overview_level=0) as file:
+        small = file.read(1)
+        assert [kind.name for kind in file.colorinterp] == ["palette", "undefined"]
+    blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
+    counts = np.stack([(blocks == value).sum(axis=2) for value in range(4)])
+    decided = (counts.max(axis=0) > 0) & ((counts == counts.max(axis=0)).sum(axis=0) == 1)
+    assert decided.mean() > 0.5
+    np.testing.assert_array_equal(small[decided], counts.argmax(axis=0)[decided])
+
+
+def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):
+    cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=FEET)
+    for name, write in WRITERS.items():
+        write(cost_map, tmp_path / f"{name}.tif")
+        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[0]
+    with rasterio.open(tmp_path / "roughness.tif") as file:
+        assert file.crs.to_epsg() == 2271
+        assert file.res == pytest.approx((3.0 / US_FOOT, 3.0 / US_FOOT), rel=1e-12)
+        assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / US_FOOT, rel=1e-12)
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
+    np.testing.assert_array_equal(sampled[:, 0], cost_map.c_r)
+    with rasterio.open(tmp_path / "heightmap.tif") as file:
+        assert file.res == pytest.approx((0.2 / US_FOOT, 0.2 / US_FOOT), rel=1e-12)
+        assert file.units == ("m",)
+        assert np.nanmin(file.read(1)) == np.nanmin(cost_map.patches.heights)
+
+
+@pytest.mark.parametrize(("code", "unit_z", "heights", "others"), [
+    ("EPSG:32614+5773", 1.0, True, False),
+    ("EPSG:2271+6360", US_FOOT, False, False),
+])  # fmt: skip
+def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z, heights, others):
+    crs = CRS.from_user_input(code)
+    unit = crs.axis_info[0].unit_conversion_factor
+    cost_map = make_field(4, 4, georeference=Georeference(crs, unit, unit_z))
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
+    WRITERS["roughness"](cost_map, tmp_path / "r.tif")
+    for name, compound in (("h.tif", heights), ("r.tif", others)):
+        with rasterio.open(tmp_path / name) as file:
+            assert CRS.from_wkt(file.crs.to_wkt()).is_compound is compound
+            assert CRS.from_wkt(file.crs.to_wkt()).to_2d().equals(crs.to_2d(), ignore_axis_order=True)
+
+
+def test_survey_without_crs_makes_rasters_without_crs(tmp_path, make_field):
+    for name, write in WRITERS.items():
+        write(make_field(5, 5, georeference=Georeference(None)), tmp_path / f"{name}.tif")
+        with rasterio.open(tmp_path / f"{name}.tif") as file:
+            assert file.crs is None
+            assert file.transform.c == 330_000.0
+
+
+def test_far_corners_without_anything_between(tmp_path, make_map):
+    cost_map = make_map([-2, 500], [-3, 400], [0, 3], [0, 0])
+    for name, write in WRITERS.items():
+        write(cost_map, tmp_path / f"{name}.tif")
+    assert (tmp_path / "heightmap.tif").stat().st_size < 200_000
+    with rasterio.open(tmp_path / "heightmap.tif") as file:
+        assert (file.width, file.height) == (503 * 15, 404 * 15)
+        corner = file.read(1, window=rasterio.windows.Window(0, file.height - 15, 15, 15))
+        np.testing.assert_array_equal(corner, cost_map.patches.heights[0])
+    with rasterio.open(tmp_path / "class.tif") as file:
+        class_id, reason = file.read()
+    assert (class_id[-1, 0], class_id[0, -1], (class_id != NO_CLASS).sum()) == (0, 3, 2)
+    assert (reason == 1).sum() == class_id.size - 2
+
+
+@pytest.mark.parametrize("n", [1, 6])
+def test_nothing_but_unknown_tiles(tmp_path, make_map, n):
+    cost_map = make_map(range(n), [7] * n, [NO_CLASS] * n, [2] * n)
+    for name, write in WRITERS.items():
+        write(cost_map, tmp_path / f"{name}.tif")
+        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[0]
+    with rasterio.open(tmp_path / "roughness.tif") as file:
+        assert np.isnan(file.read(1)).all()
+        assert np.isfinite(file.read(BANDS.index(next(b for b in BANDS if b.name == "density")) + 1)).all()
+
+
+def test_other_tile_size_and_pixels(tmp_path, make_field):
+    cost_map = make_field(30, 20, grid=Grid(1.5, 30))
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
+    with rasterio.open(tmp_path / "h.tif") as file:
+        assert file.res == pytest.approx((0.05, 0.05))
+        pixels = file.read(1)
+    assert np.isfinite(pixels).sum() == np.isfinite(cost_map.patches.heights).sum()
+
+
+def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
+    cost_map = make_field(300, 200, grid=Grid(3.0, 5))
+    for name, write in WRITERS.items():
+        seen = set()
+        for threads in ("1", "2", "5"):
+            monkeypatch.setattr("bumpymap.layers._cog._threads", lambda threads=threads: threads)
+            write(cost_map, tmp_path / f"{name}.tif")
+            seen.add((tmp_path / f"{name}.tif").read_bytes())
+        assert len(seen) == 1
+
+
+def test_writing_does_not_change_the_map(tmp_path, make_field):
+    cost_map = make_field(6, 6)
+    before = replace(cost_map.patches, heights=cost_map.patches.heights.copy())
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
+    np.testing.assert_array_equal(before.heights, cost_map.patches.heights)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
+    monkeypatch.setattr("bumpymap.layers._cog._SMALL", 0)
+    WRITERS[name](cost_map, tmp_path / rasters[name].name, {"vehicle": "warthog"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        path.name for path in rasters[name].parent.iterdir() if path.name.startswith(name)
+    )
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (rasters[name].parent / path.name).read_bytes()
+
+
+def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
+    with rasterio.open(rasters["heightmap"]) as file:
+        windows = [window for _, window in file.block_windows(1)]
+        painted = [(window, digest(file.read(window=window))) for window in windows]
+        blank = rasterio.open(tmp_path / "blank.tif", "w", **file.profile)
+    require_same(rasters["heightmap"], painted)
+    blank.close()
+    with pytest.raises(OSError, match="disk may be full"):
+        require_same(tmp_path / "blank.tif", painted)
+
+
+def test_room_is_asked_for(tmp_path):
+    require_room(tmp_path, 1)
+    with pytest.raises(OSError, match=r"1,?000000000\.0 GB are needed"):
+        require_room(tmp_path, 10**18)
+
+
+def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monkeypatch):
+    def lose_the_side_file(source, target):
+        Path(target).touch()
+
+    monkeypatch.setattr("bumpymap.layers._cog.rasterio.shutil.copyfiles", lose_the_side_file)
+    with pytest.raises(OutputError, match="names of its classes"):
+        WRITERS["class"](cost_map, tmp_path / "class.tif")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.types import CostTable, Georeference
+from bumpymap.layers import MAX_TILES, Placement, check_extent
+from bumpymap.layers.placement import PlacedWindow
+from bumpytiles import Grid, TileWindow
+
+
+@pytest.mark.parametrize("aligned", [False, True])
+@given(
+    window=st.builds(TileWindow, st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 50), st.integers(1, 50)),
+    side=st.integers(1, 20),
+)
+def test_chunks_cover_the_raster_once(aligned, window, side):
+    place = Placement(Georeference(None), Grid(), window)
+    raster = np.zeros((window.rows, window.cols), int)
+    corners = []
+    for placed in place.windows(side, aligned=aligned):
+        part = placed.window
+        assert 1 <= part.cols <= side
+        assert 1 <= part.rows <= side
+        assert part.col - window.col == placed.column
+        assert window.row + window.rows - part.row - part.rows == placed.line
+        west, north = (0, 0) if aligned else (window.col, window.row + window.rows)
+        assert (part.col - west) % side == 0 or placed.column == 0
+        assert (part.row + part.rows - north) % side == 0 or placed.line == 0
+        raster[placed.line : placed.line + part.rows, placed.column : placed.column + part.cols] += 1
+        corners.append((placed.line, placed.column))
+    assert (raster == 1).all()
+    assert corners == sorted(corners)
+
+
+def test_tiles_find_their_places_in_a_chunk():
+    placed = PlacedWindow(TileWindow(4, 1, 2, 2), 0, 0)
+    line, column = placed.places({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
+    assert (line.tolist(), column.tolist()) == ([1, 0, 0], [1, 0, 1])
+
+
+def test_far_apart_sites_are_refused_before_anything_is_laid_out(make_map):
+    far = make_map([0, 333_333], [0, 333_333], [0, 0], [0, 0])  # 1000 km
+    with pytest.raises(BadInputError, match=r"1,000\.0 km x 1,000\.0 km.*100,000,000 tiles.*separate runs"):
+        Placement.of(CostTable.of(far))
+
+
+def test_limits_hold_for_tiles_and_for_pixels():
+    side = int(MAX_TILES**0.5)
+    check_extent(Grid(3.0, 15), TileWindow(0, 0, side, side))
+    with pytest.raises(BadInputError, match="tiles"):
+        check_extent(Grid(3.0, 1), TileWindow(0, 0, side + 1, side))
+    with pytest.raises(BadInputError, match="pixels"):
+        check_extent(Grid(3.0, 60), TileWindow(0, 0, side // 3, side // 3))

@@ -1,0 +1,44 @@
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from bumpymap.core.types import NO_CLASS, CostTable
+from bumpymap.layers import summarise
+
+klasses = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30), st.integers(0, 9), st.integers(1, 40)
+)
+def test_counts_and_medians_are_those_of_all_tiles(make_map, class_id, seed, cols):
+    tiles = np.arange(len(class_id))
+    cost_map = make_map(tiles % cols, tiles // cols, class_id, [3 if k == NO_CLASS else 0 for k in class_id], seed=seed)
+    summary = summarise(CostTable.of(cost_map))
+    assert summary.tiles == len(class_id)
+    assert summary.points == cost_map.patches.count.sum()
+    assert summary.median_count == np.median(cost_map.patches.count)
+    assert summary.by_class == tuple(class_id.count(k) for k in range(4))
+    free = (cost_map.class_id != NO_CLASS) & (cost_map.p_fail < 0.5)
+    assert summary.passable == (free & (cost_map.patches.slope <= cost_map.rule.slope_limit_deg)).sum()
+    assert summary.by_reason == (0, 0, 0, class_id.count(NO_CLASS), 0, 0)
+    for number, group in enumerate([0, 1, 2, 3, NO_CLASS]):
+        chosen = cost_map.class_id == group
+        for found, values, near in (
+            (summary.median_c_r, cost_map.c_r, 1e-4),
+            (summary.median_slope, cost_map.patches.slope, 1e-3),
+        ):
+            known = values[chosen][np.isfinite(values[chosen])].astype(float)
+            expected = np.median(known) if len(known) else np.nan
+            assert found[number] == pytest.approx(expected, abs=near, nan_ok=True)
+
+
+def test_strips_do_not_change_the_summary(make_field, monkeypatch):
+    table = CostTable.of(make_field(50, 40))
+    whole = summarise(table)
+    monkeypatch.setattr("bumpymap.layers.summary._STRIP", 1)
+    for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)

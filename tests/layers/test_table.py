@@ -1,0 +1,157 @@
+import json
+
+import geopandas
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import shapely
+from pyproj import CRS
+
+from bumpymap.core.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostTable, Georeference, Reason
+from bumpymap.layers import write_tiles
+from bumpytiles import Grid, TileTable
+
+COLUMNS = [
+    "col", "row", "geometry", *(band.name for band in BANDS), "count", "z_min", "z_max", "relief", "texture",
+    *(f"p_{texture}" for texture in TEXTURES), "class", "reason", "reason_text", "heights",
+]  # fmt: skip
+
+
+@pytest.fixture(name="written", scope="module")
+def written_fixture(tmp_path_factory, cost_map):
+    path = tmp_path_factory.mktemp("table") / "tiles.parquet"
+    write_tiles(CostTable.of(cost_map), path)
+    return path
+
+
+def canonical(cost_map):
+    """Positions of the map's tiles in the order of the file: north first, then west."""
+    return sorted(range(len(cost_map.class_id)), key=lambda i: (-cost_map.patches.row[i], cost_map.patches.col[i]))
+
+
+def test_columns_types_and_order(written, cost_map):
+    schema = pq.read_schema(written)
+    assert schema.names == COLUMNS
+    assert schema.field("class").type == pa.int8()
+    assert schema.field("reason").type == pa.int8()
+    assert schema.field("heights").type == pa.list_(pa.float32(), 225)
+    assert schema.field("c_r").metadata[b"unit"] == b"rad/m"
+    table = pq.read_table(written)
+    assert table.num_rows == len(cost_map.class_id)
+    assert table["row"].to_pylist() == sorted(cost_map.patches.row.tolist(), reverse=True)
+    group = pq.ParquetFile(written).metadata.row_group(0)
+    assert {group.column(i).compression for i in range(group.num_columns)} == {"ZSTD"}
+
+
+def test_geopandas_reads_every_value_back(written, cost_map):
+    frame = geopandas.read_parquet(written)
+    assert frame.crs.equals(CRS.from_epsg(32614))
+    order, patches = canonical(cost_map), cost_map.patches
+    for band in BANDS:
+        np.testing.assert_array_equal(frame[band.name].to_numpy(float), cost_map.band(band.name)[order])
+    for name in ("col", "row", "count", "z_min", "z_max", "relief", "reason"):
+        np.testing.assert_array_equal(frame[name], getattr(patches, name)[order])
+    class_id = np.where(cost_map.class_id == NO_CLASS, np.nan, cost_map.class_id)
+    np.testing.assert_array_equal(frame["class"], class_id[order])
+    for number, texture in enumerate(TEXTURES):
+        np.testing.assert_array_equal(frame[f"p_{texture}"], cost_map.textures.probability[order, number])
+    np.testing.assert_array_equal(np.stack(frame["heights"]).reshape(-1, 15, 15), patches.heights[order])
+    assert frame["reason_text"].tolist() == [REASON_TEXT[Reason(code)] for code in patches.reason[order]]
+
+
+def test_texture_is_the_most_probable_one(written, cost_map):
+    frame = geopandas.read_parquet(written)
+    known = frame["class"].notna()
+    best = frame.loc[known, [f"p_{texture}" for texture in TEXTURES]].idxmax(axis=1).str.removeprefix("p_")
+    assert (frame.loc[known, "texture"] == best).all()
+    assert frame.loc[~known, "texture"].isna().all()
+    assert set(best) == set(TEXTURES)
+
+
+def test_unknown_numbers_are_null_not_nan(written, cost_map):
+    table = pq.read_table(written)
+    unknown = int((cost_map.class_id == NO_CLASS).sum())
+    for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "texture", "p_flat", "class"):
+        assert table[name].null_count == unknown > 0
+    assert not np.isnan(table["c_r"].drop_null().to_numpy()).any()
+    assert table["heights"].null_count == 0
+
+
+def test_geometry_is_the_tile(written, cost_map):
+    frame = geopandas.read_parquet(written)
+    assert frame.geometry.is_valid.all()
+    assert (frame.area == 9.0).all()
+    corner = frame.bounds
+    np.testing.assert_array_equal(corner["minx"], frame["col"] * 3.0)
+    np.testing.assert_array_equal(corner["maxy"], (frame["row"] + 1) * 3.0)
+    assert all(box.exterior.is_ccw for box in frame.geometry)
+
+
+def test_geo_metadata(written, cost_map):
+    geo = json.loads(pq.read_schema(written).metadata[b"geo"])
+    assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
+    column = geo["columns"]["geometry"]
+    assert column["encoding"] == "WKB"
+    assert column["geometry_types"] == ["Polygon"]
+    assert column["orientation"] == "counterclockwise"
+    assert CRS.from_json_dict(column["crs"]) == CRS.from_epsg(32614)
+    assert column["crs"]["type"] == "ProjectedCRS"
+    shapes = shapely.from_wkb(pq.read_table(written)["geometry"].to_numpy())
+    assert column["bbox"] == shapely.total_bounds(shapes).tolist()
+
+
+def test_feet_and_no_crs(tmp_path, make_field):
+    foot = 1200 / 3937
+    feet = make_field(9, 9, west=130_000, south=60_000, georeference=Georeference(CRS.from_epsg(2271), foot, foot))
+    write_tiles(CostTable.of(feet), tmp_path / "feet.parquet")
+    frame = geopandas.read_parquet(tmp_path / "feet.parquet")
+    assert frame.crs.to_epsg() == 2271
+    assert (frame.area * foot**2).to_numpy() == pytest.approx(9.0, rel=1e-6)
+    assert frame["z_min"].min() == feet.patches.z_min.min()  # heights stay metres
+    write_tiles(CostTable.of(make_field(9, 9, georeference=Georeference(None))), tmp_path / "local.parquet")
+    assert geopandas.read_parquet(tmp_path / "local.parquet").crs is None
+    assert json.loads(pq.read_schema(tmp_path / "local.parquet").metadata[b"geo"])["columns"]["geometry"]["crs"] is None
+
+
+def test_many_tiles_make_several_row_groups(tmp_path, make_field):
+    cost_map = make_field(220, 160, grid=Grid(3.0, 2))
+    write_tiles(CostTable.of(cost_map), tmp_path / "t.parquet")
+    file = pq.ParquetFile(tmp_path / "t.parquet")
+    assert file.metadata.num_row_groups == 2
+    np.testing.assert_array_equal(file.read()["col"], cost_map.patches.col[canonical(cost_map)])
+    assert file.schema_arrow.field("heights").type.list_size == 4
+
+
+def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
+    cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
+    table = CostTable.of(cost_map)
+    write_tiles(table, tmp_path / "one.parquet")
+    found = pq.read_table(tmp_path / "one.parquet", columns=["col", "row"]).to_pandas()
+    assert sorted(zip(found["col"], found["row"], strict=True)) == sorted(
+        zip(cost_map.patches.col, cost_map.patches.row, strict=True)
+    )
+    block = -(found["row"] // 16)
+    assert block.is_monotonic_increasing
+    for _, strip in found.groupby(block):  # each in two pieces: the western one first, both north first
+        piece = (strip["row"].diff() > 0).cumsum()
+        assert piece.max() <= 1
+        assert strip[piece == 0]["col"].max() < strip[piece == 1]["col"].min() or piece.max() == 0
+        for _, part in strip.groupby(piece):
+            assert part.sort_values(["row", "col"], ascending=[False, True]).index.equals(part.index)
+    columns = cost_map.columns()
+    east = columns["col"] // 16 > 40
+    packs = []
+    for chosen in (east, ~east):
+        part = TileTable.of(table.tiles.grid, {name: array[chosen] for name, array in columns.items()})
+        packs += {id(pack): pack for pack in part._home.values()}.values()
+    twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
+    write_tiles(twin, tmp_path / "two.parquet")
+    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
+
+
+def test_map_of_unknown_tiles_only(tmp_path, make_map):
+    write_tiles(CostTable.of(make_map([1, 2], [3, 3], [NO_CLASS] * 2, [2, 5])), tmp_path / "t.parquet")
+    frame = geopandas.read_parquet(tmp_path / "t.parquet")
+    assert frame["class"].isna().all()
+    assert frame["reason"].tolist() == [2, 5]

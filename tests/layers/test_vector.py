@@ -1,0 +1,268 @@
+import json
+
+import geopandas
+import numpy as np
+import pytest
+import shapely
+from pyproj import CRS, Transformer
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.types import CostTable, Georeference
+from bumpymap.layers import GeoJsonPlace, dissolve, flatgeobuf_writer, geojson_writer
+
+US_FOOT = 1200 / 3937
+SITES = {
+    # name: (georeference, west tile, south tile)
+    "mexico": (Georeference(CRS.from_epsg(32614)), 110_000, 680_000),
+    "south": (Georeference(CRS.from_epsg(32719)), 166_666, 2_000_000),
+    "feet": (Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT), 130_000, 60_000),
+    "northing_first": (Georeference(CRS.from_epsg(2193)), 530_000, 1_730_000),
+    "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
+}
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(CostTable.of(cost_map))
+    return regions
+
+
+def write_geojson(regions, path, *, local, about=None):
+    place = GeoJsonPlace.of(regions.placement, local=local)
+    with geojson_writer(path, place, about) as add:
+        add(regions)
+
+
+def write_flatgeobuf(regions, path):
+    with flatgeobuf_writer(path, regions.placement) as add:
+        add(regions)
+
+
+def check_rfc7946(text):
+    """Hold a text against RFC 7946; the parsed collection comes back. Written apart from what it checks."""
+
+    def no_such_number(name):
+        pytest.fail(f"{name} is not JSON")
+
+    collection = json.loads(text, parse_constant=no_such_number)
+    assert collection["type"] == "FeatureCollection"
+    assert "crs" not in text
+    corners = []
+    for feature in collection["features"]:
+        assert feature["type"] == "Feature"
+        assert isinstance(feature["properties"], dict)
+        geometry = feature["geometry"]
+        assert set(geometry) == {"type", "coordinates"}
+        polygons = {"Polygon": [geometry["coordinates"]], "MultiPolygon": geometry["coordinates"]}[geometry["type"]]
+        for rings in polygons:
+            for place, ring in enumerate(rings):
+                points = np.array(ring)
+                assert points.shape[1] == 2
+                assert len(points) >= 4
+                assert ring[0] == ring[-1]
+                assert all(number == round(number, 7) for point in ring for number in point)
+                assert (np.abs(points) <= [180, 90]).all()
+                shifted = points - points[0]
+                turn = np.sum(shifted[:-1, 0] * shifted[1:, 1] - shifted[1:, 0] * shifted[:-1, 1])
+                assert turn > 0 if place == 0 else turn < 0
+                corners.append(points)
+        assert shapely.is_valid(shapely.geometry.shape(geometry))
+        assert np.ptp(np.concatenate([np.array(ring) for ring in polygons[0]])[:, 0]) < 180
+    corners = np.concatenate(corners)
+    west, south, east, north = collection["bbox"]
+    assert (south, north) == (corners[:, 1].min(), corners[:, 1].max())
+    if west <= east:
+        assert (west, east) == (corners[:, 0].min(), corners[:, 0].max())
+    else:
+        assert west == corners[corners[:, 0] > 0, 0].min()
+        assert east == corners[corners[:, 0] < 0, 0].max()
+    return collection
+
+
+@pytest.fixture(name="site", params=SITES)
+def site_fixture(request, make_field):
+    georeference, west, south = SITES[request.param]
+    return make_field(40, 25, west=west, south=south, georeference=georeference)
+
+
+def back_to_tiles(cost_map, outlines):
+    """Longitude and latitude to tiles, by pyproj alone."""
+    place = cost_map.georeference
+    to_crs = Transformer.from_crs("OGC:CRS84", place.crs, always_xy=True)
+    scale = place.metres_per_unit / cost_map.patches.grid.tile_size
+    return shapely.transform(outlines, lambda p: np.column_stack(to_crs.transform(p[:, 0], p[:, 1])) * scale)
+
+
+def test_geojson_holds_the_standard_and_the_place(tmp_path, site):
+    regions = regions_of(site)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False, about={"vehicle": "warthog"})
+    collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
+    assert collection["vehicle"] == "warthog"
+    assert len(collection["features"]) == len(regions.tiles)
+    found = back_to_tiles(site, [shapely.geometry.shape(feature["geometry"]) for feature in collection["features"]])
+    assert (shapely.hausdorff_distance(found, regions.outlines) * 3.0 < 0.02).all()  # m
+    areas = [feature["properties"]["area_m2"] for feature in collection["features"]]
+    np.testing.assert_allclose(shapely.area(found) * 9.0, areas, rtol=0.02)
+
+
+def test_properties(tmp_path, cost_map):
+    regions = regions_of(cost_map)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
+    names = ["class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"]
+    names += ["p_fail", "hazard", "cost", "area_m2", "tiles"]
+    rule, seen = cost_map.rule, set()
+    for feature in collection["features"]:
+        got = feature["properties"]
+        assert list(got) == names
+        assert got["area_m2"] == got["tiles"] * 9.0
+        seen.add((got["class"] is None, got["passable"]))
+        if got["class"] is None:
+            assert (got["class_name"], got["c_r"], got["c_r_basis"], got["p_fail"]) == ("unknown", None, None, None)
+            assert got["reason"] in {"too few points", "too many holes", "no ground points", "outlier-only relief"}
+        else:
+            assert got["class"] in {0, 1, 2, 3}
+            assert got["reason"] is None
+            assert got["c_r_low"] <= got["c_r"] <= got["c_r_high"]
+            assert got["c_r_basis"] == ("survivors" if got["p_fail"] >= 0.5 else "drives")
+        if got["passable"]:
+            assert got["p_fail"] < 0.5
+            assert got["cost"] == pytest.approx(
+                1 + rule.ride_weight * got["c_r"] + rule.fail_weight * got["hazard"], abs=5e-6
+            )
+        else:
+            assert (got["cost"], got["hazard"]) == (None, None)
+    assert seen == {(True, False), (False, True), (False, False)}
+    assert sum(feature["properties"]["tiles"] for feature in collection["features"]) == len(cost_map.class_id)
+
+
+def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path, site):
+    regions = regions_of(site)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    globe, flat = (geopandas.read_file(tmp_path / name) for name in ("cost.geojson", "cost.fgb"))
+    assert globe.crs.to_epsg() == 4326
+    assert flat.crs.equals(site.georeference.crs)
+    assert flat.geometry.is_valid.all()
+    assert flat.geometry.geom_type.unique().tolist() == ["Polygon"]
+    unit = site.georeference.metres_per_unit
+    assert flat.area.sum() * unit**2 == pytest.approx(9.0 * len(site.class_id), rel=1e-9)
+    # FlatGeobuf stores features along a Hilbert curve: bring both into one order.
+    order = np.lexsort(np.round(flat.bounds[["minx", "maxy", "miny", "maxx"]].to_numpy() * unit).T)
+    boxes = shapely.bounds(regions.outlines)[:, [0, 3, 1, 2]] * 3.0
+    other = np.lexsort(np.round(boxes).T)
+    columns = [name for name in globe.columns if name != "geometry"]
+    geopandas.pd.testing.assert_frame_equal(
+        flat.iloc[order][columns].reset_index(drop=True),
+        globe.iloc[other][columns].reset_index(drop=True),
+        check_dtype=False,
+    )
+    assert globe["passable"].dtype == flat["passable"].dtype == bool
+    assert (globe["class"].isna() == (globe["class_name"] == "unknown")).all()
+    assert (globe["cost"].notna() == globe["passable"]).all()
+
+
+def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
+    # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
+    col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])
+    cost_map = make_map(
+        *(col.ravel(), row.ravel(), np.zeros(2000), np.zeros(2000)),
+        georeference=Georeference(CRS.from_epsg(32633)),
+        easy=True,
+    )
+    regions = regions_of(cost_map)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    (feature,) = check_rfc7946((tmp_path / "cost.geojson").read_text())["features"]
+    ring = np.array(feature["geometry"]["coordinates"][0])
+    middles = shapely.LineString((ring[:-1] + ring[1:]) / 2)  # where a straight piece is farthest from the true side
+    found = shapely.get_coordinates(back_to_tiles(cost_map, middles))
+    off = np.abs(found[:, 1] - np.round(found[:, 1])) * 3.0
+    along = np.abs(found[:, 0] - np.round(found[:, 0] / 1000) * 1000) > 1.0
+    assert off[along].max() < 0.012  # m: the rounding to 7 decimals is 1 cm
+
+
+def test_antimeridian_is_cut(tmp_path, make_map):
+    place = Georeference(CRS.from_epsg(32701))  # UTM zone 1 south, with Fiji; its western edge is the antimeridian
+    x, _ = Transformer.from_crs(4326, 32701, always_xy=True).transform(180.0, -17.0)
+    x, y = Transformer.from_crs(4326, 32701, always_xy=True).transform(-180.0, -17.0)
+    middle, row = int(x // 3), int(y // 3)
+    tiles = (np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9)
+    cost_map = make_map(*tiles, georeference=place, easy=True)
+    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
+    collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
+    assert [feature["geometry"]["type"] for feature in collection["features"]] == ["MultiPolygon", "Polygon"]
+    west, _, east, _ = collection["bbox"]
+    assert 179.99 < west < 180.0
+    assert -180.0 < east < -179.99
+    parts = shapely.geometry.shape(collection["features"][0]["geometry"]).geoms
+    tile = 3.0 / (111_320 * np.cos(np.radians(17.0)))
+    assert sum(np.ptp(part.exterior.xy[0]) for part in parts) == pytest.approx(8 * tile, rel=0.01)
+
+
+def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
+    cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
+    regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
+    with pytest.raises(BadInputError, match=r"no CRS.*--crs EPSG:CODE.*--local"):
+        write_geojson(regions, path, local=False)
+    assert not path.exists()
+    write_geojson(regions, path, local=True)
+    collection = json.loads(path.read_text())
+    assert "not RFC 7946" in collection["local_coordinates"]
+    assert collection["metres_per_unit"] == 1.0
+    assert collection["bbox"] == (shapely.total_bounds(regions.outlines) * 3.0).tolist()
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    flat = geopandas.read_file(tmp_path / "cost.fgb")
+    assert flat.crs is None
+    assert flat.area.sum() == 9.0 * len(cost_map.class_id)
+
+
+def test_crs_without_a_place_on_earth(tmp_path, make_field):
+    site = CRS.from_wkt('ENGCRS["mine grid",EDATUM["mine"],CS[Cartesian,2],'
+                        'AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]')  # fmt: skip
+    regions = regions_of(make_field(5, 5, georeference=Georeference(site)))
+    with pytest.raises(BadInputError, match=r"mine grid.*no known relation.*--local"):
+        write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    write_geojson(regions, tmp_path / "cost.geojson", local=True)
+    assert "local_coordinates" in json.loads((tmp_path / "cost.geojson").read_text())
+
+
+def test_coordinates_outside_of_the_crs(tmp_path, make_field):
+    regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
+    with pytest.raises(BadInputError, match=r"outside of what its CRS.*--crs"):
+        write_geojson(regions, tmp_path / "cost.geojson", local=False)
+
+
+def test_single_tile(tmp_path, make_map):
+    cost_map = make_map([110_000], [680_000], [3], [0])
+    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
+    (feature,) = check_rfc7946((tmp_path / "cost.geojson").read_text())["features"]
+    assert feature["properties"]["c_r"] == pytest.approx(float(cost_map.c_r[0]), abs=5e-7)
+
+
+def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
+    table = CostTable.of(make_field(30, 20, west=166_600))
+    for name, most in {"whole": 10_000, "bits": 5}.items():
+        monkeypatch.setattr("bumpymap.layers.regions._BATCH", most)
+        batches = list(dissolve(table))
+        place = batches[0].placement
+        with (
+            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonPlace.of(place, local=False)) as to_globe,
+            flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
+        ):
+            for regions in batches:
+                to_globe(regions)
+                to_flat(regions)
+    for kind in ("geojson", "fgb"):
+        assert (tmp_path / f"whole.{kind}").read_bytes() == (tmp_path / f"bits.{kind}").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_large_flatgeobuf_goes_straight_to_its_file(tmp_path, make_field, monkeypatch):
+    regions = regions_of(make_field(30, 20))
+    write_flatgeobuf(regions, tmp_path / "memory.fgb")
+    monkeypatch.setattr("bumpymap.layers.vector._IN_MEMORY", 0)
+    write_flatgeobuf(regions, tmp_path / "straight.fgb")
+    (tmp_path / "a!b").mkdir()
+    write_flatgeobuf(regions, tmp_path / "a!b" / "straight.fgb")
+    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "straight.fgb").read_bytes()
+    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "a!b" / "straight.fgb").read_bytes()

@@ -1,0 +1,239 @@
+"""Ground under vegetation: the cloth finds what lies under the trees, the same for the same points."""
+
+import importlib.util
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from pyproj import CRS
+
+from bumpymap.cli import main
+from bumpymap.core.config import CsfSettings, MapConfig
+from bumpymap.core.errors import UsageError
+from bumpymap.core.settings_file import read_settings_file
+from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.patches import close_filter, mark_ground, require_filter
+from bumpymap.patches.ground import cloth
+from bumpymap.survey import Budget
+from bumpytiles import Grid, TileBuckets
+
+needs_filter = pytest.mark.skipif(importlib.util.find_spec("CSF") is None, reason="no cloth-simulation-filter")
+CORNER = np.array([480_000.0, 4_000_032.0, 300.0])
+"""Of a block."""
+
+
+@pytest.fixture(autouse=True)
+def _rested():
+    yield
+    close_filter()
+
+
+@pytest.fixture(scope="module")
+def wood():
+    """Points of 96 m x 48 m on a grid of 1 / 1024 m, and which of them are ground.
+
+    Rough in the east half, under crowns that begin 3 m above the ground, in every other strip of 12 m.
+    """
+    rng = np.random.default_rng(5)
+    n = 160_000
+    x, y = rng.uniform(0.01, 95.99, n), rng.uniform(0.01, 47.99, n)
+    ground = 0.03 * x + 0.16 * np.sin(4 * x) * np.sin(5 * y) * (x > 48) + 0.004 * rng.normal(size=n)
+    crown = (x // 12 % 2 == 1) & (rng.random(n) < 0.4)
+    z = ground + crown * rng.uniform(3, 9, n)
+    return np.round(np.column_stack([x, y, z]) * 1024) / 1024, ~crown
+
+
+def blocks(points):
+    buckets = TileBuckets(Grid())
+    buckets.add(*(np.ascontiguousarray(axis) for axis in points.T), np.zeros(len(points), bool))
+    return list(buckets.blocks())
+
+
+def write(path, points):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = CORNER, np.full(3, 1 / 1024)
+    header.add_crs(CRS.from_epsg(32614))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (points + CORNER).T
+    las.write(path)
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def layers(folder):
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+@pytest.fixture(scope="module")
+def mapped(wood, tmp_path_factory):
+    """Folder of the layers of the wood that the cloth gives."""
+    folder = tmp_path_factory.mktemp("wood")
+    survey = write(folder / "wood.las", wood[0])
+    result = run("map", survey, "--ground", "csf", "--out", folder / "csf")
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def ratings(folder):
+    with rasterio.open(folder / "class.tif") as raster:
+        class_id = raster.read(1)
+    with rasterio.open(folder / "roughness.tif") as raster:
+        return class_id, raster.read(raster.descriptions.index("c_r") + 1)
+
+
+@needs_filter
+def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
+    points, is_ground = wood
+    alone = write(mapped / "ground.las", points[is_ground])
+    for survey, name in ((alone, "alone"), (mapped / "wood.las", "everything")):
+        assert run("map", survey, "--ground", "all", "--out", mapped / name).exit_code == 0
+    (class_id, c_r), (wanted, wanted_c_r) = ratings(mapped / "csf"), ratings(mapped / "alone")
+    assert class_id.shape == (16, 32)
+    np.testing.assert_array_equal(class_id, wanted)
+    np.testing.assert_allclose(c_r, wanted_c_r, rtol=1e-6)
+    assert set(np.unique(wanted)) >= {0, 2}  # nothing would be held were it all of one class
+    # Crowns count as ground where nobody takes them away.
+    everything = ratings(mapped / "everything")[0]
+    assert (everything[:, 4:8] == 3).all()
+    assert (wanted[:, 4:8] == 0).all()
+
+
+@needs_filter
+@pytest.mark.parametrize("threads", [1, 3])
+def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_path, monkeypatch, threads):
+    order = np.random.default_rng(threads).permutation(len(wood[0]))
+    survey = write(tmp_path / "other.laz", wood[0][order])
+    monkeypatch.setattr(Budget, "chunk_points", 9_000)
+    monkeypatch.setattr(Budget, "waiting_points", 30_000)
+    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", "--threads", threads)
+    assert result.exit_code == 0, result.output
+    assert layers(tmp_path / "csf") == layers(mapped / "csf")
+
+
+@needs_filter
+def test_workers_give_the_same_bytes(mapped, tmp_path):
+    pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
+    result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--workers", 2)
+    assert result.exit_code == 0, result.output
+    assert layers(tmp_path / "csf") == layers(mapped / "csf")
+
+
+@needs_filter
+def test_the_environment_changes_no_mark(wood, monkeypatch):
+    """With more than one thread the filter gives other marks each time."""
+    points = wood[0].copy()
+    points[:, 2] += np.random.default_rng(1).exponential(1.0, len(points))  # bushes, so that marks are in doubt
+    block = blocks(points)[1]
+    marks = mark_ground(block, CsfSettings())
+    for threads in ("1", "4"):
+        close_filter()
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        for _ in range(2):
+            np.testing.assert_array_equal(mark_ground(block, CsfSettings()), marks)
+
+
+@needs_filter
+def test_marks_do_not_depend_on_where_on_earth_the_block_lies(wood):
+    """Coordinates of both places are exact in binary, so not one mark may differ."""
+    marks = []
+    for place in (np.zeros(3), CORNER):
+        block = blocks(wood[0] + place)[1]
+        points = np.column_stack([block.easting, block.northing, block.upward]) - place
+        marks.append(np.column_stack([points, mark_ground(block, CsfSettings())])[np.lexsort(points.T)])
+    np.testing.assert_array_equal(*marks)
+
+
+@needs_filter
+def test_settings_reach_the_filter(wood):
+    """A cloth that marks all within 20 m leaves nothing out; one of 1 cm leaves out what waves rise above it."""
+    block = blocks(wood[0])[1]
+    everything = mark_ground(block, CsfSettings(class_threshold=10.0))
+    usual, little = (mark_ground(block, CsfSettings(class_threshold=limit)) for limit in (0.5, 0.01))
+    assert everything.all()
+    assert little.sum() < 0.5 * usual.sum()
+    assert (usual | ~little).all()
+
+
+@needs_filter
+@pytest.mark.parametrize("points", [1, 2, 3])
+def test_a_block_may_hold_next_to_nothing(points):
+    marks = mark_ground(blocks(np.arange(3.0 * points).reshape(-1, 3))[0], CsfSettings())
+    assert marks.shape == (points,)
+    assert marks.any()
+
+
+@needs_filter
+def test_a_filter_that_died_is_told_and_replaced(wood):
+    block = blocks(wood[0])[0]
+    marks = mark_ground(block, CsfSettings())
+    (child,) = cloth._IDLE
+    child.kill()
+    child.wait()
+    with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower --memory"):
+        mark_ground(block, CsfSettings())
+    np.testing.assert_array_equal(mark_ground(block, CsfSettings()), marks)
+
+
+@needs_filter
+def test_a_boulder_goes_as_a_tree_does_and_the_user_is_told(tmp_path):
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0.01, 47.99, (2, 150_000))
+    far = np.hypot(x - 22.5, y - 22.5) / 0.5
+    points = np.column_stack([x, y, 2.0 * np.sqrt(np.maximum(0, 1 - far**2)) + 0.004 * rng.normal(size=len(x))])
+    survey = write(tmp_path / "boulder.las", np.round(points * 1024) / 1024)
+    class_id = {}
+    for ground in ("all", "csf"):
+        result = run("map", survey, "--ground", ground, "--out", tmp_path / ground)
+        assert result.exit_code == 0
+        assert ("boulders and posts as well as trees" in result.output) == (ground == "csf")
+        class_id[ground] = ratings(tmp_path / ground)[0][8, 7]
+    assert class_id["all"] == 3
+    assert class_id["csf"] <= 1
+
+
+@needs_filter
+def test_a_block_that_would_be_shared_out_is_refused(mapped, tmp_path, monkeypatch):
+    monkeypatch.setattr(Budget, "block_points", 50_000)
+    result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf")
+    assert result.exit_code == 2
+    assert "--ground csf takes squares of 48 m as a whole" in result.output
+    assert "room for 50,000. Raise --memory" in result.output
+
+
+def test_without_the_filter_the_user_is_told_what_to_install(wood, tmp_path, monkeypatch):
+    monkeypatch.setattr(cloth.importlib.util, "find_spec", lambda _: None)
+    survey = write(tmp_path / "wood.las", wood[0][:5000])
+    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf")
+    assert result.exit_code == 2
+    assert "pip install 'bumpymap[csf]'" in result.output
+    assert not (tmp_path / "csf").exists()
+
+
+@needs_filter
+def test_a_cloth_too_fine_for_its_blocks_is_refused():
+    require_filter(CsfSettings(), Grid(15.0))
+    with pytest.raises(UsageError, match=r"blocks are 320 m wide, it must be at least 0.64 m"):
+        require_filter(CsfSettings(), Grid(20.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cloth_resolution = 0", "cloth_resolution is 0"),
+        ("class_threshold = 20", "class_threshold is 20"),
+        ("rigidness = 4", "rigidness is 4"),
+        ("threshold = 1", r"\[csf\]: unknown setting threshold"),
+    ],
+)
+def test_bad_settings_are_refused(tmp_path, text, message):
+    file = Path(tmp_path / "site.toml")
+    file.write_text(f"[csf]\n{text}\n")
+    with pytest.raises(UsageError, match=message):
+        read_settings_file(file, MapConfig)

@@ -1,0 +1,82 @@
+"""Noise: told from the points, taken off the ground, and ground left alone."""
+
+import numpy as np
+import pytest
+
+from bumpymap.core.config import FeatureSettings
+from bumpymap.lab import ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.patches.features import measure
+from bumpymap.rating import RideOperator, denoise, roll_over
+from bumpymap.rating.vehicle.profile import load_profile
+from bumpytiles import Grid, TileBuckets
+
+OPERATOR = RideOperator.of(load_profile("warthog").to_dict(), 3.0, 15)
+PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
+
+
+def surveyed(terrains, effects, seed=1):
+    """Patches of terrains side by side, in their order."""
+    rng = np.random.default_rng(seed)
+    buckets = TileBuckets(Grid(3.0, 15))
+    for place, terrain in enumerate(terrains):
+        points = survey_terrain(terrain, effects, rng)
+        buckets.add(points.easting + 3.0 * place, points.northing, points.upward, np.zeros(len(points.easting), bool))
+    (block,) = buckets.blocks()
+    return measure(block, FeatureSettings(), ground_only=False)
+
+
+@pytest.mark.parametrize(("density", "noise"), [(25, 0.03), (100, 0.01), (100, 0.03), (1000, 0.05)])
+def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
+    patches = surveyed([PLANE] * 16, ScanEffects(density, noise))
+    clean = denoise(patches, OPERATOR)
+    assert np.median(clean.point_noise) == pytest.approx(noise, rel=0.08)
+    raw = roll_over(patches.relief_map, OPERATOR).pitch_change
+    left = roll_over(clean.relief_map, OPERATOR).pitch_change
+    assert np.median(left) < 0.4 * np.median(raw)
+
+
+def test_what_wheels_feel_of_noise_is_in_step_with_its_size():
+    patches = surveyed([PLANE] * 16, ScanEffects(1000, 0.01))
+    raw = roll_over(patches.relief_map, OPERATOR).pitch_change_rms
+    assert np.median(denoise(patches, OPERATOR).noise_felt) == pytest.approx(np.median(raw), rel=0.1)
+
+
+@pytest.mark.parametrize("density", [25, 100])
+def test_the_noise_of_a_slope_is_that_of_level_ground(density):
+    slope = Terrain("slope", 0.6 * np.linspace(0, 3, 60)[None, :].repeat(60, axis=0), 3.0)
+    clean = denoise(surveyed([slope] * 16, ScanEffects(density, 0.01)), OPERATOR)
+    assert np.median(clean.point_noise) == pytest.approx(0.01, rel=0.15)
+    assert clean.point_noise.min() > 0.004
+
+
+def test_three_centimetres_of_noise_do_not_make_smooth_ground_rough():
+    patches = surveyed([PLANE] * 16, ScanEffects(100, 0.03))
+    ride = roll_over(denoise(patches, OPERATOR).relief_map, OPERATOR)
+    assert np.median(ride.pitch_change) < 0.02
+
+
+def test_ground_without_noise_stays_as_it_is():
+    terrains = [make_terrain(kind, 3, 1, slope_limit_deg=5) for kind in ("low_noise", "kerb", "stones", "washboard")]
+    patches = surveyed(terrains, ScanEffects(1000, 0.0))
+    before = roll_over(patches.relief_map, OPERATOR).pitch_change
+    after = roll_over(denoise(patches, OPERATOR).relief_map, OPERATOR).pitch_change
+    assert after == pytest.approx(before, rel=0.03)
+
+
+def test_a_kerb_survives_noise():
+    kerb = Terrain("kerb", np.where(np.arange(60) < 30, 0.0, 0.2)[None, :].repeat(60, axis=0), 3.0)
+    truth = surveyed([kerb] * 8, ScanEffects(1000, 0.0))
+    noisy = surveyed([kerb] * 8, ScanEffects(100, 0.03))
+    wanted = np.median(roll_over(truth.relief_map, OPERATOR).pitch_change)
+    raw = np.median(roll_over(noisy.relief_map, OPERATOR).pitch_change)
+    found = np.median(roll_over(denoise(noisy, OPERATOR).relief_map, OPERATOR).pitch_change)
+    assert 0.9 * wanted < found < wanted + 0.8 * (raw - wanted)
+
+
+def test_noise_that_cannot_be_told_is_not_invented():
+    patches = surveyed([PLANE] * 4, ScanEffects(5, 0.03))
+    clean = denoise(patches, OPERATOR)
+    assert np.isnan(clean.point_noise[np.isnan(clean.noise_felt)]).all()
+    assert np.array_equal(
+        clean.relief_map[np.isnan(clean.noise_felt)], patches.relief_map[np.isnan(clean.noise_felt)], True
+    )

@@ -1,0 +1,87 @@
+"""Rating tiles by the shipped ride model."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.errors import UsageError
+from bumpymap.core.types import NO_CLASS, Georeference
+from bumpymap.lab import ScanEffects, make_terrain
+from bumpymap.lab.simulate.ride_fit import surveyed
+from bumpymap.patches.features import measure
+from bumpymap.rating import RideModel
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.texture_network import TextureModel, classify
+from bumpytiles import Grid, TileBuckets
+
+CALIBRATION = Calibration.shipped("warthog")
+MODEL = RideModel(CALIBRATION)
+PLACE = Georeference(None, 1.0, 1.0)
+
+
+def patches_of(*kinds, slope=5.0, density=200.0, index=3):
+    terrains = [make_terrain(kind, 9, index, slope_limit_deg=slope) for kind in kinds]
+    (block,) = surveyed(terrains, ScanEffects(density, 0.005), 1).blocks()
+    return measure(block, FeatureSettings(), ground_only=False)
+
+
+def rated(patches, model=MODEL):
+    return model.rate(patches, classify(patches, TextureModel.shipped()), PLACE)
+
+
+def test_rough_ground_costs_more_than_smooth_ground():
+    patches = patches_of("flat", "washboard", "fractal_5", "high_noise")
+    cost = rated(patches)
+    assert np.all(np.isfinite(cost.c_r))
+    spread = np.nanstd(patches.relief_map, axis=(1, 2))
+    assert cost.c_r[spread.argmax()] > 3 * cost.c_r[spread.argmin()]
+
+
+def test_the_numbers_of_a_tile_agree_with_each_other():
+    cost = rated(patches_of(*("flat", "low_noise", "tufts", "stones", "fractal_2", "steps", "high_noise")))
+    assert np.all((cost.c_r_low < cost.c_r) & (cost.c_r < cost.c_r_high))
+    assert np.all((cost.p_fail >= 0) & (cost.p_fail <= 1))
+    assert np.all((cost.confidence >= 0) & (cost.confidence <= 1))
+    by_c_r = np.searchsorted(CALIBRATION.class_limits, cost.c_r, side="right")
+    assert np.array_equal(cost.class_id, np.where(cost.p_fail >= 0.5, 3, by_c_r))
+
+
+def test_a_tile_steeper_than_the_vehicle_can_climb_is_class_3():
+    patches = patches_of("flat", "flat")
+    steep = replace(patches, slope=np.array([5.0, CALIBRATION.vehicle["slope_limit_deg"] + 1]))
+    cost = rated(steep)
+    assert cost.p_fail[1] == 1
+    assert cost.class_id.tolist()[1] == 3
+    assert cost.p_fail[0] < 0.5
+
+
+def test_a_tile_that_cannot_be_judged_has_no_class():
+    few = ScanEffects(1.0, 0.0)
+    (block,) = surveyed([make_terrain("flat", 1, 1)], few, 1).blocks()
+    cost = rated(measure(block, FeatureSettings(), ground_only=False))
+    assert cost.class_id.tolist() == [NO_CLASS]
+    assert np.isnan([cost.c_r[0], cost.c_r_low[0], cost.p_fail[0], cost.confidence[0]]).all()
+
+
+def test_leaves_over_ground_are_not_taken_for_noise():
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 3, (2, 900))
+    z = np.where(rng.random(900) < 0.5, 0.0, 5.0 + rng.normal(0, 0.3, 900))
+    buckets = TileBuckets(Grid())
+    buckets.add(x, y, z, np.zeros(900, bool))
+    (block,) = buckets.blocks()
+    assert rated(measure(block, FeatureSettings(), ground_only=False)).class_id.tolist() == [3]
+
+
+def test_a_model_travels_to_other_processes():
+    patches = patches_of("stones", "ruts")
+    again = pickle.loads(pickle.dumps(MODEL))  # noqa: S301 (our own)
+    assert np.array_equal(rated(patches, again).c_r, rated(patches).c_r)
+
+
+def test_a_calibration_without_a_ride_model_says_what_to_do():
+    with pytest.raises(UsageError, match="--rating table"):
+        RideModel(replace(CALIBRATION, ride=None))

@@ -1,0 +1,110 @@
+import json
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
+
+
+@pytest.fixture
+def record():
+    return json.loads(Calibration.shipped("warthog").to_json())
+
+
+def test_a_calibration_survives_its_file(record, tmp_path):
+    shipped = Calibration.shipped("warthog")
+    (tmp_path / "c.json").write_text(shipped.to_json())
+    assert Calibration.load(tmp_path / "c.json") == shipped
+    assert Calibration.load(tmp_path / "c.json").id == shipped.id == record["id"]
+
+
+def test_the_id_changes_with_any_number(record):
+    ids = {record["id"]}
+    for change in ({"tile_size": 2.5}, {"ride": {"c_r": [1.0]}}, {"ride": {"c_r": [1.5]}}, {"ride": None}):
+        ids.add(Calibration.from_json(json.dumps(record | change), "c.json").id)
+    record["p_fail"][0][0] += 0.001
+    ids.add(Calibration.from_json(json.dumps(record), "c.json").id)
+    assert len(ids) == 6
+
+
+def test_a_file_without_the_ride_key_is_damaged(record):
+    del record["ride"]
+    with pytest.raises(BadInputError, match="damaged calibration: KeyError"):
+        Calibration.from_json(json.dumps(record), "c.json")
+
+
+def test_a_driven_terrain_counts_its_drives():
+    terrain = DrivenTerrain("kerb", 2, 0.1, 0.01, completed=5, stuck=2, rolled=1)
+    assert (terrain.failed, terrain.drives, terrain.p_fail) == (3, 8, 3 / 8)
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.vehicle["name"] == name
+    library = shipped.settings["library"]
+    drives = sum(sum(columns[name]) for columns in library.values() for name in ("completed", "stuck", "rolled"))
+    # The paper drove 2,478 times.
+    assert sum(map(sum, shipped.drives)) + drives >= 2478
+    assert shipped.ride is not None
+    assert shipped.ride["origin"]["drives"] == drives
+    assert 0 < shipped.class_c_r[0] < shipped.class_limits[0] < shipped.class_c_r[1] < shipped.class_limits[1]
+    assert shipped.class_limits[1] < shipped.class_c_r[2] < shipped.class_limits[2] < shipped.class_c_r[3]
+
+
+def test_the_warthogs_table_is_sound():
+    shipped = Calibration.shipped("warthog")
+    c_r = np.array(shipped.c_r, float)
+    assert (shipped.z_range[0], shipped.z_range[-1]) == (0.02, 2.5)
+    # Rougher forms cost more, and more relief costs more, wherever drives were completed by all.
+    sound = np.array(shipped.p_fail).max(axis=0) == 0
+    assert np.all(np.diff(c_r[:, sound], axis=1) > 0)
+    assert np.all(c_r[0, sound] < c_r[1, sound])
+    assert np.all(c_r[1, sound] < c_r[2:, sound].min(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"format": "other"}, "is not a bumpymap calibration"),
+        ({"version": 99}, "version 99"),
+        ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
+        ({"ride": [1.0]}, "damaged"),
+        ({"ride": {"c_r": [float("inf")]}}, "damaged"),
+        ({"vehicle": {}}, "damaged"),
+        ({"vehicle": "x"}, "damaged"),
+        ({"z_range": []}, "damaged"),
+        ({"class_limits": []}, "damaged"),
+        ({"class_limits": [0.1, 0.2]}, "damaged"),
+        ({"class_c_r": [0.1, 0.2, 0.3, None]}, "damaged"),
+        ({"c_r": [["a"] * 14] * 4}, "damaged"),
+        ({"c_r": [[0.0] * 14] * 4}, "damaged"),
+        ({"c_r": [[None] + [0.1] * 13] * 4}, "damaged"),
+        ({"p_fail": [[float("nan")] * 14] * 4}, "damaged"),
+        ({"p_fail": [[0.0] * 13] * 4}, "damaged"),
+        ({"textures": ["a", "b", "c", "d"]}, "damaged"),
+    ],
+)
+def test_damage_is_named_before_anything_is_rated(record, damage, message):
+    with pytest.raises(BadInputError, match=message):
+        Calibration.from_json(json.dumps(record | damage), "c.json")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x9a\x00\xff", b"[]", b"3"])
+def test_another_file_is_no_calibration(tmp_path, content):
+    (tmp_path / "c.json").write_bytes(content)
+    with pytest.raises(BadInputError, match="is not a bumpymap calibration"):
+        Calibration.load(tmp_path / "c.json")
+
+
+def test_unknown_names_list_the_known_ones():
+    with pytest.raises(UsageError, match=r"there are: .*warthog"):
+        Calibration.shipped("bicycle")
+
+
+def test_a_spread_that_is_unknown_throughout_still_gives_an_interval(record):
+    from bumpymap.rating.cost import _ladder
+
+    record["c_r_log_sd"] = [[None] * 14] * 4
+    assert np.all(_ladder(Calibration.from_json(json.dumps(record), "c.json")).log_sd > 0)

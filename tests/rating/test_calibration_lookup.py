@@ -1,0 +1,76 @@
+from pathlib import Path
+
+import pytest
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.calibration_lookup import find_calibration
+
+DATA = Path(__file__).parents[2] / "bumpymap" / "data"
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """Return the car's profile and calibration, as files of one's own."""
+    (tmp_path / "mine.json").write_bytes((DATA / "calibrations" / "car.json").read_bytes())
+    path = tmp_path / "mine.toml"
+    path.write_bytes((DATA / "vehicles" / "car.toml").read_bytes())
+    return path
+
+
+def change(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_name_means_the_calibration_that_ships():
+    for name in ("car", "small_rover", "warthog"):
+        assert find_calibration(name) == Calibration.shipped(name)
+
+
+def test_equal_preferences_leave_the_id_alone(mine):
+    assert find_calibration(mine) == Calibration.shipped("car")
+    change(mine, "fail_weight = 300.0\n", "")
+    assert find_calibration(str(mine)).id == Calibration.shipped("car").id
+
+
+def test_preferences_are_those_of_the_profile(mine):
+    change(mine, "fail_weight = 300.0", "fail_weight = 40")
+    change(mine, "ride_weight = 5.0", "ride_weight = 2")
+    change(mine, 'name = "car"', 'name = "mine"')
+    found, car = find_calibration(mine), Calibration.shipped("car")
+    assert found.preferences == {
+        "name": "mine", "description": car.vehicle["description"], "ride_weight": 2.0, "fail_weight": 40.0
+    }  # fmt: skip
+    assert (found.c_r, found.ride) == (car.c_r, car.ride)
+    assert found.id != car.id
+
+
+def test_another_vehicle_is_refused_with_what_differs(mine):
+    change(mine, "wheelbase_m = 2.7", "wheelbase_m = 2.8")
+    change(mine, "clearance_m = 0.24", "clearance_m = 0.2")
+    change(mine, "ride_weight = 5.0", "ride_weight = 2")
+    with pytest.raises(BadInputError) as caught:
+        find_calibration(mine)
+    beside = mine.with_suffix(".json")
+    assert str(caught.value) == (
+        f"{beside} was made for another vehicle: wheelbase_m is 2.8, was 2.7; belly.clearance_m is 0.2, was 0.24. "
+        f"Calibrate for the vehicle of {mine}: bumpymap calibrate --vehicle {mine} --out {beside} --overwrite"
+    )
+
+
+def test_without_a_calibration_the_command_that_makes_it_is_said(mine):
+    mine.with_suffix(".json").unlink()
+    assert find_calibration(mine) == Calibration.shipped("car")  # the vehicle that ships, under another name
+    change(mine, "wheelbase_m = 2.7", "wheelbase_m = 2.8")
+    with pytest.raises(BadInputError, match=rf"bumpymap calibrate --vehicle {mine} --out {mine.with_suffix('.json')} "):
+        find_calibration(mine)
+
+
+def test_neither_name_nor_file(tmp_path):
+    for vehicle in ("tank", str(tmp_path / "none.toml")):
+        with pytest.raises(UsageError, match=r"no vehicle .*\(car, small_rover, warthog\)"):
+            find_calibration(vehicle)
+    with pytest.raises(BadInputError, match="cannot read the calibration"):
+        find_calibration("warthog", tmp_path / "none.json")

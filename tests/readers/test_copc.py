@@ -1,0 +1,231 @@
+"""COPC: an octree read region by region, and octrees that lie."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.readers import PointStats, ReadOptions, open_survey
+from bumpymap.readers.las import LasSurvey
+
+INFO = 375 + 54
+"""Byte of the COPC record: middle x, y, z, half side, spacing, page place and size, ..."""
+US_FOOT = 1200 / 3937
+
+
+MADE = {}
+"""Bytes of the files that were made already: many chunks take their time."""
+
+
+@pytest.fixture
+def tree(las, laz):
+    """An octree of 4,000 points on 400 x 400 units, 5 levels."""
+
+    def write(epsg=None, page_levels=None):
+        path = las.folder / "t.copc.laz"
+        if (epsg, page_levels) not in MADE:
+            plain = las.write("t.las", points(), version="1.4", fmt=7, epsg=epsg)
+            MADE[epsg, page_levels] = laz.octree(plain, levels=4, page_levels=page_levels).read_bytes()
+        path.write_bytes(MADE[epsg, page_levels])
+        return path
+
+    return write
+
+
+def points():
+    rng = np.random.default_rng(9)
+    return np.round(rng.uniform([5e5, 4e6, 0], [500_400, 4_000_400, 40], (4000, 3)), 3)
+
+
+def root_page(path):
+    at, size = struct.unpack_from("<2Q", path.read_bytes(), INFO + 40)
+    return at, size // 32
+
+
+def exhaust(path, options=ReadOptions()):  # noqa: B008 (frozen)
+    return sum(cloud.easting.size for cloud in open_survey(path, options).clouds())
+
+
+@pytest.mark.parametrize("page_levels", [None, 1, 3])
+@pytest.mark.parametrize("size", [1, 300, 100_000])
+def test_pieces_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):
+    path = tree(epsg=2276, page_levels=page_levels)
+    reader = open_survey(path)
+    assert reader.info.format == "COPC (LAZ 1.4, point format 7)"
+    chunks = reader.chunks(size)
+    found = batches(reader, size)
+    for chunk, batch in zip(chunks, found, strict=True):
+        box, cloud = chunk.bounds, batch.cloud
+        assert cloud.easting.size == chunk.points
+        assert box.west <= cloud.easting.min() <= cloud.easting.max() <= box.east
+        assert box.south <= cloud.northing.min() <= cloud.northing.max() <= box.north
+    got = table(found)[:, :3]
+    expected = points() * US_FOOT
+    assert np.array_equal(got[np.lexsort(got.T)], expected[np.lexsort(expected.T)])
+
+
+def test_pages_change_nothing(tree, batches, table):
+    plain = tree()
+    first = table(batches(open_survey(plain), 300))
+    chunks = open_survey(plain).chunks(300)
+    paged = tree(page_levels=2)
+    assert open_survey(paged).chunks(300) == chunks
+    assert np.array_equal(table(batches(open_survey(paged), 300)), first)
+
+
+def test_ground_is_complete_long_before_the_end(tree):
+    """What no later piece can reach is complete; the root alone reaches everywhere, and comes first."""
+    chunks = open_survey(tree()).chunks(100)
+    middles = np.stack(np.meshgrid(np.arange(8) * 50 + 25 + 5e5, np.arange(8) * 50 + 25 + 4e6), axis=-1).reshape(-1, 2)
+    complete = []
+    for k in range(len(chunks)):
+        boxes = [chunk.bounds for chunk in chunks[k + 1 :]]
+        open_ground = [
+            any(box.west <= x <= box.east and box.south <= y <= box.north for box in boxes) for x, y in middles
+        ]
+        complete.append(1 - np.mean(open_ground))
+    done = np.arange(1, len(chunks) + 1) / len(chunks)
+    # A quarter of the ground behind, on average, where a file in random order would have none of it.
+    assert np.all(np.array(complete) >= done - 0.35)
+    assert np.interp(0.5, done, complete) > 0.25
+
+
+def test_a_piece_reads_its_own_bytes_alone(tree, monkeypatch):
+    from bumpymap.readers import las_points
+
+    path = tree()
+    reader = open_survey(path)
+    read = []
+    whole = las_points.read_into
+    monkeypatch.setattr(
+        las_points, "read_into", lambda where, start, data: read.append(data.size) or whole(where, start, data)
+    )
+    chunks = reader.chunks(300)
+    for chunk in chunks:
+        reader.fetch(chunk)
+    assert sum(read) < path.stat().st_size
+    assert max(read) < path.stat().st_size / 5
+
+
+@pytest.mark.parametrize(
+    ("place", "layout", "value", "says"),
+    [
+        (INFO, "<d", np.nan, "middle"),
+        (INFO + 24, "<d", 0.0, "half a side"),
+        (INFO + 24, "<d", -5.0, "half a side"),
+        (INFO + 40, "<Q", 2**63, "page"),
+        (INFO + 40, "<Q", 0, "page"),
+        (INFO + 48, "<Q", 2**40, "page"),
+        (INFO + 48, "<Q", 0, "page"),
+        (INFO + 48, "<Q", 33, "page"),
+        (INFO + 48, "<Q", 32, "in its octree"),
+        (247, "<Q", 3999, "promises 3,999 points in its header and 4,000 in its octree"),
+        (247, "<Q", 2**60, "octree"),
+    ],
+)
+def test_records_that_lie(las, tree, place, layout, value, says):
+    with pytest.raises(BadInputError, match=says):
+        open_survey(las.patch(tree(), place, layout, value))
+
+
+@pytest.mark.parametrize(
+    ("at", "layout", "value", "says"),
+    [
+        (0, "<i", -1, "no place in the tree"),
+        (0, "<i", 1000, "no place in the tree"),
+        (4, "<i", 99, "no place in the tree"),
+        (8, "<i", -2, "no place in the tree"),
+        (16, "<Q", 2**62, "no place in the tree"),
+        (16, "<Q", 2**64 - 1, "no place in the tree"),
+        (16, "<Q", 10, "no place in the tree"),
+        (24, "<i", -1, "no place in the tree"),
+        (24, "<i", 2**31 - 1, "no place in the tree"),
+        (24, "<i", 1, "in the header|compressed bytes|layers|LAZ chunk|octree"),
+        (28, "<i", 2**31 - 1, "octree"),
+        (28, "<i", -2, "octree"),
+        (28, "<i", 0, "octree"),
+        (28, "<i", -1, "page|circle"),
+    ],
+)
+@pytest.mark.parametrize("entry", [0, 7])
+def test_entries_that_lie(las, tree, entry, at, layout, value, says):
+    path = tree()
+    start, entries = root_page(path)
+    assert entry < entries
+    with pytest.raises(BadInputError, match=says):
+        exhaust(las.patch(path, start + 32 * entry + at, layout, value))
+
+
+def test_an_octree_that_leads_round_in_a_circle(las, tree):
+    path = tree(page_levels=1)
+    start, entries = root_page(path)
+    data = path.read_bytes()
+    page = next(start + 32 * i for i in range(entries) if struct.unpack_from("<i", data, start + 32 * i + 28)[0] == -1)
+    with pytest.raises(BadInputError, match="circle"):
+        open_survey(las.patch(path, page + 16, "<Qi", start, 32 * entries))
+
+
+def test_nodes_that_share_bytes(las, tree):
+    path = tree()
+    start, _ = root_page(path)
+    first, second = (struct.unpack_from("<Q", path.read_bytes(), start + 32 * i + 16)[0] for i in (0, 1))
+    assert first != second
+    with pytest.raises(BadInputError, match="share bytes"):
+        open_survey(las.patch(path, start + 16, "<Q", second))
+
+
+def test_nodes_that_hold_fewer_points_than_they_promise(las, tree):
+    path = tree()
+    start, _ = root_page(path)
+    data = path.read_bytes()
+    counts = [struct.unpack_from("<i", data, start + 32 * i + 28)[0] for i in (0, 1)]
+    las.patch(path, start + 28, "<i", counts[0] + 1)
+    las.patch(path, start + 32 + 28, "<i", counts[1] - 1)
+    with pytest.raises(BadInputError, match="points in a LAZ chunk and holds"):
+        exhaust(path)
+
+
+@pytest.mark.parametrize("length", [0.2, 0.5, 0.9, 0.99])
+def test_a_file_that_ends_early(tree, length):
+    path = tree()
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * length)])
+    with pytest.raises(BadInputError):
+        exhaust(path)
+
+
+def test_an_octree_built_around_another_place(las, tree, read):
+    """Regions would be taken for complete while their points are still to come."""
+    path = las.patch(tree(), INFO, "<d", 500_300.0)
+    with pytest.raises(BadInputError, match=r"points of .* lie outside the part of the octree.*--trust-points"):
+        exhaust(path)
+    trusted = open_survey(path, ReadOptions(trust_points=True))
+    assert {chunk.bounds for chunk in trusted.chunks(300)} == {None}
+    assert len(read(trusted)[0]) == 4000
+
+
+@pytest.mark.parametrize("shift", [2.0, 30.0, 300.0])
+def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree, shift):
+    """Counted one by one: a point is in the cube of its node, 1 m around it allowed."""
+    path = las.patch(tree(epsg=32614), INFO, "<d", 500_200.0 + shift)
+    reader = LasSurvey(path, ReadOptions())
+    octree, box = reader._source._octree, reader.info.bounds
+    expected = 0
+    for node, (count, before) in enumerate(zip(octree.table.counts, octree.table.ends, strict=True)):
+        (chunk,) = [p for p in reader.chunks(1) if p.first == before - count]
+        fetched = reader.fetch(chunk).view(np.uint8)
+        words = fetched[:, :8].copy().view("<i4") * 0.001 + np.array([500_000.0, 4_000_000.0])
+        low = np.array([octree.west[node], octree.south[node]]) - 1
+        high = low + octree.side[node] + 2
+        inside = ((words >= low) & (words <= high)).all(axis=1)
+        whole = ((words >= [box.west - 1, box.south - 1]) & (words <= [box.east + 1, box.north + 1])).all(axis=1)
+        expected += int((whole & ~inside).sum())
+    assert expected > 0
+    for size in (1, 300, 1500, 100_000):
+        total = PointStats()
+        for chunk in reader.chunks(size):
+            batch = reader.convert(chunk, reader.fetch(chunk))
+            assert batch.cloud.easting.size == (0 if batch.tally.points_outside_node else chunk.points)
+            total = total.merge(batch.tally)
+        assert total.points_outside_node == expected

@@ -1,0 +1,241 @@
+"""The decoder in a process of its own: the same bytes as in this one, and nothing that it does harms this one."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.readers import decoder, decoder_process, open_survey
+from bumpymap.readers.decoder import DecoderError, LocalDecoder
+from bumpymap.readers.decoder_process import ChildDecoder
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
+
+CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
+
+
+@pytest.fixture
+def child(monkeypatch):
+    """A decoder of this test alone."""
+    made = ChildDecoder()
+    monkeypatch.setattr(decoder, "_current", made)
+    yield made
+    made.rest()
+
+
+@pytest.fixture
+def survey(las, laz):
+    """LAZ of 4,000 points: in chunks, in chunks of any size, or in one stream."""
+
+    def write(kind, name="a.las", seed=0):
+        points = np.random.default_rng(seed).uniform(0, 100, (4000, 3))
+        path = las.write(
+            name, points + CORNER, version="1.2" if kind == "stream" else "1.4", fmt=1 if kind == "stream" else 7
+        )
+        return laz.pack(path, **{"chunks": {"chunk": 300}, "variable": {"counts": [1, 1999, 2000]}, "stream": {}}[kind])
+
+    return write
+
+
+def records(reader, points=700):
+    return [reader.fetch(chunk).copy() for chunk in reader.chunks(points)]
+
+
+def pid_of(child):
+    return child._child.pid
+
+
+def kill(child):
+    os.kill(pid_of(child), signal.SIGKILL)
+    child._child.wait()
+
+
+@pytest.mark.parametrize("kind", ["chunks", "variable", "stream"])
+def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, kind):
+    path = survey(kind)
+    theirs = records(open_survey(path))
+    monkeypatch.setattr(decoder, "_current", LocalDecoder())
+    ours = records(open_survey(path))
+    assert all(np.array_equal(a, b) for a, b in zip(theirs, ours, strict=True))
+    assert sum(map(len, ours)) == 4000
+    assert pid_of(child) != os.getpid()
+
+
+def test_a_child_loads_none_of_our_libraries():
+    code = (
+        "import sys; sys.path += sys.argv[1:]; import _decoder_child as d; d._fields(); "
+        "print({'numpy', 'bumpymap', 'site'} & set(sys.modules))"
+    )
+    places = [Path(decoder_process.__file__).parent, Path(pytest.importorskip("lazrs").__file__).parents[1]]
+    ran = subprocess.run([sys.executable, "-I", "-S", "-c", code, *places], capture_output=True, text=True, check=True)
+    assert ran.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("kind", ["chunks", "stream"])
+def test_a_child_that_is_gone_between_pieces_is_replaced(survey, child, kind):
+    path = survey(kind)
+    expected = records(open_survey(path))
+    reader = open_survey(path)
+    first = pid_of(child)
+    found = []
+    for chunk in reader.chunks(700):
+        found.append(reader.fetch(chunk).copy())
+        kill(child)
+    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
+    assert first not in {None, child._child.pid}
+
+
+def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, child, monkeypatch):
+    bad, good = survey("chunks", "bad.las"), survey("chunks", "good.las")
+    expected = records(open_survey(good))
+    reader = open_survey(bad)
+    ask = child._ask
+
+    def die(what, *args, **more):
+        os.kill(pid_of(child), signal.SIGSEGV)
+        return ask(what, *args, **more)
+
+    monkeypatch.setattr(child, "_running", lambda: child._child)  # does not look whether it lives
+    monkeypatch.setattr(child, "_ask", die)
+    with pytest.raises(BadInputError, match=r"bad\.laz: the decoder breaks down \(SIGSEGV\).*damaged"):
+        reader.fetch(reader.chunks()[0])
+    monkeypatch.undo()
+    monkeypatch.setattr(decoder, "_current", child)
+    assert all(np.array_equal(a, b) for a, b in zip(records(open_survey(good)), expected, strict=True))
+
+
+def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
+    reader = open_survey(survey("chunks"))
+    kill(child)
+    monkeypatch.setattr(child, "_running", lambda: child._child)
+    with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
+        reader.fetch(reader.chunks()[0])
+
+
+def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
+    # So many points that they take several ticks of the clock that counts processor time.
+    points = np.random.default_rng(0).uniform(0, 100, (200_000, 3))
+    reader = open_survey(las.write("a.laz", points + CORNER, version="1.4", fmt=7))
+    (chunk,) = reader.chunks()
+    monkeypatch.setattr(decoder_process, "_SECONDS", 1e-6)
+    monkeypatch.setattr(decoder_process, "_SECONDS_PER_BYTE", 0.0)
+    with pytest.raises(BadInputError, match=r"a\.laz: the decoder comes to no end"):
+        reader.fetch(chunk)
+    monkeypatch.undo()
+    monkeypatch.setattr(decoder, "_current", child)
+    assert len(reader.fetch(chunk)) == 200_000
+
+
+def test_panics_say_nothing_but_their_answer(child, capfd):
+    record = bytes(12) + b"\0\0\0\0" + bytes(16) + b"\x01\0" + b"\x06\0\x14\0\x02\0"
+    with pytest.raises(DecoderError):
+        child.check(record)
+    with pytest.raises(DecoderError):
+        child.chunks(b"", [(10, 10)], child.take(10), 100)
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+    first = pid_of(child)
+    with pytest.raises(DecoderError):
+        child.check(record)
+    assert pid_of(child) == first
+
+
+def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child, monkeypatch):
+    path = survey("chunks")
+    expected = records(open_survey(path))
+    reader = open_survey(path)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(child, "_answer", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        reader.fetch(reader.chunks(700)[1])
+    monkeypatch.undo()
+    monkeypatch.setattr(decoder, "_current", child)
+    assert all(np.array_equal(a, b) for a, b in zip(records(reader), expected, strict=True))
+
+
+def test_threads_share_a_child(survey, child):
+    paths = [survey("stream" if seed % 2 else "chunks", f"{seed}.las", seed) for seed in range(4)]
+    expected = [records(open_survey(path)) for path in paths]
+    found = {}
+
+    def work(index):
+        found[index] = records(open_survey(paths[index]), 700)
+
+    threads = [threading.Thread(target=work, args=(index,)) for index in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for index, tables in enumerate(expected):
+        assert all(np.array_equal(a, b) for a, b in zip(found[index], tables, strict=True))
+
+
+def test_a_fork_has_a_child_of_its_own(survey, child):
+    reader = open_survey(survey("chunks"))
+    expected = reader.fetch(reader.chunks(4000)[0]).copy()
+    mine = pid_of(child)
+    forked = os.fork()
+    if forked == 0:
+        same = np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
+        other = decoder.decoder()._child.pid != mine
+        decoder.rest()
+        os._exit(0 if same and other else 1)
+    assert os.waitpid(forked, 0)[1] == 0
+    assert np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
+    assert pid_of(child) == mine
+
+
+def test_rest_gives_everything_back_and_costs_nothing_but_time(survey, child):
+    reader = open_survey(survey("chunks"))
+    held = reader.fetch(reader.chunks(700)[0])
+    expected = held.copy()
+    process = child._child
+    decoder.rest()
+    assert process.poll() is not None
+    assert child._memory.size > 0, "an array is still in use"
+    assert np.array_equal(held, expected)
+    del held
+    decoder.rest()
+    assert child._memory.size == 0
+    assert np.array_equal(reader.fetch(reader.chunks(700)[0]), expected)
+
+
+def ended(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    with Path(f"/proc/{pid}/stat").open() as file:  # a child whose parent has not asked for it yet
+        return file.read().rpartition(")")[2].split()[0] == "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("how", ["signal.SIGKILL", "signal.SIGINT", None])
+def test_no_child_outlives_its_parent(survey, how):
+    code = f"""
+        import os, signal, sys
+        from pathlib import Path
+        from bumpymap.readers import decoder, open_survey
+        open_survey(Path(sys.argv[1]))
+        print(decoder.decoder()._child.pid, flush=True)
+        {f"os.kill(os.getpid(), {how})" if how else ""}
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code), str(survey("chunks"))]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    pid = int(ran.stdout)
+    for _ in range(500):
+        if ended(pid):
+            return
+        time.sleep(0.01)
+    pytest.fail("the decoder runs on")

@@ -1,0 +1,59 @@
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.readers import open_survey
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", "git lfs pull"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(50), "PNG"),
+        (b"\xff\xd8\xff\xe0" + bytes(50), "JPEG"),
+        (b"II*\0" + bytes(50), "TIFF"),
+        (b"PK\x03\x04" + bytes(50), "ZIP"),
+        (b"\x1f\x8b\x08" + bytes(50), "gzip"),
+        (b"ASTM-E57" + bytes(50), "E57"),
+        (b"%PDF-1.7", "PDF"),
+        (b"<!DOCTYPE html><title>404</title>", "HTML"),
+        (b'{"type": "FeatureCollection"}', "JSON"),
+        (b"1.0 2.0 3.0\n4.0 5.0 6.0\n", "text file"),
+        (b"plyers of the sea\n", "text file"),
+        (bytes(5000), "zero bytes"),
+        (bytes(range(128, 256)), "80 81 82 83"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.laz", "a.ply", "a.pcd", "a"])
+def test_what_is_no_point_cloud_is_named(tmp_path, content, says, name):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(BadInputError, match=says):
+        open_survey(path)
+
+
+def test_content_counts_and_not_the_ending(las, read, tmp_path):
+    path = tmp_path / "really.ply"
+    shutil.copy(las.write("a.laz"), path)
+    reader = open_survey(path)
+    assert reader.info.format.startswith("LAZ")
+    assert np.array_equal(read(reader)[0], las.points)
+
+
+def test_what_cannot_be_opened(tmp_path):
+    with pytest.raises(BadInputError, match="cannot read"):
+        open_survey(tmp_path)
+    with pytest.raises(BadInputError, match="No such file"):
+        open_survey(tmp_path / "nowhere.las")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read everything")
+def test_what_may_not_be_read(las):
+    path = las.write()
+    path.chmod(0)
+    with pytest.raises(BadInputError, match="cannot read"):
+        open_survey(path)

@@ -1,0 +1,300 @@
+"""Files that lie or are damaged: one message each, never another exception, never a lost process."""
+
+import struct
+import subprocess
+import sys
+
+import lazrs
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.readers import ReadOptions, decoder, open_survey
+
+DEFAULT = ReadOptions()
+MAX_X, MIN_X, MAX_Y, MIN_Y = 179, 187, 195, 203
+
+
+def exhaust(path, options=DEFAULT):
+    reader = open_survey(path, options)
+    return sum(cloud.easting.size for cloud in reader.clouds())
+
+
+def refused(path, *says, options=DEFAULT):
+    with pytest.raises(BadInputError) as caught:
+        exhaust(path, options)
+    message = str(caught.value)
+    assert str(path) in message
+    for words in says:
+        assert words in message, message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("place", "layout", "value", "says"),
+    [
+        (107, "<I", 8, "promises 8 points"),
+        (107, "<I", 0xFFFFFFFF, "promises 4,294,967,295 points"),
+        (107, "<I", 0, "holds no points"),
+        (100, "<I", 0xFFFFFFFF, "variable length records"),
+        (100, "<I", 1, "variable length records"),
+        (96, "<I", 0xFFFFFFFF, "bytes long"),
+        (96, "<I", 3, "bytes long"),
+        (94, "<H", 50, "bytes long"),
+        (104, "<B", 11, "format 11"),
+        (104, "<B", 63, "format 63"),
+        (104, "<B", 0x81, "LASzip record"),
+        (105, "<H", 19, "19 bytes"),
+        (24, "<B", 2, "LAS 2.2"),
+        (25, "<B", 9, "LAS 1.9"),
+        (131, "<d", np.nan, "scale"),
+        (131, "<d", np.inf, "scale"),
+        (139, "<d", 0.0, "scale"),
+        (155, "<d", np.nan, "offset"),
+        (171, "<d", -np.inf, "offset"),
+        (131, "<d", 1e300, "not a number or infinite"),
+        (131, "<d", 1e8, "no place on Earth"),
+    ],
+)
+def test_a_header_that_cannot_be(las, place, layout, value, says):
+    # A raw coordinate of 1e9 makes a scale of 1e300 overflow.
+    points = np.vstack([las.points, [500000.0 + 1_000_000, 4000000.0, 0.0]])[1:]
+    refused(las.patch(las.write(points=points), place, layout, value), says)
+
+
+@pytest.mark.parametrize("length", [0, 1, 4, 100, 226])
+def test_a_file_that_ends_inside_the_header(las, length):
+    path = las.write()
+    path.write_bytes(path.read_bytes()[:length])
+    refused(path)
+
+
+@pytest.mark.parametrize("fmt", [1, 6])
+def test_a_file_that_ends_inside_the_points(las, fmt):
+    path = las.write(version="1.4", fmt=fmt)
+    path.write_bytes(path.read_bytes()[:-1])
+    refused(path, "promises 7 points", "can hold 6", "truncated?")
+
+
+@pytest.mark.parametrize("fmt", [1, 7])
+def test_compressed_files_cut_anywhere(las, fmt):
+    path = las.write("a.laz", version="1.4", fmt=fmt)
+    data = path.read_bytes()
+    for length in range(1, len(data), 7):
+        path.write_bytes(data[:length])
+        refused(path)
+
+
+@pytest.mark.parametrize(("fmt", "place", "layout"), [(1, 107, "<I"), (7, 247, "<Q")])
+@pytest.mark.parametrize("promised", [8, 49_999, 50_001, 2**31])
+def test_compressed_files_with_fewer_points_than_promised(las, fmt, place, layout, promised):
+    path = las.write("a.laz", version="1.2" if fmt == 1 else "1.4", fmt=fmt)
+    refused(las.patch(path, place, layout, promised))
+
+
+def test_extended_records_that_do_not_fit(las, utm_wkt):
+    path = las.write(version="1.4", fmt=6, evlr_wkt=utm_wkt)
+    start, _ = struct.unpack_from("<QI", path.read_bytes(), 235)
+    whole = path.read_bytes()
+    refused(las.patch(path, 243, "<I", 0xFFFFFFFF), "extended variable length records")
+    path.write_bytes(whole)
+    refused(las.patch(path, start + 20, "<Q", 2**62), "extended variable length records")
+    path.write_bytes(whole)
+    refused(las.patch(path, 235, "<Q", 2**63), "extended variable length records")
+
+
+def chunk_table(path):
+    data = path.read_bytes()
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    return points_at, struct.unpack_from("<q", data, points_at)[0]
+
+
+@pytest.mark.parametrize("chunks", [0xFFFFFFFF, 10_000_000, 0])
+def test_a_chunk_table_that_lies_does_not_end_the_process(las, chunks):
+    path = las.write("a.laz")
+    _, table = chunk_table(path)
+    las.patch(path, table + 4, "<I", chunks)
+    code = (
+        "import sys; from pathlib import Path; from bumpymap.readers import open_survey; "
+        "from bumpymap.core.errors import BadInputError\n"
+        "try: open_survey(Path(sys.argv[1]))\n"
+        "except BadInputError as error: print('refused:', error)"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("refused: ")
+    assert "chunk" in run.stdout
+
+
+@pytest.mark.parametrize("place", [0, -7, 5, 2**40, -1])
+def test_a_chunk_table_that_is_not_there(las, place):
+    path = las.write("a.laz")
+    points_at, _ = chunk_table(path)
+    refused(las.patch(path, points_at, "<q", place), "chunk table")
+
+
+def laszip_record(path):
+    return path.read_bytes().index(b"laszip encoded") - 2 + 54
+
+
+def test_a_codec_that_nobody_knows(las):
+    path = las.write("a.laz", version="1.4", fmt=7)
+    refused(las.patch(path, laszip_record(path) + 34 + 4, "<H", 4), "cannot be decoded here", "pdal translate")
+
+
+@pytest.mark.parametrize("size", [0, 1, 6, 0xFFFFFFFF])
+def test_a_compression_of_other_chunks(las, size):
+    path = las.write("a.laz")
+    refused(las.patch(path, laszip_record(path) + 12, "<I", size))
+
+
+def test_a_compression_of_other_points(las):
+    path = las.write("a.laz")
+    refused(las.patch(path, laszip_record(path) + 34 + 2, "<H", 24), "LASzip record")
+
+
+def test_compressed_bytes_that_are_spoilt(las):
+    rng = np.random.default_rng(3)
+    path = las.write("a.laz", np.round(rng.uniform(0, 100, (2000, 3)), 3) + np.array([500000, 4000000, 0]))
+    points_at, table = chunk_table(path)
+    whole = path.read_bytes()
+    outcomes = set()
+    for _ in range(40):
+        data = bytearray(whole)
+        for place in rng.integers(points_at + 8, table, 20):
+            data[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(data)
+        try:
+            outcomes.add(exhaust(path) == 2000)
+        except BadInputError:
+            outcomes.add("refused")
+    assert "refused" in outcomes
+    assert outcomes <= {True, "refused"}
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({MIN_X: np.nan}, "cannot be"),
+        ({MAX_Y: np.inf}, "cannot be"),
+        ({MIN_X: 600000.0}, "cannot be"),
+        ({MIN_X: -2e9, MAX_X: 2e9}, "-2,000,000,000.00 to 2,000,000,000.00"),
+        ({MIN_X: 0.0, MAX_X: 0.0, MIN_Y: 0.0, MAX_Y: 0.0}, "7 of 7 points are outside"),
+        ({MAX_X: 500003.9}, "1 of 7 points are outside"),
+        ({MAX_Y: 4000000.0 + 20_000}, "20,000"),
+    ],
+)
+def test_a_header_that_lies_about_its_extent(las, name, changes, says):
+    path = las.write(name)
+    for place, value in changes.items():
+        las.patch(path, place, "<d", value)
+    message = refused(path, says, "--trust-points")
+    if says != "cannot be":
+        assert "500,000.00 to 500,005.00" in message
+    assert open_survey(path, ReadOptions(trust_points=True)).info.bounds is None
+    assert exhaust(path, ReadOptions(trust_points=True)) == 7
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {MAX_X: 500004.2},  # rounded by less than a metre
+        {MIN_X: 499999.5},
+        {MAX_X: 500004.999 + 9_000},  # far, but no 10 km
+    ],
+)
+def test_a_header_that_is_a_little_off_is_no_lie(las, changes):
+    path = las.write()
+    for place, value in changes.items():
+        las.patch(path, place, "<d", value)
+    assert exhaust(path) == 7
+
+
+def test_a_large_box_around_large_data_is_no_lie(las):
+    points = np.array([[0.0, 0.0, 0.0], [30_000.0, 40_000.0, 5.0]])
+    path = las.write(points=points, offset=(0, 0, 0))
+    las.patch(path, MAX_X, "<d", 100_000.0)
+    assert exhaust(path) == 2
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 7])
+def test_a_lie_is_told_in_full_whatever_the_chunk_size(las, chunk):
+    path = las.patch(las.write(), MAX_X, "<d", 500003.2)
+    reader = open_survey(path)
+    with pytest.raises(BadInputError, match=r"1 of 7 points.*|2 of 7"):
+        list(reader.clouds(chunk))
+
+
+def test_a_panic_of_the_decoder_becomes_a_message(las, monkeypatch):
+    class PanicException(BaseException):
+        """As pyo3 raises: no ``Exception``."""
+
+    def panic(*_):
+        raise PanicException("index out of bounds: the len is 3\nnote: a backtrace")
+
+    path = las.write("a.laz")
+    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
+    monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", panic)
+    message = refused(path, "index out of bounds: the len is 3")
+    assert "backtrace" not in message
+
+
+def test_an_interrupt_passes(las, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
+    monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        exhaust(las.write("a.laz"))
+
+
+def test_a_file_that_shrinks_while_it_is_read(las):
+    path = las.write()
+    reader = open_survey(path)
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[: -4 * 28])
+    with pytest.raises(BadInputError, match=rf"changed while it was read: it had {size} bytes and has {size - 112}"):
+        list(reader.clouds())
+
+
+@pytest.mark.parametrize("held", [3, 0])
+def test_a_chunk_of_fewer_points_than_its_table_promises(las, held):
+    """The decoder does not look at the count that a chunk of layers carries, and makes points up."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    refused(las.patch(path, points_at + 8 + 30, "<I", held), f"promises 7 points in a LAZ chunk and holds {held}")
+
+
+@pytest.mark.parametrize("layer", range(9))
+def test_layers_larger_than_their_chunk_do_not_end_the_process(las, layer):
+    """The decoder would reserve four gigabytes for each."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    refused(las.patch(path, points_at + 8 + 34 + 4 * layer, "<I", 0xFFFFFFFF), "layers of a LAZ chunk")
+
+
+@pytest.mark.parametrize("layer", range(9))
+@pytest.mark.parametrize("change", [-1, 1])
+def test_layers_that_do_not_fill_their_chunk(las, layer, change):
+    """A layer that is said to be empty would be left out, and heights be those of the first point."""
+    path = las.write("a.laz", version="1.4", fmt=6)
+    points_at, _ = chunk_table(path)
+    place = points_at + 8 + 34 + 4 * layer
+    (size,) = struct.unpack_from("<I", path.read_bytes(), place)
+    if size + change >= 0:
+        refused(las.patch(path, place, "<I", size + change), "layers of a LAZ chunk")
+
+
+def test_more_points_than_any_compression_holds(las):
+    path = las.write("a.laz")
+    las.patch(path, laszip_record(path) + 12, "<I", 2_000_000_000)
+    refused(las.patch(path, 107, "<I", 1_999_999_999), "1,999,999,999 points in", "compressed bytes, which cannot be")
+
+
+def test_only_points_that_do_not_count(las):
+    path = las.write(classes=np.full(7, 7, np.uint8))
+    reader = open_survey(path)
+    assert list(reader.clouds()) == []
+    assert reader.dropped["noise"] == 7

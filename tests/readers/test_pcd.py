@@ -1,0 +1,182 @@
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pypcd4 import Encoding, PointCloud
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.readers import ReadOptions, open_survey
+
+POINTS = np.array([[1.5, 2.25, 3.0], [0.0, 0.0, 0.0], [-4.0, 5.5, -6.25], [7.0, 8.0, 9.5]])
+ENCODINGS = [Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED]
+
+
+def write(path, points=POINTS, encoding=Encoding.BINARY, dtype=np.float32, **more):
+    fields = [*"xyz", *more]
+    table = [points[:, i].astype(dtype) for i in range(3)] + list(more.values())
+    cloud = PointCloud.from_points(table, fields, [column.dtype for column in table])
+    cloud.save(str(path), encoding)
+    return path
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 100])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_encoding_and_precision(tmp_path, read, encoding, dtype, chunk):
+    path = write(tmp_path / "a.pcd", encoding=encoding, dtype=dtype, ring=np.arange(4, dtype=np.uint16))
+    reader = open_survey(path)
+    points, ground = read(reader, chunk)
+    assert np.array_equal(points, POINTS)  # a point at the origin is a point
+    assert not ground.any()
+    assert reader.info.point_count == 4
+    assert encoding.value in reader.info.format
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_one_point(tmp_path, read, encoding):
+    points, _ = read(open_survey(write(tmp_path / "a.pcd", POINTS[:1], encoding)))
+    assert np.array_equal(points, POINTS[:1])
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 100])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_rows_of_nan_are_beams_without_return(tmp_path, read, encoding, chunk):
+    points = POINTS.copy()
+    points[0] = points[3, 1] = np.nan
+    reader = open_survey(write(tmp_path / "a.pcd", points, encoding))
+    got, _ = read(reader, chunk)
+    assert np.array_equal(got, POINTS[1:3])
+    assert reader.dropped == {"withheld": 0, "noise": 0, "not_a_number": 2}
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_infinite_coordinates_are_refused(tmp_path, encoding):
+    points = POINTS.copy()
+    points[1], points[2, 0] = np.nan, np.inf
+    with pytest.raises(BadInputError, match=r"holds 1 points.*first is point 2 "):
+        list(open_survey(write(tmp_path / "a.pcd", points, encoding)).clouds())
+
+
+def test_classes(tmp_path, read):
+    reader = open_survey(write(tmp_path / "a.pcd", classification=np.array([2, 7, 1, 2], np.uint8)))
+    points, ground = read(reader)
+    assert np.array_equal(points, POINTS[[0, 2, 3]])
+    assert ground.tolist() == [True, False, True]
+    assert reader.info.has_classes is True
+
+
+def test_count_line_may_be_left_out_and_blanks_may_abound(tmp_path, read):
+    path = tmp_path / "a.pcd"
+    path.write_text(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\n"
+        "HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n1 2 3 \n4  5 6\n"
+    )
+    assert read(open_survey(path))[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_the_pose_of_the_sensor_is_noted(tmp_path):
+    path = write(tmp_path / "a.pcd")
+    path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0", b"VIEWPOINT 9.0 0.0 0.0"))
+    assert any("VIEWPOINT" in note for note in open_survey(path).info.notes)
+
+
+def test_units_come_from_the_options(tmp_path, read):
+    path = write(tmp_path / "a.pcd")
+    points, _ = read(open_survey(path, ReadOptions(crs="EPSG:32614", z_unit="ft")))
+    assert np.allclose(points, POINTS * [1, 1, 0.3048], rtol=1e-15)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("promised", [5, 10**6, 2**62])
+def test_more_points_promised_than_there_are(tmp_path, encoding, promised):
+    path = write(tmp_path / "a.pcd", encoding=encoding)
+    path.write_bytes(path.read_bytes().replace(b"POINTS 4", b"POINTS %d" % promised))
+    with pytest.raises(BadInputError, match=f"promises {promised:,} points and holds"):
+        list(open_survey(path).clouds())
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_file_cut_anywhere(tmp_path, encoding):
+    path = write(tmp_path / "a.pcd", encoding=encoding)
+    data = path.read_bytes()
+    # Without its last digits, or its line end, a text still looks whole.
+    last_line = data.rstrip().rindex(b"\n") + 1
+    for length in range(12, last_line if encoding is Encoding.ASCII else len(data), 3):
+        path.write_bytes(data[:length])
+        with pytest.raises(BadInputError):
+            list(open_survey(path).clouds())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"POINTS 4", b"POINTS 0", "holds no points"),
+        (b"POINTS 4", b"POINTS -4", "header"),
+        (b"COUNT 1 1 1", b"COUNT 1 1 0", "header"),
+        (b"COUNT 1 1 1", b"COUNT 1 1 9999999", "gives a point 10,000,001 values"),
+        (b"FIELDS x y z", b"FIELDS x y w", "have no z"),
+        (b"SIZE 4 4 4", b"SIZE 4 4", "different length"),
+        (b"DATA binary", b"DATA zipped", "header"),
+        (b"TYPE F F F", b"TYPE Q F F", "header"),
+    ],
+)
+def test_headers_that_are_none(tmp_path, old, new, says):
+    path = write(tmp_path / "a.pcd")
+    assert old in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(BadInputError, match=says):
+        open_survey(path)
+
+
+def bomb(path, points, claimed=0):
+    """Write a compressed file of zeros, of 4 bytes for each 375 that it unpacks to; it may claim to unpack to more."""
+    lzf = pytest.importorskip("lzf")
+    packed = lzf.compress(bytes(16 * points))
+    head = (
+        "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nHEIGHT 1\n"
+        f"WIDTH {points}\nPOINTS {points}\nDATA binary_compressed\n"
+    )
+    path.write_bytes(head.encode() + struct.pack("<II", len(packed), claimed or 16 * points) + packed)
+    return path
+
+
+def test_a_compressed_file_that_memory_cannot_hold_is_refused(tmp_path, read):
+    path = bomb(tmp_path / "a.pcd", 100_000)
+    wanted = 2 * 1_600_000 + 3 * (path.stat().st_size - 200)
+    with pytest.raises(BadInputError, match=r"unpacked whole, which takes 3 MB; 3 MB are given.*DATA binary.*--memory"):
+        open_survey(path, ReadOptions(memory=wanted - 1000))
+    points, _ = read(open_survey(path, ReadOptions(memory=wanted + 10_000)))
+    assert len(points) == 100_000
+
+
+@pytest.mark.parametrize("claimed", [1_600_016, 1_700_000])
+def test_a_compressed_file_unpacks_to_its_points(tmp_path, claimed):
+    with pytest.raises(
+        BadInputError, match=rf"promises {claimed:,} bytes of unpacked points, and 100,000 points of 16"
+    ):
+        open_survey(bomb(tmp_path / "a.pcd", 100_000, claimed))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="limits of memory are set as Linux has them")
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    """12 MB that unpack to 1.1 GB are refused in 100 MB beside what was loaded before."""
+    path = bomb(tmp_path / "a.pcd", 66_000_000)
+    assert path.stat().st_size < 13e6
+    code = (
+        "import re, resource, sys\n"
+        "from pathlib import Path\n"
+        "from bumpymap.core.errors import BadInputError\n"
+        "from bumpymap.readers import open_survey, pcd\n"
+        "held = 1024 * int(re.search(r'VmSize:\\s+(\\d+)', Path('/proc/self/status').read_text())[1])\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (held + (100 << 20),) * 2)\n"
+        "try:\n"
+        "    open_survey(Path(sys.argv[1]))\n"
+        "except BadInputError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "is compressed, so it must be unpacked whole, which takes 2,148 MB" in done.stdout

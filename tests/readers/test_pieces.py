@@ -1,0 +1,219 @@
+"""Pieces: read in any order, at any size, by anyone, they are the file that laspy reads."""
+
+import subprocess
+import sys
+
+import laspy
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+from pypcd4 import Encoding, PointCloud
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.types import Georeference
+from bumpymap.readers import PointStats, ReadOptions, las_points, open_survey, reopen_survey
+from bumpymap.readers.batch import RecordLayout, Watch, batch_of_records
+
+FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
+CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
+N = 3000
+
+
+def survey(las, name="a.las", *, version="1.4", fmt=6, count=N, **more):
+    """Random points of random classes, some withheld, on 300 m x 300 m x 30 m."""
+    rng = np.random.default_rng(count + fmt)
+    points = np.round(rng.uniform(0, [300, 300, 30], (count, 3)), 3) + CORNER
+    classes = rng.choice(np.array([1, 2, 5, 7, 18], np.uint8), count)
+    return las.write(name, points, version=version, fmt=fmt, classes=classes, withheld=rng.random(count) < 0.1, **more)
+
+
+def oracle(path, unit=1.0):
+    """What laspy reads, rounded, in metres; points that count alone."""
+    data = laspy.read(path)
+    axes = [
+        np.round(np.asarray(data[name]) * data.header.scales[i] + data.header.offsets[i], 8) * unit
+        for i, name in enumerate("XYZ")
+    ]
+    class_id, withheld = np.asarray(data.classification), np.asarray(data.withheld).astype(bool)
+    keep = ~withheld & (class_id != 7) & (class_id != 18)
+    return np.column_stack([*axes, class_id == 2])[keep], {
+        "withheld": int(withheld.sum()),
+        "noise": int((~withheld & ((class_id == 7) | (class_id == 18))).sum()),
+        "not_a_number": 0,
+    }
+
+
+def merged(found):
+    total = PointStats()
+    for batch in found:
+        total = total.merge(batch.tally)
+    return total
+
+
+def in_order(points):
+    return points[np.lexsort(points.T)]
+
+
+PACKINGS = [(*made, packing) for made in FORMATS for packing in ("plain", "chunks", "variable")]
+PACKINGS += [(*made, "stream") for made in FORMATS if made[1] < 6]  # layers need chunks
+
+
+@pytest.mark.parametrize(("version", "fmt", "packing"), PACKINGS)
+def test_pieces_are_what_laspy_reads(las, laz, batches, table, version, fmt, packing):
+    path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
+    expected, dropped = oracle(path, 1200 / 3937)
+    if packing == "stream":
+        path = laz.pack(path)
+    elif packing != "plain":
+        path = laz.pack(path, 256) if packing == "chunks" else laz.pack(path, counts=[1, 700, 299, 1500, 500])
+    reader = open_survey(path)
+    found = batches(reader, 700)
+    assert np.array_equal(table(found), expected)
+    total = merged(found)
+    assert total.dropped == dropped
+    assert total.points == N
+    reader.judge(total)
+    chunks = reader.chunks(700)
+    assert [chunk.points for chunk in chunks] == [batch.tally.points for batch in found]
+    assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
+    assert len(chunks) > 3
+
+
+def text_ply(folder, rows):
+    path = folder / "a.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex %d\nproperty double x\nproperty double y\nproperty double z\n"
+    lines = "\n".join(" ".join(f"{value!r}" for value in row) for row in rows.tolist())
+    path.write_text(head % len(rows) + "end_header\n" + lines + "\n")
+    return path
+
+
+def binary_ply(folder, rows):
+    path = folder / "b.ply"
+    head = "ply\nformat binary_big_endian 1.0\nelement vertex %d\nproperty double x\nproperty double y\n"
+    path.write_bytes((head % len(rows) + "property double z\nend_header\n").encode() + rows.astype(">f8").tobytes())
+    return path
+
+
+def pcd(folder, rows, encoding):
+    path = folder / f"{encoding.value}.pcd"
+    PointCloud.from_points([*rows.T], [*"xyz"], [np.float64] * 3).save(str(path), encoding)
+    return path
+
+
+KINDS = ["las", "chunks", "stream", "huge", "octree", "text ply", "binary ply", *Encoding]
+
+
+def of_kind(kind, las, laz, monkeypatch):
+    rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3)
+    if kind == "text ply":
+        return text_ply(las.folder, rows)
+    if kind == "binary ply":
+        return binary_ply(las.folder, rows)
+    if isinstance(kind, Encoding):
+        return pcd(las.folder, rows, kind)
+    path = survey(las, count=400, fmt=1 if kind == "stream" else 7)
+    if kind == "huge":
+        monkeypatch.setattr(las_points, "_HUGE_CHUNK", 1000)
+    packed = {"chunks": {"chunk": 30}, "stream": {}, "huge": {"chunk": 100}}
+    return laz.pack(path, **packed[kind]) if kind in packed else laz.octree(path) if kind == "octree" else path
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
+    path = of_kind(kind, las, laz, monkeypatch)
+    reader = open_survey(path)
+    whole = batches(reader)
+    rng = np.random.default_rng(1)
+    for points in (1, 7, 64, 399, 400, 10_000):
+        order = rng.permutation(len(reader.chunks(points)))
+        mixed = batches(reader, points, order)
+        if kind != "octree":  # its nodes come as they stand in the file, inside a piece
+            assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
+        assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
+        assert merged(mixed) == merged(whole)
+        back = batches(reader, points, np.argsort(order)[::-1])
+        assert np.array_equal(in_order(table(back)), in_order(table(whole)))
+
+
+@pytest.mark.parametrize("size", [0, 1, 50_000, 2**32 - 1])
+def test_a_stream_without_chunks_does_not_mind_their_size(las, laz, batches, table, size):
+    plain = survey(las, fmt=3, version="1.2", count=200)
+    path = laz.pack(plain)
+    record = path.read_bytes().index(b"laszip encoded") - 2 + 54
+    las.patch(path, record + 12, "<I", size)
+    assert np.array_equal(table(batches(open_survey(path), 70)), oracle(plain)[0])
+
+
+def test_a_piece_of_no_points(las):
+    with pytest.raises(UsageError, match="at least 1"):
+        open_survey(las.write()).chunks(0)
+
+
+def test_long_points_make_small_pieces(las, laz, batches, table):
+    """However long a point is, a piece fits into memory."""
+    path = survey(las, count=200)
+    data = bytearray(path.read_bytes())
+    las.patch(path, 105, "<H", 65_000)
+    start = int.from_bytes(data[96:100], "little")
+    rows = np.frombuffer(data[start:], np.uint8).reshape(200, 30)
+    wide = np.zeros((200, 65_000), np.uint8)
+    wide[:, :30] = rows
+    path.write_bytes(path.read_bytes()[:start] + wide.tobytes())
+    reader = open_survey(path)
+    chunks = reader.chunks()
+    assert all(chunk.points * 65_000 <= 1 << 26 for chunk in chunks)
+    small = survey(las, "b.las", count=200)
+    assert np.array_equal(table(batches(reader)), table(batches(open_survey(small))))
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    integers=st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=1, max_size=9),
+    scale=st.floats(1e-7, 1.0),
+    offset=st.floats(-1e7, 1e7),
+    unit=st.sampled_from([1.0, 0.3048, 1200 / 3937]),
+)
+def test_coordinates_have_the_bits_that_numpy_gives(integers, scale, offset, unit):
+    words = np.array(integers, "<i4")
+    records = np.zeros((len(words), 30), np.uint8)
+    records[:, :12] = words.view(np.uint8)
+    layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4)
+    batch = batch_of_records(records, layout, Georeference(None, unit, unit), Watch(0, None))
+    expected = np.round(words * np.float64(scale) + offset, 8) * unit
+    cloud = batch.cloud
+    assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected)
+
+
+def test_workers_open_a_file_again_without_its_notes(las, caplog):
+    path = las.write(points=np.array([[-99.1, 19.4, 10.0]]), scale=1e-7, offset=(0, 0, 0))
+    noted = open_survey(path)
+    assert "degrees" in caplog.text
+    caplog.clear()
+    again = reopen_survey(path, ReadOptions())
+    assert not caplog.text
+    assert again.info == noted.info
+    assert again.chunks() == noted.chunks()
+
+
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_las_loads_no_library_that_it_does_not_need(las, ending):
+    path = las.write(f"a.{ending}")
+    code = (
+        "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
+        "reader = open_survey(Path(sys.argv[1])); piece = reader.pieces()[0]\n"
+        "print(reader.convert(piece, reader.fetch(piece)).tally.points)\n"
+        "print({'laspy', 'fsspec', 'pypcd4'} & set(sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["7", "set()"]
+
+
+def test_batches_of_bad_points_are_empty_and_say_so(las):
+    reader = open_survey(las.patch(las.write(), 179, "<d", 500003.2))
+    (chunk,) = reader.chunks()
+    batch = reader.convert(chunk, reader.fetch(chunk))
+    assert batch.tally.bad
+    assert batch.tally.outside == 1
+    assert batch.cloud.easting.size == 0
+    with pytest.raises(BadInputError, match="1 of 7 points are outside"):
+        reader.judge(batch.tally)

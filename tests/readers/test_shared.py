@@ -1,0 +1,57 @@
+"""Shared memory: no two arrays that are in use overlap, whatever is dropped in between, and place is used again."""
+
+import numpy as np
+from hypothesis import given, settings, strategies as st
+
+from bumpymap.readers.shared import SharedMemory
+
+SIZES = st.integers(0, 40_000)
+
+
+@settings(deadline=None, max_examples=60)
+@given(steps=st.lists(st.one_of(SIZES, st.tuples(SIZES)), max_size=40))
+def test_arrays_keep_their_content_until_they_are_dropped(steps):
+    """A size takes a block; a size in a tuple drops one of those that are held."""
+    memory, held = SharedMemory(), []
+    for number, step in enumerate(steps):
+        if isinstance(step, tuple):
+            if held:
+                held.pop(step[0] % len(held))
+            continue
+        block = memory.take(step)
+        block.data[:] = number % 251
+        # A view of a view: the block itself is gone.
+        held.append((block.data[:].reshape(-1)[: step // 2], number % 251))
+    for data, value in held:
+        assert (data == value).all()
+
+
+def test_place_is_used_again():
+    memory = SharedMemory()
+    for _ in range(100):
+        block = memory.take(1 << 20)
+        block.data[:] = 1
+        del block
+    assert memory.size == 1 << 22
+
+
+def test_memory_that_grows_is_seen_through_arrays_of_before():
+    memory = SharedMemory()
+    small = memory.put(b"before")
+    large = memory.take(10 << 20)
+    large.data[:] = 7
+    assert small.data.tobytes() == b"before"
+    assert small.start != large.start
+    small.data[:] = np.frombuffer(b"behind", np.uint8)
+    assert bytes(memory._map[small.start : small.start + 6]) == b"behind"
+
+
+def test_trimming_takes_nothing_from_anyone():
+    memory = SharedMemory()
+    block = memory.put(b"held")
+    memory.trim()
+    assert block.data.tobytes() == b"held"
+    del block
+    memory.trim()
+    assert memory.size == 0
+    assert memory.put(b"again").data.tobytes() == b"again"

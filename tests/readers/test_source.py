@@ -1,0 +1,291 @@
+"""Files and URLs: the same survey from wherever it lies, no more bytes than needed."""
+
+import functools
+import http.server
+import os
+import sys
+import threading
+from contextlib import suppress
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.readers import find_surveys, identity, is_url, open_survey, web
+from bumpymap.readers.source import read_range, size_of
+
+fsspec = pytest.importorskip("fsspec")
+
+
+@pytest.fixture
+def memory():
+    """Files by name in fsspec's memory; gone afterwards."""
+    files = fsspec.filesystem("memory")
+
+    def put(name, data):
+        files.pipe(f"/surveys/{name}", data)
+        return f"memory://surveys/{name}"
+
+    yield put
+    if files.exists("/surveys"):
+        files.rm("/surveys", recursive=True)
+
+
+class _Ranges(http.server.SimpleHTTPRequestHandler):
+    """Serves byte ranges, as object stores do, and says how many bytes went out."""
+
+    sent = 0
+    whole_files_alone = False
+    headers_beside: ClassVar[dict[str, str]] = {}
+    shift = 0
+    """Bytes that it is wrong by."""
+    asked = 0
+    stalled = None
+    """An event: nothing is sent before it."""
+
+    def do_GET(self):
+        if self.stalled is not None:
+            type(self).run_spec += 1
+            self.stalled.wait(30)
+            return
+        with open(self.translate_path(self.path), "rb") as file:  # noqa: PTH123
+            data = file.read()
+        asked = self.headers.get("Range")
+        if asked and not self.whole_files_alone:
+            first, _, last = asked.removeprefix("bytes=").partition("-")
+            first = int(first) + self.shift
+            total, data = len(data), data[int(first) : int(last) + 1 if last else None]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {first}-{int(first) + len(data) - 1}/{total}")
+        else:
+            self.send_response(200)
+        self.send_header("Accept-Ranges", "none" if self.whole_files_alone else "bytes")
+        self.send_header("Content-Length", str(len(data)))
+        for name, value in self.headers_beside.items():
+            self.send_header(name, value)
+        self.end_headers()
+        with suppress(ConnectionError):
+            for start in range(0, len(data), 1 << 20):
+                self.wfile.write(data[start : start + (1 << 20)])
+                type(self).sent += len(data[start : start + (1 << 20)])
+
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture
+def server(tmp_path):
+    """A folder on the web: its address, and the handler that counts."""
+    pytest.importorskip("aiohttp")
+    handler = type("Handler", (_Ranges,), {"sent": 0})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(handler, directory=tmp_path)) as serving:
+        threading.Thread(target=serving.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{serving.server_port}", handler
+        serving.shutdown()
+
+
+def kinds(las, laz):
+    plain = las.write("a.las", classes=las.classes, withheld=las.withheld, version="1.4", fmt=6)
+    yield plain
+    yield laz.pack(las.write("b.las", version="1.4", fmt=6), 2)
+    yield laz.pack(las.write("c.las", fmt=1))
+    yield laz.octree(las.write("d.las", version="1.4", fmt=6))
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    text = las.folder / "e.ply"
+    text.write_text(head + "1 2 3\n4 5 6\n")
+    yield text
+    binary = las.folder / "f.ply"
+    binary.write_bytes(head.replace("ascii", "binary_little_endian").encode() + np.arange(6, dtype="<f4").tobytes())
+    yield binary
+
+
+def test_a_url_gives_the_points_of_the_file(las, laz, read, memory):
+    for path in kinds(las, laz):
+        url = memory(path.name, path.read_bytes())
+        for where in (url, path.as_uri()):
+            reader = open_survey(where)
+            assert all(np.array_equal(a, b) for a, b in zip(read(reader, 2), read(open_survey(path), 2), strict=True))
+            assert reader.info.path == where
+            assert reader.info.size_bytes == path.stat().st_size
+
+
+def test_points_come_from_the_web_by_ranges(las, laz, read, server):
+    address, handler = server
+    rng = np.random.default_rng(4)
+    points = np.round(rng.uniform(0, 100, (60_000, 3)), 3) + np.array([500_000, 4_000_000, 0])
+    path = laz.pack(las.write(points=points, version="1.4", fmt=6), 5000)
+    reader = open_survey(f"{address}/{path.name}")
+    opened = handler.sent
+    chunk = reader.chunks(5000)[7]
+    got = reader.convert(chunk, reader.fetch(chunk)).cloud.easting
+    assert handler.sent - opened < path.stat().st_size / 10
+    assert np.array_equal(got, points[chunk.first : chunk.first + chunk.points, 0])
+    assert np.array_equal(read(reader)[0], points)
+
+
+def test_a_server_that_knows_no_ranges(las, server):
+    address, handler = server
+    path = las.write()
+    handler.whole_files_alone = True
+    with pytest.raises(BadInputError, match=path.name):
+        list(open_survey(f"{address}/{path.name}").clouds())
+    with pytest.raises(BadInputError, match="no ranges"):
+        read_range(f"{address}/{path.name}", 3, 5)
+
+
+def test_a_file_on_a_server_that_is_written_again_while_it_is_read(las, laz, server):
+    """Told by the headers of each answer: by ETag, by the time of change, by the size."""
+    address, handler = server
+    points = np.round(np.random.default_rng(4).uniform(0, 100, (20_000, 3)), 3) + np.array([500_000, 4_000_000, 0])
+    for key, before, after in [("ETag", '"1"', '"2"'), ("Last-Modified", "monday", "tuesday"), (None, "", "")]:
+        path = laz.pack(las.write(points=points, version="1.4", fmt=6), 1000)
+        handler.headers_beside = {key: before} if key else {}
+        chunks = open_survey(f"{address}/{path.name}").clouds(1000)
+        next(chunks)
+        handler.headers_beside = {key: after} if key else {}
+        if key is None:
+            path.write_bytes(path.read_bytes() + bytes(10))
+        with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read"):
+            next(chunks)
+
+
+def test_a_change_behind_the_last_range_is_told_at_the_end(las, server):
+    address, handler = server
+    path = las.write()
+    handler.headers_beside = {"ETag": '"1"'}
+    chunks = open_survey(f"{address}/{path.name}").clouds()
+    next(chunks)
+    handler.headers_beside = {"ETag": '"2"'}
+    with pytest.raises(BadInputError, match="the server gives it as etag"):
+        next(chunks)
+
+
+def test_a_large_file_on_a_server_without_ranges_is_not_fetched(las, server):
+    """It is refused at its first answer, of which no more is read than what the system had taken in by then."""
+    address, handler = server
+    handler.whole_files_alone = True
+    path = las.write()
+    with path.open("ab") as file:
+        file.truncate(200_000_000)
+    with pytest.raises(BadInputError, match="whole files alone"):
+        open_survey(f"{address}/{path.name}")
+    assert handler.sent < 50_000_000
+
+
+def test_a_server_that_stalls(las, server, monkeypatch):
+    address, handler = server
+    path = las.write()
+    reader = open_survey(f"{address}/{path.name}")
+    monkeypatch.setattr(web, "STALL_S", 0.2)
+    handler.stalled = threading.Event()
+    try:
+        with pytest.raises(BadInputError, match=r"^the server of .*a\.las sent nothing for 0\.2 s"):
+            list(reader.clouds())
+        assert handler.run_spec == 1
+        with pytest.raises(BadInputError, match="sent nothing"):
+            open_survey(f"{address}/{path.name}")
+    finally:
+        handler.stalled.set()
+
+
+def test_a_server_that_gives_other_bytes(las, server):
+    address, handler = server
+    path = las.write()
+    handler.shift = 5
+    with pytest.raises(BadInputError, match="was asked for byte 100 and gives byte 105"):
+        read_range(f"{address}/{path.name}", 100, 50)
+
+
+def test_a_web_page_is_asked_for_links_and_nothing_else_is(server, tmp_path):
+    address, handler = server
+    (tmp_path / "survey").write_bytes(bytes(1_000_000))
+    assert find_surveys([f"{address}/survey"]) == [f"{address}/survey"]
+    assert handler.sent < 1000
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_ranges_end_where_the_file_does(tmp_path, memory, remote):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(range(100)))
+    where = memory("a", path.read_bytes()) if remote else path
+    assert read_range(where, 10, 5).tolist() == [10, 11, 12, 13, 14]
+    assert read_range(where, 95, 50).tolist() == [95, 96, 97, 98, 99]
+    assert read_range(where, 200, 50).tolist() == []
+    assert size_of(where) == 100
+
+
+def test_what_is_not_there(memory, tmp_path):
+    memory("a.laz", b"x")
+    for where in ("memory://surveys/b.laz", (tmp_path / "b.laz").as_uri(), tmp_path / "b.laz"):
+        with pytest.raises(BadInputError, match=r"cannot read .*b\.laz"):
+            open_survey(where)
+    with pytest.raises(BadInputError, match="is empty"):
+        open_survey(memory("c.laz", b""))
+
+
+def test_urls_that_need_more_than_is_there(monkeypatch):
+    with pytest.raises(UsageError, match="nowhere://a"):
+        open_survey("nowhere://a.laz")
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
+    with pytest.raises(UsageError, match=r"pip install 'bumpymap\[remote\]'"):
+        open_survey("s3://bucket/a.laz")
+
+
+def test_a_file_system_that_is_not_installed(monkeypatch):
+    def missing(url):
+        raise ImportError("Install s3fs to access S3")
+
+    monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
+    with pytest.raises(UsageError, match=r"s3:// needs more \(Install s3fs.*pip install 'bumpymap\[remote\]'"):
+        open_survey("s3://bucket/a.laz")
+
+
+def test_folders_of_urls(memory, tmp_path):
+    for name in ("b.LAZ", "sub/a.las", "sub/notes.txt", ".git/c.las", "sub/.d.las", "named.bin"):
+        memory(name, b"x")
+    found = find_surveys(["memory://surveys"])
+    assert [str(url).removeprefix("memory://").lstrip("/") for url in found] == ["surveys/b.LAZ", "surveys/sub/a.las"]
+    assert all(is_url(url) for url in found)
+    named = memory("named.bin", b"x")
+    path = tmp_path / "z.las"
+    path.write_bytes(b"x")
+    # Not asked whether it is a folder: a server would be asked for nothing.
+    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
+    memory("empty/notes.txt", b"x")
+    with pytest.raises(BadInputError, match="holds no point cloud"):
+        find_surveys(["memory://surveys/empty"])
+
+
+def test_paths_as_text_are_paths(tmp_path):
+    (tmp_path / "a.las").write_bytes(b"x")
+    assert find_surveys([str(tmp_path)]) == [tmp_path / "a.las"]
+
+
+def test_identity_tells_files_and_versions_apart(tmp_path, memory):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(200_000))
+    first = identity(path)
+    assert first == identity(path)
+    assert first["size"] == 200_000
+    os.utime(path, ns=(5, 5))
+    touched = identity(path)
+    assert touched != first
+    assert touched["digest"] == first["digest"]
+    for place in (0, 199_999):
+        data = bytearray(200_000)
+        data[place] = 1
+        path.write_bytes(data)
+        os.utime(path, ns=(5, 5))
+        assert identity(path)["digest"] != first["digest"]
+    url = memory("a", bytes(200_000))
+    assert identity(url)["digest"] == first["digest"]
+    assert identity(url) == identity(url)
+    assert identity(memory("b", bytes(10)))["size"] == 10
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.laz")
+    with pytest.raises(BadInputError, match="a pipe or a device"):
+        open_survey(tmp_path / "a.laz")

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.types import Reason
+from bumpymap.readers import PointSummaryBuilder, open_survey, summary as module
+from bumpytiles import Grid
+
+THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
+
+
+def tally(path, settings=THREE, grid=None):
+    return PointSummaryBuilder(grid or Grid(), settings).read(open_survey(path))
+
+
+def test_hand_counted_tiles(las):
+    # Tiles of 3 m: three points in one, one each in two others; noise and withheld points are in none.
+    points = np.array([[0.5, 0.5, 1], [1, 1, 2], [2.999, 2.999, 3], [3.0, 0.0, 4], [-0.001, 0.0, 5], [90, 90, 6]])
+    path = las.write(points=points, offset=(0, 0, 0), classes=np.array([2, 1, 1, 2, 1, 7], np.uint8))
+    told = []
+    summary = PointSummaryBuilder(Grid(), THREE).read(open_survey(path), told.append).summary()
+    assert (summary.points, summary.tiles, summary.points_per_tile) == (5, 3, 1.0)
+    assert summary.density == pytest.approx(1 / 9)
+    assert summary.unknown == {Reason.TOO_FEW_POINTS: 2.0, Reason.TOO_MANY_HOLES: 0.0}
+    assert summary.ground_unknown == {
+        Reason.NO_GROUND: 1.0, Reason.TOO_FEW_POINTS: 2.0, Reason.TOO_MANY_HOLES: 0.0
+    }  # fmt: skip
+    assert summary.ground_share == pytest.approx(2 / 5)
+    assert (summary.ground_tiles, summary.ground_points_per_tile) == (2, 1.0)
+    assert (summary.z_min, summary.z_max) == (1.0, 5.0)
+    assert (summary.bounds.west, summary.bounds.east) == (-0.001, 3.0)
+    assert sum(told) == 5
+
+
+def test_holes_are_what_the_rule_says(las):
+    # Three tiles of 3 x 3 pixels of 1 m: one point in the middle of a side; one in the middle; nine.
+    middles = np.stack(np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5]), -1).reshape(-1, 2)
+    ground = np.vstack([np.repeat([[0.5, 1.5]], 9, 0), np.repeat([[4.5, 1.5]], 9, 0), middles + np.array([6, 0])])
+    path = las.write(points=np.column_stack([ground, np.zeros(27)]), offset=(0, 0, 0))
+    for max_hole, min_coverage, holes in ((1.0, 0.0, 1), (2.0, 0.0, 0), (1.0, 0.2, 2), (0.1, 0.0, 1)):
+        settings = FeatureSettings(min_points=3, min_coverage=min_coverage, max_hole=max_hole)
+        assert tally(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
+
+
+def test_merging_on_the_way_changes_nothing(las, monkeypatch):
+    rng = np.random.default_rng(4)
+    path = las.write("a.laz", np.round(rng.uniform(-50, 50, (5000, 3)), 3), offset=(0, 0, 0))
+    whole = tally(path, FeatureSettings(min_points=4)).summary()
+    assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
+    monkeypatch.setattr(module, "_MERGE_AT", 10)
+    monkeypatch.setattr(module, "_BATCH_PIXELS", 1000)
+    reader = open_survey(path)
+    chunks = reader.chunks
+    monkeypatch.setattr(reader, "chunks", lambda: chunks(77))
+    assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4)).read(reader).summary() == whole
+
+
+def test_two_files_are_summed_up_as_one(las):
+    rng = np.random.default_rng(5)
+    points = np.round(rng.uniform(-20, 20, (4000, 3)), 3)
+    settings = FeatureSettings(min_points=10)
+    parts = [las.write(f"{n}.laz", part, offset=(0, 0, 0)) for n, part in enumerate((points[:1500], points[1500:]))]
+    first = tally(parts[0], settings)
+    first.merge(tally(parts[1], settings))
+    assert first.summary() == tally(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
+
+
+def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
+    rng = np.random.default_rng(6)
+    path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
+    settings = FeatureSettings(min_points=10)
+    whole = tally(path, settings).summary()
+    monkeypatch.setattr(module, "_MOST_PIXELS", 5000)
+    sampled = tally(path, settings)
+    summary = sampled.summary()
+    assert sampled.every_pixels.step >= 8
+    share, exact = (s.unknown[Reason.TOO_MANY_HOLES] / s.tiles for s in (summary, whole))
+    assert share != exact
+    assert share == pytest.approx(exact, abs=0.1)
+    assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
+
+
+def test_no_point_that_counts(las):
+    path = las.write(classes=np.full(7, 18, np.uint8))
+    assert tally(path).summary() is None

@@ -1,0 +1,204 @@
+"""The learning method's inference: what it sees, what it refuses, and that a sector's answer is its own."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.scan_types import NOT_TRAVERSABLE, PolarSettings, Scan, SectorStack
+from bumpymap.scan.learned import (
+    CHANNELS,
+    CLASS_OF_LABEL,
+    MEASURES,
+    ScanModel,
+    _infer,
+    classes_of_labels,
+    classify_learned,
+    network_input,
+    probabilities,
+)
+from bumpymap.scan.polar import polar_sectors
+
+
+def _world(seed=1, count=60_000):
+    """Smooth ground ahead, heaps to the left, a wall behind; (n, 3)."""
+    rng = np.random.default_rng(seed)
+    away, turn = rng.uniform(4, 27, count), rng.uniform(-np.pi, np.pi, count)
+    x, y = away * np.cos(turn), away * np.sin(turn)
+    z = -1.4 + rng.normal(0, 0.008, count)
+    heaps = (y > 3) & (x > -8)
+    blocks = rng.uniform(0, 0.8, (100, 100))  # 30 cm wide, up to 80 cm high
+    z[heaps] += blocks[(x[heaps] / 0.3).astype(int) % 100, (y[heaps] / 0.3).astype(int) % 100]
+    wall = x < -8
+    z[wall] += rng.uniform(0, 3, wall.sum())
+    return np.column_stack([x, y, z]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return polar_sectors(Scan(_world()))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ScanModel.shipped()
+
+
+def _rows(stack, rows):
+    """Some rows of a stack, in any order."""
+    return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-1]})
+
+
+def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):
+    classed = classify_learned(stack, model)
+    assert classed.method == "learned"
+    assert classed.stripes is None
+    middle = np.array([stack.point_sector == row for row in range(len(stack.zone))]) @ _world() / stack.count[:, None]
+    smooth = (middle[:, 0] > 2) & (middle[:, 1] < -1)
+    heaps = (middle[:, 0] > -5) & (middle[:, 1] > 6)
+    wall = middle[:, 0] < -11
+    assert (classed.class_id[smooth] == 0).mean() > 0.95
+    assert (classed.class_id[heaps] == 0).mean() < 0.1
+    assert (classed.class_id[wall] >= 2).mean() > 0.9  # rough, or not traversable
+    assert (classed.class_id[wall] > 0).all()
+
+
+def test_the_gate_comes_first(stack, model):
+    shut = replace(stack, traversable=np.arange(len(stack.zone)) % 2 == 0)
+    class_id = classify_learned(shut, model).class_id
+    assert (class_id[1::2] == NOT_TRAVERSABLE).all()
+    assert set(class_id[::2]) <= {0, 1, 2}
+    assert_array_equal(
+        class_id[::2], classify_learned(replace(stack, traversable=shut.traversable | True)).class_id[::2]
+    )
+    none = replace(stack, traversable=np.zeros(len(stack.zone), bool))
+    assert (classify_learned(none, model).class_id == NOT_TRAVERSABLE).all()
+
+
+def test_a_scan_without_sectors_has_no_classes(model):
+    empty = polar_sectors(Scan(np.empty((0, 3), np.float32)))
+    assert classify_learned(empty, model).class_id.shape == (0,)
+
+
+def test_probabilities_add_up_and_repeat(stack, model):
+    which = np.arange(len(stack.zone)) != 3
+    found = probabilities(stack, model, which)
+    assert np.isnan(found[3]).all()
+    assert_allclose(found[which].sum(axis=1), 1.0, atol=1e-5)
+    assert_array_equal(found, probabilities(stack, model, which))
+
+
+def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
+    patches, measures = network_input(stack)
+    whole = _infer(model.content, {"patches": patches, "measures": measures})
+    for rows in (slice(5, 6), slice(3, 40), slice(None, None, -1)):
+        part = _infer(model.content, {"patches": patches[rows], "measures": measures[rows]})
+        assert_array_equal(part, whole[rows])
+
+
+def test_turning_the_scan_keeps_the_classes(stack, model):
+    """The grid turns with the points, so all that is left is rounding."""
+    world, before = _world(), classify_learned(stack, model)
+    for turn in (0.05, 1.0, 2.5):
+        cos, sin = np.cos(turn), np.sin(turn)
+        about_z = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        turned = polar_sectors(Scan((world @ about_z.T).astype(np.float32)))
+        after = classify_learned(turned, model)
+        one, two = (np.append(c.class_id, 9)[c.sectors.point_sector] for c in (before, after))
+        assert (one == two).mean() > 0.97
+
+
+def test_what_the_network_sees(stack):
+    patches, measures = network_input(stack)
+    assert patches.shape == (len(stack.zone), CHANNELS, 15, 15)
+    assert measures.shape == (len(stack.zone), len(MEASURES))
+    assert patches.dtype == measures.dtype == np.float32
+    assert np.isfinite(patches).all()
+    assert np.isfinite(measures).all()
+    assert_allclose(patches[:, 0].min(axis=(1, 2)), -1)
+    assert_allclose(patches[:, 0].max(axis=(1, 2)), 1)
+    assert_allclose(0.05 * np.sinh(3 * patches[:, 1]), stack.heights, atol=1e-5)
+    assert_allclose(10 ** measures[:, MEASURES.index("count")] * 200, stack.count, rtol=1e-5)
+    inner = (stack.zone == 0) & (stack.ring == 0)
+    assert_allclose(10 ** measures[inner, MEASURES.index("distance")] * 20, 5.0, rtol=1e-5)
+    beside = stack.count[inner] / np.median(stack.count[inner & stack.traversable])
+    assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
+
+
+def test_walls_do_not_make_the_ground_beside_them_look_wet(stack):
+    """However many points obstacles catch, ground is compared with ground."""
+    _, before = network_input(stack)
+    crowded = replace(stack, count=np.where(stack.traversable, stack.count, 50 * stack.count))
+    _, after = network_input(crowded)
+    column, ground = MEASURES.index("beside"), stack.traversable
+    assert 0 < ground.sum() < len(ground)
+    assert_array_equal(after[ground, column], before[ground, column])
+    lost = replace(stack, count=np.where(np.arange(len(ground)) == np.flatnonzero(ground)[0], 1, stack.count))
+    assert network_input(lost)[1][np.flatnonzero(ground)[0], column] < -1
+
+
+def test_a_ring_of_nothing_but_walls_is_compared_with_them(stack):
+    _, measures = network_input(replace(stack, traversable=np.zeros(len(stack.zone), bool)))
+    inner = (stack.zone == 0) & (stack.ring == 0)
+    beside = stack.count[inner] / np.median(stack.count[inner])
+    assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
+
+
+def test_dead_level_sectors_are_no_division_by_zero(stack):
+    level = replace(stack, heights=np.zeros_like(stack.heights), variance=np.zeros_like(stack.variance))
+    patches, measures = network_input(replace(level, residual=np.zeros_like(stack.residual)))
+    assert (patches == 0).all()
+    assert np.isfinite(measures).all()
+
+
+def test_sectors_may_come_in_any_order(stack):
+    order = np.random.default_rng(1).permutation(len(stack.zone))
+    for whole, part in zip(network_input(stack), network_input(_rows(stack, order)), strict=True):
+        assert_array_equal(part, whole[order])
+
+
+def test_labels_have_the_classes_of_the_paper():
+    assert [sorted(k for k, v in CLASS_OF_LABEL.items() if v == c) for c in range(3)] == [
+        [1, 3, 10, 23],
+        [6, 19, 31, 33, 34],
+        [4, 8, 17, 18, 27],
+    ]
+    found = classes_of_labels(np.array([-1, 0, 1, 34, 35, 36, 4, 30_000, 12], np.int16))
+    assert found.tolist() == [-1, -1, 0, 1, -1, -1, 2, -1, -1]
+
+
+def test_other_grids_are_refused(model):
+    for settings in (PolarSettings(pixels=9), PolarSettings(end_m=80.0), PolarSettings(sectors=(24, 32, 48, 30))):
+        with pytest.raises(UsageError, match="was trained for"):
+            classify_learned(polar_sectors(Scan(_world(count=5000)), settings), model)
+    classify_learned(polar_sectors(Scan(_world(count=5000)), PolarSettings(anchored=False, least_points=10)), model)
+
+
+def test_other_files_are_refused(tmp_path, model):
+    with pytest.raises(BadInputError, match="cannot read"):
+        ScanModel.load(tmp_path / "none.onnx")
+    (tmp_path / "text.onnx").write_text("no model")
+    with pytest.raises(BadInputError, match="is not an ONNX model"):
+        ScanModel.load(tmp_path / "text.onnx")
+    from importlib.resources import files
+
+    (tmp_path / "other.onnx").write_bytes((files("bumpymap") / "data" / "models" / "textures.onnx").read_bytes())
+    with pytest.raises(BadInputError, match="not a scan network"):
+        ScanModel.load(tmp_path / "other.onnx")
+    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+    old = onnx.load_model_from_string(model.content)
+    for prop in old.metadata_props:
+        if prop.key == "sector_version":
+            prop.value = "0"
+    (tmp_path / "old.onnx").write_bytes(old.SerializeToString())
+    with pytest.raises(BadInputError, match="of version 0; this bumpymap makes those of version 2"):
+        ScanModel.load(tmp_path / "old.onnx")
+
+
+def test_the_shipped_network_says_how_good_it_is(model):
+    assert len(model.id) == 12
+    assert float(model.metadata["accuracy_even"]) > 0.9  # the paper's: 0.8324, on other patches
+    assert float(model.metadata["accuracy_unseen"]) > 0.9
+    assert "--seed" in model.metadata["command"]

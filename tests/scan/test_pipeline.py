@@ -1,0 +1,609 @@
+"""A scan run from Python: what it writes, what it leaves when it ends early, and the map of a drive."""
+
+import errno
+import hashlib
+import json
+import os
+import re
+import shutil
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import rasterio
+from ply_files import read_vertices
+from scipy.spatial.transform import Rotation
+
+from bumpymap.core import PolarSettings
+from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.lock import locked
+from bumpymap.layers import name_frames, write_frame
+from bumpymap.readers import Robot, read_scan
+from bumpymap.scan import classify_filter, load_stripes, point_classes, polar_sectors
+from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.pipeline import fit_frames, scan_frames
+
+POSES = [
+    (Rotation.from_euler("zyx", (0.4, 0.02, -0.03)), np.array([1003.0, 2001.0, 51.5])),
+    (Rotation.from_euler("zyx", (2.6, -0.04, 0.01)), np.array([1007.5, 2004.0, 51.5])),
+]
+
+
+def world(count=50_000, seed=0):
+    """Points of the ground around both poses: waves, with rubble in the north."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(995.0, 1016.0, count), rng.uniform(1992.0, 2013.0, count)
+    bumps = np.where(y > 2006.0, 0.3 * np.sin(9.0 * x) * np.sin(8.0 * y), 0.0) + 0.003 * rng.standard_normal(count)
+    return np.column_stack([x, y, 50.0 + 0.1 * np.sin(x / 3.0) + bumps])
+
+
+def write_bin(path, points):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tofile(path)
+    return path
+
+
+def write_poses(path, poses=POSES):
+    rows = [np.column_stack([turn.as_matrix(), place]).ravel() for turn, place in poses]
+    np.savetxt(path, rows, fmt="%.12g")
+    return path
+
+
+@pytest.fixture(name="drive", scope="module")
+def drive_fixture(tmp_path_factory):
+    """Two frames of one ground; and its poses."""
+    folder = tmp_path_factory.mktemp("drive")
+    for number, (turn, place) in enumerate(POSES):
+        seen = turn.inv().apply(world() - place)
+        write_bin(folder / "frames" / f"{number}.bin", seen)
+    write_poses(folder / "poses.txt")
+    return folder
+
+
+@pytest.fixture(name="mapped", scope="module")
+def mapped_fixture(drive, tmp_path_factory):
+    out = tmp_path_factory.mktemp("mapped") / "out"
+    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", crs="EPSG:32614", method="filter")
+    return out, scan_frames(config), config
+
+
+def files(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def checksums(folder):
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files(folder)}
+
+
+def test_a_run_writes_every_product_and_nothing_else(mapped):
+    out, result, _ = mapped
+    frames = [f"frames/{number}.{ending}" for number in (0, 1) for ending in ("json", "ply", "png")]
+    layers = [
+        "class.tif",
+        "class.tif.aux.xml",
+        "cost.fgb",
+        "cost.geojson",
+        "cost.tif",
+        "heightmap.tif",
+        "roughness.tif",
+        "run.json",
+    ]
+    assert files(out) == sorted(
+        [
+            *frames,
+            "gathered.laz",
+            "scan.json",
+            "sectors.parquet",
+            *(f"map/{name}" for name in [*layers, "tiles.parquet"]),
+        ]
+    )
+    assert result.files == ("frames", "sectors.parquet", "gathered.laz", "scan.json")
+    assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
+
+
+def test_points_have_the_classes_that_the_rooms_give(drive, mapped):
+    for number in (0, 1):
+        scan = read_scan(drive / "frames" / f"{number}.bin")
+        class_id = point_classes(scan, classify_filter(polar_sectors(scan)))
+        vertex = read_vertices(mapped[0] / "frames" / f"{number}.ply")
+        np.testing.assert_array_equal(vertex["class"], class_id)
+        np.testing.assert_array_equal(vertex["x"], scan.points[:, 0])
+        assert len(np.unique(class_id)) > 2
+
+
+def test_the_manifest_is_enough_to_repeat_the_run(drive, mapped):
+    out, result, config = mapped
+    record = json.loads((out / "scan.json").read_text(encoding="utf-8"))
+    assert record["settings"]["polar"]["rings"] == list(config.polar.rings)
+    assert record["settings"]["robot"]["radius_m"] == 0.5
+    assert record["method"]["name"] == "filter"
+    assert "numpy" in record["versions"]
+    assert [file["path"] for file in record["files"]] == ["sectors.parquet", "gathered.laz"]
+    for file in record["files"]:
+        assert file["sha256"] == hashlib.sha256((out / file["path"]).read_bytes()).hexdigest()
+    table = pq.read_table(out / "sectors.parquet", columns=["frame", "points"]).to_pylist()
+    for number, frame in enumerate(record["frames"]):
+        path = drive / "frames" / f"{number}.bin"
+        assert (frame["name"], frame["path"], frame["bytes"]) == (str(number), str(path), path.stat().st_size)
+        assert frame["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert frame["points"] + frame["dropped"]["on_robot"] == 50_000
+        assert sum(frame["points_by_class"].values()) == frame["points"]
+        rows = [row for row in table if row["frame"] == str(number)]
+        assert sum(frame["sectors"].values()) == len(rows) > 0
+        assert np.allclose(
+            frame["pose"], np.vstack([np.column_stack([POSES[number][0].as_matrix(), POSES[number][1]]), [0, 0, 0, 1]])
+        )
+    assert set(record["seconds"]) == {"prepare", "scan"}
+    assert set(result.seconds) == {"prepare", "scan", "map"}
+
+
+def test_one_ground_seen_from_two_poses_lands_in_one_place(mapped):
+    out, result, _ = mapped
+    las = laspy.read(out / "gathered.laz")
+    ground = las.classification == 2
+    truth = world()
+    # Every gathered point is one of the ground's own, wherever it was seen from.
+    kept = []
+    for turn, place in POSES:
+        seen = turn.inv().apply(truth - place).astype(np.float32)
+        kept.append(truth[np.hypot(seen[:, 0], seen[:, 1]) >= 0.5])
+    np.testing.assert_allclose(las.xyz, np.concatenate(kept), atol=0.00052)
+    record = json.loads((out / "scan.json").read_text(encoding="utf-8"))
+    assert record["gathered"] == {"points": len(las.xyz), "ground": int(ground.sum())}
+    tiles = pq.read_table(out / "map" / "tiles.parquet", columns=["col", "row", "count"]).to_pydict()
+    expected = {tuple(place) for place in np.floor(las.xyz[ground, :2] / 3.0).astype(int).tolist()}
+    assert set(zip(tiles["col"], tiles["row"], strict=True)) >= expected
+    assert sum(tiles["count"]) == result.drive.summary.points
+    assert result.drive.ground_only
+
+
+def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_poses(mapped):
+    with rasterio.open(mapped[0] / "map" / "heightmap.tif") as file:
+        assert file.crs.to_epsg() == 32614
+        heights = file.read(1)
+        rows, columns = np.nonzero(np.isfinite(heights))
+        x, y = (np.asarray(axis) for axis in rasterio.transform.xy(file.transform, rows, columns))
+    smooth = y < 2005.5
+    off = heights[rows, columns][smooth] - (50.0 + 0.1 * np.sin(x[smooth] / 3.0))
+    assert smooth.sum() > 3000
+    assert np.abs(off).max() < 0.03
+    with rasterio.open(mapped[0] / "map" / "class.tif") as file:
+        class_id, transform = file.read(1), file.transform
+    row, col = np.nonzero(class_id != 255)
+    _, north = rasterio.transform.xy(transform, row, col)
+    known, north = class_id[row, col].astype(float), np.asarray(north)
+    assert known[north > 2008.0].mean() > known[north < 2004.0].mean() + 1.0
+
+
+def test_the_same_drive_gives_the_same_bytes(mapped, tmp_path):
+    _, _, config = mapped
+    scan_frames(replace(config, out=tmp_path / "again"))
+    first, second = checksums(mapped[0]), checksums(tmp_path / "again")
+    for name in ("scan.json", "map/run.json"):  # how long it took, and where it lies
+        del first[name], second[name]
+    assert first == second
+
+
+class _Ends:
+    """A progress that ends the run after so many frames."""
+
+    def __init__(self, after):
+        self.left = after
+
+    def start(self, stage, total):
+        pass
+
+    def advance(self, steps):
+        self.left -= steps
+        if self.left <= 0:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture
+def done_frames(monkeypatch):
+    """Names of the frames that are read."""
+    read = []
+
+    def reading(path, robot):
+        read.append(path.stem)
+        return read_scan(path, robot)
+
+    monkeypatch.setattr("bumpymap.scan.pipeline.read_scan", reading)
+    return read
+
+
+@pytest.mark.parametrize("after", [1, 2])
+@pytest.mark.parametrize("older", [False, True])
+def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped, tmp_path, done_frames, after, older):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+    if older:
+        scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, method="filter"))
+    before = checksums(out) if older else {}
+    with pytest.raises(KeyboardInterrupt) as end:
+        scan_frames(replace(config, overwrite=older), _Ends(after))
+    how = "in the place of --overwrite" if older else "to the same command"
+    assert end.value.__notes__ == [f"Pass --resume {how} to go on from the finished frames."]
+    assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
+    assert (out / ".bumpymap-run").is_dir()
+    with pytest.raises(OutputError, match=r"broken off\. Pass --resume"):
+        scan_frames(config)
+    with pytest.raises(UsageError, match="products was polygons, table, cloud, picture, is table"):
+        scan_frames(replace(config, resume=True, products=("table",)))
+    done_frames.clear()
+    result = scan_frames(replace(config, resume=True))
+    assert done_frames == ["0", "1"][after:]
+    assert [report.frame.name for report in result.frames] == ["0", "1"]
+    first, second = checksums(mapped[0]), checksums(out)
+    for name in ("scan.json", "map/run.json"):  # how long it took, and where it lies
+        del first[name], second[name]
+    assert first == second
+
+
+def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tmp_path, monkeypatch):
+    out, left = tmp_path / "out", tmp_path / "left"
+    config = replace(mapped[2], out=out)
+
+    def killed(*_):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.scan.pipeline.drop_older", killed)
+        with pytest.raises(KeyboardInterrupt):
+            scan_frames(config)
+    assert (left / "scan.json").exists()
+    scan_frames(replace(config, out=left, resume=True))
+    assert set(checksums(left)) == set(checksums(mapped[0]))
+    assert checksums(left)["gathered.laz"] == checksums(mapped[0])["gathered.laz"]
+
+
+def inodes(folder):
+    return {str(path): (path.stat().st_ino, path.stat().st_mtime_ns) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_run_that_is_complete_is_done_already(drive, mapped, done_frames):
+    out, first, config = mapped
+    before = inodes(out)
+    for extra in ({}, {"resume": True}, {"skip_bad": True}):
+        again = scan_frames(replace(config, **extra))
+        assert again.already_done
+        assert (again.files, again.method, again.skipped) == (first.files, first.method, first.skipped)
+        assert [report.record()["sectors"] for report in again.frames] == [r.record()["sectors"] for r in first.frames]
+        assert repr(again.drive.summary) == repr(first.drive.summary)
+    assert done_frames == []
+    assert inodes(out) == before
+
+
+def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
+    shutil.copytree(drive, tmp_path / "drive")
+    frames = tmp_path / "drive" / "frames"
+    config = ScanConfig((frames,), tmp_path / "out", method="filter")
+    scan_frames(config)
+    before = checksums(tmp_path / "out")
+    os.utime(frames / "0.bin")
+    assert scan_frames(config).already_done
+    for other, words in (
+        (replace(config, robot=Robot(1.0)), "robot.radius_m was 0.5, is 1.0"),
+        (replace(config, frames=(frames / "0.bin",)), "1.bin was read, and is not given"),
+        (replace(config, compat="paper"), "compat was none, is paper"),
+        (replace(config, poses=drive / "poses.txt"), "poses.txt is given, and was not read"),
+    ):
+        with pytest.raises(OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*--overwrite"):
+            scan_frames(other)
+    write_bin(frames / "0.bin", world()[::-1] - POSES[0][1])
+    with pytest.raises(OutputError, match=r"0\.bin has changed since"):
+        scan_frames(config)
+    assert checksums(tmp_path / "out") == before
+
+
+def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(*_, **__):
+        raise OutputError("No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.layers.folder.write_roughness", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == [
+        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+    ]
+    done_frames.clear()
+    result = scan_frames(replace(config, resume=True))
+    assert done_frames == []
+    assert not result.already_done
+    assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
+
+
+def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(path):
+        if path.name.startswith("1."):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.layers.scan.frame.sync", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == ["Pass --resume to the same command to go on from the finished frames."]
+    done_frames.clear()
+    scan_frames(replace(config, resume=True))
+    assert done_frames == ["1"]
+    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
+
+
+def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(drive, mapped):
+    out, _, config = mapped
+    with locked(out):
+        (out / ".bumpymap-layers-0").mkdir()
+        before = inodes(out)
+        for extra in ({}, {"resume": True}, {"overwrite": True}):
+            with pytest.raises(OutputError, match=f"another run is writing to .*: pid {os.getpid()} on "):
+                scan_frames(replace(config, **extra))
+        assert inodes(out) == before
+        (out / ".bumpymap-layers-0").rmdir()
+
+
+def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    (mine / "frames").mkdir(parents=True)
+    for name in ("frames/0.ply", "run.json", "class.tif"):
+        (mine / name).write_text("mine")
+    before = inodes(mine)
+    out.mkdir()
+    for name, target in (("frames", "frames"), ("map", "."), ("gathered.laz", "class.tif"), ("scan.json", "none")):
+        (out / name).symlink_to(mine / target)
+    config = replace(mapped[2], out=out)
+    with pytest.raises(OutputError, match=r"scan\.json that cannot be read"):
+        scan_frames(replace(config, poses=None, crs=None))
+    scan_frames(replace(config, overwrite=True))
+    assert inodes(mine) == before
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+    assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
+
+
+def test_an_interrupt_while_the_drive_is_mapped_keeps_the_frames(drive, tmp_path):
+    out = tmp_path / "out"
+    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter", products=("table",))
+    with pytest.raises(KeyboardInterrupt) as end:
+        scan_frames(config, _Ends(3))
+    assert end.value.__notes__ == [
+        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+    ]
+    assert {"gathered.laz", "sectors.parquet", "scan.json"} <= set(files(out))
+    assert "map/run.json" not in files(out)
+
+
+def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, mapped, tmp_path):
+    out = tmp_path / "out"
+    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
+    scan_frames(config)
+    before = checksums(out)
+    assert scan_frames(config).already_done
+    with pytest.raises(OutputError, match="--overwrite"):
+        scan_frames(replace(config, products=("table",)))
+    assert checksums(out) == before
+    scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=("picture",), method="filter"))
+    assert files(out) == ["frames/1.png", "scan.json"]
+
+
+def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_theirs(drive, tmp_path, caplog):
+    for number in (0, 1):
+        (tmp_path / f"{2 * number}.bin").write_bytes((drive / "frames" / f"{number}.bin").read_bytes())
+    (tmp_path / "1.bin").write_bytes(b"123")
+    write_poses(tmp_path / "poses.txt", [POSES[0], POSES[0], POSES[1]])
+    config = ScanConfig((tmp_path,), tmp_path / "out", poses=tmp_path / "poses.txt", method="filter", products=())
+    with pytest.raises(BadInputError, match=r"1\.bin has 3 bytes") as failed:
+        scan_frames(config)
+    assert failed.value.__notes__ == [
+        "--skip-bad goes on without such frames.",
+        "Pass --resume to the same command to go on from the finished frames.",
+    ]
+    result = scan_frames(replace(config, skip_bad=True, resume=True))
+    assert list(result.skipped) == [str(tmp_path / "1.bin")]
+    assert "skipped" in caplog.text
+    assert [frame.frame.name for frame in result.frames] == ["0", "2"]
+    np.testing.assert_array_equal(result.frames[1].frame.pose[:3, 3], POSES[1][1])
+    record = json.loads((tmp_path / "out" / "scan.json").read_text(encoding="utf-8"))
+    assert list(record["skipped"]) == [str(tmp_path / "1.bin")]
+    assert files(tmp_path / "out")[0] == "gathered.laz"
+
+
+def test_nothing_but_bad_frames_is_a_failure_that_names_some(tmp_path):
+    for number in range(7):
+        (tmp_path / f"{number}.bin").write_bytes(b"123")
+    config = ScanConfig((tmp_path,), tmp_path / "out", skip_bad=True, method="filter")
+    with pytest.raises(BadInputError, match=r"(?s)none of the frames could be read.*4\.bin.*2 more"):
+        scan_frames(config)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("points", "why"),
+    [
+        (np.zeros((50, 3)), r"it holds no points: 50 returns at \(0, 0, 0\)"),
+        (np.full((40, 3), np.nan), "40 not finite"),
+        (np.array([[0.1, 0.1, -1.0]]), "1 on the robot"),
+        (np.array([[6.0, 0.0, -1.0]]), "1 of 1 points lie 4 to 100 m"),
+        (np.array([[2.0, 0.0, -1.0]] * 60), "0 of 60 points lie 4 to 100 m"),
+        (np.column_stack([np.full(200, 6.0), np.linspace(-0.5, 0.5, 200), np.linspace(-1, 3, 200)]), "z axis point up"),
+    ],
+)
+def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplog, points, why):
+    write_bin(tmp_path / "a.bin", points)
+    write_poses(tmp_path / "poses.txt", POSES[:1])
+    config = ScanConfig((tmp_path / "a.bin",), tmp_path / "out", poses=tmp_path / "poses.txt", method="filter")
+    result = scan_frames(config)
+    assert re.search(why, caplog.text)
+    assert "no map was made" in caplog.text
+    assert result.drive is None
+    assert sum(result.frames[0].sectors[:3]) == sum(result.frames[0].classed_points[:3]) == 0
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet")
+    assert table["class"].null_count == table.num_rows
+    assert files(tmp_path / "out") == [
+        "frames/a.json", "frames/a.ply", "frames/a.png", "gathered.laz", "scan.json", "sectors.parquet",
+    ]  # fmt: skip
+
+
+def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
+    paths = []
+    for number in (0, 1):
+        paths.append(tmp_path / f"run{number}" / "a.bin")
+        paths[-1].parent.mkdir()
+        paths[-1].write_bytes((drive / "frames" / f"{number}.bin").read_bytes())
+    scan_frames(ScanConfig(tuple(paths), tmp_path / "out", products=("cloud", "table"), method="filter"))
+    assert files(tmp_path / "out") == ["frames/000000_a.ply", "frames/000001_a.ply", "scan.json", "sectors.parquet"]
+    assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"000000_a", "000001_a"}
+
+
+def test_settings_reach_the_rooms(drive, tmp_path):
+    polar = PolarSettings((5.0, 9.0), 13.0, (16, 24), (2, 1), least_points=60)
+    config = ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", polar=polar, robot=Robot(2.0), method="filter")
+    (report,) = scan_frames(config).frames
+    scan = read_scan(config.frames[0], config.robot)
+    assert report.points == len(scan.points)
+    assert report.dropped == scan.dropped
+    stack = polar_sectors(scan, polar)
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet")
+    np.testing.assert_array_equal(table["points"].to_numpy(), stack.count)
+    assert table["far"].to_numpy().max() == 13.0
+
+
+def test_the_paper_way_stands_still_and_needs_no_other_scan(drive, tmp_path):
+    pytest.importorskip("sklearn")
+    scan_frames(ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", compat="paper"))
+    record = json.loads((tmp_path / "out" / "scan.json").read_text(encoding="utf-8"))
+    assert record["frames"][0]["azimuth_start_rad"] == 0.0
+    assert record["method"]["basis"] == "stripe classes found in every scan"
+
+
+def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
+    pytest.importorskip("sklearn")
+    config = ScanConfig((drive / "frames",), tmp_path / "own.json")
+    model, skipped = fit_frames(config)
+    assert (model.scans, skipped, files(tmp_path)) == (2, {}, ["own.json"])
+    assert load_stripes(tmp_path / "own.json") == model
+    with pytest.raises(OutputError, match="exists already"):
+        fit_frames(config)
+    assert fit_frames(replace(config, overwrite=True))[0] == model
+    out = tmp_path / "out"
+    scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, stripes=tmp_path / "own.json", products=("table",)))
+    table = pq.read_table(out / "sectors.parquet").to_pydict()
+    for stripes, class_id, traversable in zip(table["stripes"], table["class"], table["traversable"], strict=True):
+        nearest = int(np.argmin(np.abs(np.float32(stripes) - np.array(model.centres, np.float32))))
+        assert class_id == (nearest if traversable else None)
+    with pytest.raises(OutputError, match="no folder"):
+        fit_frames(replace(config, out=tmp_path / "nowhere" / "own.json"))
+
+
+def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
+    pytest.importorskip("sklearn")
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-12, 12, (2, 9000))
+    write_bin(tmp_path / "a.bin", np.column_stack([x, y, np.full(9000, -1.0)]))
+    with pytest.raises(BadInputError, match="fewer than 3 different stripe counts"):
+        fit_frames(ScanConfig((tmp_path / "a.bin",), tmp_path / "own.json"))
+    assert not (tmp_path / "own.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"crs": "EPSG:32614"}, "add --poses"),
+        ({"vehicle": "warthog"}, "add --poses"),
+        ({"products": ("tables",)}, "polygons, table, cloud, picture"),
+        ({"products": ()}, "give one or more"),
+        ({"method": "learned", "compat": "paper"}, "options of one"),
+        ({"method": "filter", "model": "a.onnx"}, "options of one"),
+        ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),
+        ({"stripes": "a.json", "compat": "paper"}, "cannot use those of --stripes"),
+    ],
+)
+def test_settings_that_do_not_go_together(tmp_path, settings, words):
+    with pytest.raises(UsageError, match=words):
+        ScanConfig((tmp_path,), tmp_path, **settings)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2264", "EPSG:4978", "nonsense"])
+def test_a_crs_that_is_not_in_metres_is_refused_before_the_work(drive, tmp_path, crs):
+    config = ScanConfig((drive / "frames",), tmp_path / "out", poses=drive / "poses.txt", crs=crs, method="filter")
+    with pytest.raises(UsageError, match="--crs"):
+        scan_frames(config)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_by_itself_is_what_the_run_wrote(drive, mapped, tmp_path):
+    """No frame depends on those before it."""
+    path = drive / "frames" / "1.bin"
+    scan = read_scan(path)
+    write_frame(
+        name_frames([path])[0].name, scan, classify_filter(polar_sectors(scan)), tmp_path, ("polygons", "picture")
+    )
+    for ending in ("json", "png"):
+        name = f"frames/1.{ending}"
+        assert (tmp_path / name).read_bytes() == (mapped[0] / name).read_bytes()
+
+
+def test_a_full_disk_leaves_nothing(drive, tmp_path, monkeypatch):
+    from bumpymap.layers.scan import frame
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(frame, "write_cloud", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        scan_frames(ScanConfig((drive / "frames",), tmp_path / "out", method="filter"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_that_lies_too_far_away_is_skipped_whole(drive, tmp_path):
+    far = [POSES[0], (POSES[1][0], POSES[1][1] + 3e6)]
+    poses = write_poses(tmp_path / "poses.txt", far)
+    config = ScanConfig(
+        (drive / "frames",), tmp_path / "out", poses=poses, method="filter", products=("cloud", "table")
+    )
+    with pytest.raises(BadInputError, match="1 lies more than 2,000 km"):
+        scan_frames(config)
+    result = scan_frames(replace(config, skip_bad=True, resume=True))
+    assert list(result.skipped) == [str(drive / "frames" / "1.bin")]
+    assert [path.name for path in (tmp_path / "out" / "frames").iterdir()] == ["0.ply"]
+    assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"0"}
+    assert laspy.open(tmp_path / "out" / "gathered.laz").header.point_count == result.frames[0].points
+
+
+def test_learned_classes_and_no_stripes_where_a_network_ships(drive, tmp_path):
+    from bumpymap.scan.learned import classify_learned
+    from bumpymap.scan.methods import choose_method
+
+    config = ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", products=("table",))
+    if choose_method(config).name == "filter":
+        with pytest.raises(UsageError, match="no scan network ships"):
+            choose_method(replace(config, method="learned"))
+        return
+    scan_frames(config)
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet")
+    class_id = classify_learned(polar_sectors(read_scan(config.frames[0]))).class_id
+    assert table["class"].to_pylist() == [None if own == 255 else own for own in class_id.tolist()]
+    assert table["stripes"].null_count == table.num_rows
+    other = replace(config, polar=PolarSettings(rings=(2, 2, 2, 2)))
+    assert choose_method(other).name == "filter"
+    with pytest.raises(UsageError, match="was trained for"):
+        choose_method(replace(other, method="learned"))
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("pattern", ["patchwork_128ch/*.pcd", "monoforce/husky/*.ply", "monoforce/husky_oru/*.ply"])
+@pytest.mark.parametrize("method", ["filter", None])
+def test_real_scans_of_three_sensors_need_no_setting(shared_data, tmp_path, pattern, method):
+    (path,) = (shared_data / "scans").glob(pattern)
+    (report,) = scan_frames(ScanConfig((path,), tmp_path / "out", method=method)).frames
+    assert min(report.sectors[0], report.sectors[3]) > 0  # smooth ground, and what is none
+    class_id = read_vertices(tmp_path / "out" / "frames" / f"{path.stem}.ply")["class"]
+    assert np.bincount(class_id, minlength=256)[[0, 1, 2, 255]].tolist() == list(report.classed_points)

@@ -1,0 +1,244 @@
+"""The polar grid against a loop over sectors written with numpy alone, and its properties."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.scan import classify_filter, point_classes, polar_sectors
+from bumpymap.scan._place_kernels import turn_of
+from bumpymap.scan.polar import anchor_of
+
+FIXED = PolarSettings(anchored=False)
+
+
+def made_scan(seed, count=40_000, labels=False):
+    """Bumpy ground on a slope, denser near the sensor, with a few posts and points outside the grid."""
+    rng = np.random.default_rng(seed)
+    r = 2.0 + 110.0 * rng.random(count) ** 2.5
+    turn = 2.0 * np.pi * rng.beta(2.0, 3.0, count)
+    x, y = r * np.cos(turn), r * np.sin(turn)
+    z = 0.08 * x - 1.5 + 0.05 * np.sin(2.0 * x) * np.cos(1.5 * y) + 0.01 * rng.standard_normal(count)
+    z += np.where(rng.random(count) < 0.1 * (turn < 1.0), 3.0 * rng.random(count), 0.0)
+    label = rng.integers(1, 5, count).astype(np.uint16) if labels else None
+    return Scan(np.column_stack([x, y, z]).astype(np.float32), label=label)
+
+
+def cells_by_hand(points, settings, start):
+    """Zone, ring, sector, row and column of each point, the angle by numpy's arctangent; -1 outside."""
+    x, y = points[:, 0].astype(float), points[:, 1].astype(float)
+    r, turn = np.hypot(x, y), (np.arctan2(y, x) - start) / (2.0 * np.pi) % 1.0
+    out = np.full((len(points), 5), -1)
+    edges = [*settings.zone_starts_m, settings.end_m]
+    for zone, (near, far) in enumerate(pairwise(edges)):
+        inside = (r >= near) & (r < far)
+        outward = (r[inside] - near) / (far - near) * settings.rings[zone]
+        around = turn[inside] * settings.sectors[zone]
+        parts = [np.floor(outward), np.floor(around), outward % 1 * settings.pixels, around % 1 * settings.pixels]
+        out[inside] = np.column_stack([np.full(inside.sum(), zone), *np.floor(parts)])
+    return out
+
+
+@pytest.mark.parametrize("settings", [FIXED, PolarSettings(), replace(FIXED, pixels=9, least_points=50)])
+def test_every_sector_is_that_of_a_loop_by_hand(settings):
+    scan = made_scan(3)
+    stack = polar_sectors(scan, settings)
+    cells = cells_by_hand(scan.points, settings, stack.azimuth_start_rad)
+    assert len(stack.zone) > 50
+    listed = set()
+    for place in sorted({tuple(c) for c in cells[:, :3].tolist()} - {(-1, -1, -1)}):
+        mine = (cells[:, :3] == place).all(axis=1)
+        if mine.sum() <= settings.least_points:
+            continue
+        row = len(listed)
+        listed.add(place)
+        assert (stack.zone[row], stack.ring[row], stack.sector[row], stack.count[row]) == (*place, mine.sum())
+        assert (stack.point_sector[mine] == row).all()
+        points = scan.points[mine].astype(float)
+        values, axes = np.linalg.eigh(np.cov(points.T))
+        axis = axes[:, 0] * (1 if axes[2, 0] >= 0 else -1)
+        assert values[0] >= 0
+        np.testing.assert_allclose(stack.normal[row], axis, atol=2e-5)
+        assert stack.variance[row] == pytest.approx(points[:, 2].var(), rel=1e-5)
+        pixels = cells[mine, 3] * settings.pixels + cells[mine, 4]
+        assert stack.coverage[row] == pytest.approx(len(set(pixels.tolist())) / settings.pixels**2, rel=1e-6)
+    assert len(listed) == len(stack.zone)
+    assert (stack.point_sector >= 0).sum() == stack.count.sum()
+
+
+def test_the_angle_is_that_of_arctan2():
+    rng = np.random.default_rng(1)
+    places = [*rng.normal(size=(2000, 2)), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (1e-30, 1e30), (0, 0)]
+    for x, y in places:
+        assert turn_of(float(x), float(y)) == pytest.approx(math.atan2(y, x) / (2 * math.pi), abs=2e-11)
+
+
+def test_heights_stand_over_the_plane_and_holes_take_their_neighbours_mean():
+    settings = replace(FIXED, zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,))
+    rows, columns = np.indices((15, 15))
+    r = 10.0 + 10.0 * (rows + 0.5) / 15
+    turn = (columns + 0.5) / 15 * 2 * np.pi / 8
+    x, y = r * np.cos(turn), r * np.sin(turn)
+    bump = np.where((rows == 7) & (columns == 4), 1.5, 0.0) + np.where((rows == 3) & (columns == 10), 0.8, 0.0)
+    z = 0.2 * x - 0.1 * y - 2.0 + bump
+    kept = ~((rows == 3) & (columns == 9))
+    stack = polar_sectors(Scan(np.stack([x, y, z], axis=-1)[kept].astype(np.float32)), settings)
+    bump[3, 9] = 0.8 / 8
+    np.testing.assert_allclose(stack.heights[0], bump, atol=1e-5)
+    assert stack.coverage[0] == pytest.approx(224 / 225)
+    # All but two points lie on the plane; these stand 1.5 m and 0.8 m over it, seen along its normal.
+    assert stack.residual[0] == pytest.approx(2.3 / math.sqrt(1 + 0.2**2 + 0.1**2) / 224, rel=1e-4)
+    assert stack.traversable.all()
+
+
+def test_wide_holes_are_filled_from_the_rim():
+    settings = replace(FIXED, zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,), least_points=20)
+    r = np.repeat([10.3, 19.7], 40)
+    turn = np.tile(np.linspace(0.01, 0.99, 40), 2) * 2 * np.pi / 8
+    points = np.column_stack([r * np.cos(turn), r * np.sin(turn), 0.1 * r * np.cos(turn) - 2.0]).astype(np.float32)
+    stack = polar_sectors(Scan(points), settings)
+    assert np.isfinite(stack.heights).all()
+    assert np.abs(stack.heights).max() < 1e-5
+    assert stack.coverage[0] == pytest.approx(30 / 225)
+
+
+@pytest.mark.parametrize("tilt", [0, 30, 44, 46, 80, 90])
+def test_the_gate_is_the_slope_of_the_points(tilt):
+    rng = np.random.default_rng(tilt)
+    across, along = rng.uniform(-1, 1, (2, 400))
+    slope = math.radians(tilt)
+    points = np.column_stack([15.0 + across * math.cos(slope), 2.0 + along, across * math.sin(slope) - 1.0])
+    stack = polar_sectors(
+        Scan(points.astype(np.float32)), replace(FIXED, zone_starts_m=(5.0,), end_m=40.0, sectors=(4,), rings=(1,))
+    )
+    assert stack.traversable.tolist() == [tilt < 45]
+    assert abs(float(stack.normal[0, 2])) == pytest.approx(math.cos(slope), abs=1e-5)
+
+
+def test_a_ceiling_is_no_ground():
+    rng = np.random.default_rng(2)
+    flat = np.column_stack([rng.uniform(10, 14, 500), rng.uniform(0.5, 3, 500), np.full(500, -1.0)]).astype(np.float32)
+    assert polar_sectors(Scan(flat)).traversable.all()
+    above = flat + np.float32([0, 0, 5])
+    assert not polar_sectors(Scan(above)).traversable.any()
+    assert polar_sectors(Scan(above), PolarSettings(overhead_m=math.inf)).traversable.all()
+
+
+@pytest.mark.parametrize("tilt", [-0.5, 0.0, 0.5])
+def test_one_scan_line_under_a_ceiling_is_no_ground_whatever_tilt_its_bend_gives(tilt):
+    turn = np.linspace(0.01, 0.12, 80)
+    r = 30.0 + 0.5 * turn
+    for height, ground in ((9.0, False), (-1.5, True)):
+        z = height + tilt * (r * np.cos(turn) - 29.9)
+        stack = polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)), FIXED)
+        assert stack.traversable.tolist() == [ground]
+
+
+def test_the_anchor_turns_with_the_scan_and_sectors_keep_their_points():
+    scan = made_scan(5)
+    stack = polar_sectors(scan)
+    for angle in (0.03, 1.0, 2.5, 6.0):
+        c, s = math.cos(angle), math.sin(angle)
+        turned = (scan.points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])).astype(np.float32)
+        start = anchor_of(turned, PolarSettings())
+        assert (start - stack.azimuth_start_rad - angle + np.pi) % (2 * np.pi) - np.pi == pytest.approx(0, abs=1e-6)
+        other = polar_sectors(Scan(turned))
+        assert (other.point_sector == stack.point_sector).mean() > 0.995
+        before, after = (point_classes(Scan(p), classify_filter(t)) for p, t in ((scan.points, stack), (turned, other)))
+        assert len(set(before.tolist())) >= 3
+        assert (before == after).mean() >= 0.97
+
+
+def test_labels_are_the_most_frequent_the_smallest_of_equals():
+    scan = made_scan(7, labels=True)
+    stack = polar_sectors(scan)
+    for row in range(len(stack.zone)):
+        ids, counts = np.unique(scan.label[stack.point_sector == row], return_counts=True)
+        assert stack.label[row] == ids[counts.argmax()]
+    assert (polar_sectors(made_scan(7)).label == -1).all()
+
+
+def test_the_same_scan_gives_the_same_bits():
+    one, two = polar_sectors(made_scan(9)), polar_sectors(made_scan(9))
+    for name in ("normal", "heights", "variance", "residual", "coverage", "count", "point_sector"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), np.zeros((1, 3)), np.full((40, 3), np.nan), np.ones((200, 3))])
+def test_a_scan_without_a_full_sector_gives_an_empty_result(points):
+    scan = Scan(points.astype(np.float32))
+    classed = classify_filter(polar_sectors(scan))
+    assert len(classed.class_id) == len(classed.stripes) == 0
+    assert (point_classes(scan, classed) == NOT_TRAVERSABLE).all()
+    assert len(point_classes(scan, classed)) == len(points)
+
+
+def test_points_on_one_line_or_one_place_are_not_traversable():
+    line = np.column_stack([np.linspace(10, 11, 100), np.full(100, 1.0), np.full(100, -1.0)])
+    for points in (line, np.tile(line[:1], (100, 1))):
+        stack = polar_sectors(Scan(points.astype(np.float32)), replace(FIXED, sectors=(3, 3, 3, 3), rings=(1, 1, 1, 1)))
+        assert stack.count.tolist() == [100]
+        assert not stack.traversable.any()
+        assert np.isnan(stack.residual).all()
+
+
+def test_classes_of_another_scan_are_refused():
+    classed = classify_filter(polar_sectors(made_scan(1, 1000)))
+    with pytest.raises(ValueError, match="1000 points"):
+        point_classes(made_scan(1, 500), classed)
+
+
+def test_labels_beyond_semantic_ids_are_refused():
+    scan = made_scan(1, labels=True)
+    scan.label[3] = 40_000
+    with pytest.raises(BadInputError, match="40000"):
+        polar_sectors(scan)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"zone_starts_m": (4.0, 2.0, 28.0, 60.0)},
+        {"end_m": 50.0},
+        {"end_m": math.inf},
+        {"sectors": (24, 32)},
+        {"rings": (4, 4, 4, 0)},
+        {"sectors": (2, 32, 48, 32)},
+        {"least_points": 2},
+        {"pixels": 2},
+        {"least_normal_z": 1.5},
+        {"overhead_m": math.nan},
+    ],
+)
+def test_settings_that_make_no_grid_are_refused(wrong):
+    with pytest.raises(UsageError):
+        PolarSettings(**wrong)
+
+
+def test_records_with_columns_of_different_length_are_refused():
+    scan = made_scan(1)
+    with pytest.raises(ValueError, match="label"):
+        replace(scan, label=np.zeros(3, np.uint16))
+    stack = polar_sectors(scan)
+    with pytest.raises(ValueError, match="variance"):
+        replace(stack, variance=stack.variance[1:])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_residual_is_the_distance_to_the_plane_under_clutter(seed):
+    """Oracle: the principal plane, by numpy, of the points near the plane that they were made from."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(10, 13, 300), rng.uniform(0.2, 2.5, 300)
+    slope = rng.uniform(-0.3, 0.3, 2)
+    z = slope[0] * x + slope[1] * y - 1.4 + 0.01 * rng.standard_normal(300)
+    z[:90] += rng.uniform(0.5, 3.0, 90)
+    points = np.column_stack([x, y, z]).astype(np.float32)
+    stack = polar_sectors(Scan(points), replace(FIXED, zone_starts_m=(5.0,), end_m=40.0, sectors=(4,), rings=(1,)))
+    ground = points[90:].astype(float)
+    axis = np.linalg.eigh(np.cov(ground.T))[1][:, 0]
+    distance = np.abs((points - ground.mean(axis=0)) @ axis)
+    assert stack.residual[0] == pytest.approx(distance.mean(), rel=0.01)

@@ -1,0 +1,190 @@
+"""The filter method: the filters against scikit-image, the count against scipy, and what the count means."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.scan import StripeFilter, classify_filter, fit_stripes, load_stripes, polar_sectors, save_stripes
+from bumpymap.scan.stripes import count_stripes, gabor_bank
+
+
+def relief(rms, smooth, count=40, seed=0):
+    rng = np.random.default_rng(seed)
+    maps = rng.standard_normal((count, 15, 15))
+    maps = np.stack([gaussian_filter(m, smooth) for m in maps]) if smooth else maps
+    maps -= maps.mean(axis=(1, 2), keepdims=True)
+    return (rms * maps / maps.std(axis=(1, 2), keepdims=True)).astype(np.float32)
+
+
+def skimage_kernels(settings):
+    gabor_kernel = pytest.importorskip("skimage.filters").gabor_kernel
+    sigma = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi * settings.wavelength_px
+    for number in range(settings.orientations):
+        yield gabor_kernel(
+            1.0 / settings.wavelength_px,
+            theta=math.pi * number / settings.orientations,
+            sigma_x=sigma,
+            sigma_y=sigma / settings.gamma,
+            n_stds=10,
+        )
+
+
+@pytest.mark.parametrize("settings", [StripeFilter(), StripeFilter(wavelength_px=4.0, gamma=0.8, orientations=5)])
+def test_the_filters_are_those_of_scikit_image(settings):
+    bank = gabor_bank(15, settings)
+    for number, kernel in enumerate(skimage_kernels(settings)):
+        middle_row, middle_column = (side // 2 for side in kernel.shape)
+        for row, column in ((7, 7), (0, 3), (14, 14)):
+            near = kernel[
+                middle_row - row : middle_row - row + 15, middle_column - column : middle_column - column + 15
+            ]
+            weight = (near.real**2 / np.abs(near)).sum()  # of unbroken stripes: envelope times squared wave
+            mine = bank[row * 15 + column, number, :225].reshape(15, 15)
+            np.testing.assert_allclose(mine, near.real / weight, atol=2e-6)
+    assert not bank[:, :, 225:].any()
+
+
+def test_the_default_octave_is_that_of_scikit_image():
+    gabor_kernel = pytest.importorskip("skimage.filters").gabor_kernel
+    bank = gabor_bank(15, StripeFilter(gamma=1.0))
+    kernel = gabor_kernel(1.0 / 3.0, bandwidth=1, n_stds=10).real
+    middle = [side // 2 for side in kernel.shape]
+    near = kernel[middle[0] - 7 : middle[0] + 8, middle[1] - 7 : middle[1] + 8]
+    mine = bank[112, 0, :225].reshape(15, 15)
+    np.testing.assert_allclose(mine / mine[7, 7], near / near[7, 7], atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 130])
+def test_counts_are_those_of_a_plain_loop(count):
+    settings = StripeFilter()
+    heights = relief(np.linspace(0.001, 0.2, count)[:, None, None], 1.0, count)
+    bank = gabor_bank(15, settings)[:, :, :225].astype(float)
+    rows = np.arange(15)[:, None]
+    expected = []
+    for one in heights:
+        drawn = np.cos(2 * np.pi * ((rows - 7) / 3.0 + one.astype(float) / 0.25)).ravel()
+        answer = (bank @ drawn).max(axis=1).reshape(15, 15)
+        starts = sum((column[i] >= 0.5) and (i == 0 or column[i - 1] < 0.5) for column in answer.T for i in range(15))
+        expected.append(starts / 15)
+    # An answer within a rounding of the threshold may fall on either side.
+    np.testing.assert_allclose(count_stripes(heights, settings), expected, atol=2 / 15 + 1e-6)
+    assert np.mean(np.abs(count_stripes(heights, settings) - expected) > 1e-6) < 0.05
+
+
+def test_even_ground_has_a_stripe_every_wavelength_and_rough_ground_none():
+    assert count_stripes(np.zeros((3, 15, 15), np.float32)).tolist() == [5.0, 5.0, 5.0]
+    assert count_stripes(relief(1.0, 0.0)).max() < 1.0
+
+
+@pytest.mark.parametrize("smooth", [0.0, 1.0, 2.0])
+def test_stripes_fall_as_relief_grows(smooth):
+    means = [count_stripes(relief(rms, smooth)).mean() for rms in (0.0, 0.02, 0.05, 0.1, 0.2)]
+    assert (np.diff(means) <= 0.02).all()
+    assert means[0] - means[-1] > 3.0
+
+
+def test_a_long_swell_leaves_stripes_that_short_bumps_break():
+    assert count_stripes(relief(0.1, 4.0)).mean() > count_stripes(relief(0.1, 1.0)).mean() + 1.0
+
+
+def test_stripes_do_not_depend_on_the_level_or_on_other_sectors():
+    heights = relief(np.linspace(0.0, 0.15, 70)[:, None, None], 1.0, 70)
+    alone = np.concatenate([count_stripes(one[None]) for one in heights])
+    np.testing.assert_array_equal(count_stripes(heights), alone)
+    # By a whole stripe: the same picture.
+    assert np.abs(count_stripes(heights + np.float32(0.5)) - alone).mean() < 0.01
+
+
+def scans_of_ground(seed):
+    """Even ground to one side, bumps to the other, waves between them."""
+    rng = np.random.default_rng(seed)
+    r, turn = 4.0 + 30.0 * rng.random(60_000), 2 * np.pi * rng.random(60_000)
+    size = np.choose((turn / (2 * np.pi) * 3).astype(int), [0.0, 0.05, 0.4])
+    z = -1.5 + size * rng.standard_normal(60_000)
+    return polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)))
+
+
+def test_a_fit_orders_classes_by_stripes_and_predicts_the_nearest_centre():
+    stacks = [scans_of_ground(1), scans_of_ground(2)]
+    model = fit_stripes(stacks, seed=3)
+    assert model == fit_stripes(stacks, seed=3)
+    assert model.centres[0] > model.centres[1] > model.centres[2]
+    assert model.scans == 2
+    assert model.sectors == sum(int(stack.traversable.sum()) for stack in stacks)
+    classed = classify_filter(stacks[0], model)
+    for row, class_id in enumerate(classed.class_id):
+        if not stacks[0].traversable[row]:
+            assert class_id == NOT_TRAVERSABLE
+        else:
+            assert class_id == min(range(3), key=lambda c: abs(model.centres[c] - classed.stripes[row]))
+    means = [stacks[0].residual[classed.class_id == class_id].mean() for class_id in range(3)]
+    assert means[0] < means[1] < means[2]
+
+
+def test_a_model_survives_its_file(tmp_path):
+    model = fit_stripes([scans_of_ground(1)], seed=1, settings=StripeFilter(metres_per_stripe=0.3))
+    save_stripes(model, tmp_path / "own.json")
+    assert load_stripes(tmp_path / "own.json") == model
+
+
+def test_the_model_that_ships_falls_from_nearly_all_stripes():
+    model = load_stripes()
+    assert model.pixels == PolarSettings().pixels
+    assert 5.0 >= model.centres[0] > 4.5
+    assert model.centres[2] < 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "other"}, "format"),
+        ({"centres": [1, 2, 3]}, "fall"),
+        ({"centres": [3, 2]}, "no stripe classes"),
+        ({"extra": 1}, "no stripe classes"),
+        ({"filter": {"gamma": -1}}, "positive"),
+    ],
+)
+def test_a_file_that_is_no_model_is_refused(tmp_path, change, message):
+    save_stripes(load_stripes(), tmp_path / "m.json")
+    record = json.loads((tmp_path / "m.json").read_text())
+    (tmp_path / "m.json").write_text(json.dumps(record | change))
+    with pytest.raises((BadInputError, UsageError), match=message):
+        load_stripes(tmp_path / "m.json")
+
+
+def test_no_file_and_no_text_are_refused(tmp_path):
+    with pytest.raises(BadInputError, match="cannot read"):
+        load_stripes(tmp_path / "none.json")
+    (tmp_path / "list.json").write_text("[1]")
+    with pytest.raises(BadInputError, match="no stripe classes"):
+        load_stripes(tmp_path / "list.json")
+
+
+def test_what_cannot_be_fitted_is_refused():
+    stack = scans_of_ground(1)
+    with pytest.raises(BadInputError, match="no classes"):
+        fit_stripes([])
+    flat = replace(stack, heights=np.zeros_like(stack.heights))
+    with pytest.raises(BadInputError, match="no classes"):
+        fit_stripes([flat])
+
+
+def test_a_model_of_other_pixels_is_refused():
+    stack = scans_of_ground(1)
+    with pytest.raises(UsageError, match="9 pixels"):
+        classify_filter(stack, replace(load_stripes(), pixels=9))
+    other = replace(stack, settings=replace(stack.settings, pixels=9))
+    with pytest.raises(UsageError, match="one size"):
+        fit_stripes([stack, other])
+
+
+@pytest.mark.parametrize("wrong", [{"gamma": 0.0}, {"wavelength_px": math.nan}, {"orientations": 0}])
+def test_filters_that_are_none_are_refused(wrong):
+    with pytest.raises(UsageError, match="positive"):
+        StripeFilter(**wrong)

@@ -1,0 +1,616 @@
+"""The second engine: the same bits from workers as from one process, whatever happens to them."""
+
+import json
+import os
+import random
+import shutil
+import sys
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from unittest.mock import Mock
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings, strategies as st
+from pyproj import CRS
+
+from bumpymap.cli import main
+from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.readers import ReadOptions, decoder, identity, open_survey
+from bumpymap.readers.decoder_process import ChildDecoder
+from bumpymap.survey import Crew, Job
+from bumpymap.survey.engine.catalogue import Catalogue
+from bumpymap.survey.engine.harvest import Adoption
+from bumpymap.survey.engine.parts import Part, Rivals, cut_parts
+from bumpymap.survey.engine.tasks import (
+    ALIVE,
+    Order,
+    PartTask,
+    _alone,
+    _opened,
+    count_marks,
+    finish_group,
+    look,
+    read_part,
+)
+from bumpytiles import BLOCK_TILES, Bounds, Grid
+
+DEADLY = '''
+import os, signal
+from pathlib import Path
+
+class Deadly:
+    """Kills its own process, once or always."""
+    def __init__(self, work, mark, always):
+        self.work, self.mark, self.always = work, mark, always
+    def __call__(self, points, ground_only):
+        if self.always or not Path(self.mark).exists():
+            Path(self.mark).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.work(points, ground_only)
+
+def fail(number):
+    if number == 5:
+        raise ValueError("five")
+    return number * number
+'''
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def layers_of(folder):
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def write_las(path, columns, chosen, offset):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
+    header.add_crs(CRS.from_epsg(32614))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z, las.classification = (axis[chosen] for axis in columns)
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def surveys(tmp_path_factory):
+    """Three files of one site, 150 m x 60 m, that overlap: points in random order, some twice, some in a far corner."""
+    rng = np.random.default_rng(3)
+    n = 90_000
+    x, y = rng.uniform(0.01, 149.99, n), rng.uniform(0.01, 59.99, n)
+    z = 100 + 0.02 * x + np.where(x > 70, 0.25 * np.sin(9 * x) * np.sin(8 * y), 0.0) + 0.004 * rng.normal(size=n)
+    kind = np.where(rng.random(n) < 0.6, 2, 5).astype(np.uint8)
+    columns = (np.round(x, 3) + 500_001, np.round(y, 3) + 4_000_002, np.round(z, 3), kind)
+    folder = tmp_path_factory.mktemp("surveys")
+    write_las(folder / "a.laz", columns, np.flatnonzero(x < 90), (500_000, 4_000_000, 0))
+    write_las(folder / "b.las", columns, np.flatnonzero(x > 60)[::-1], (499_000.5, 3_999_000, 7))
+    write_las(folder / "c.las", columns, rng.permutation(np.flatnonzero((x < 40) & (y < 25))), (500_100, 4_000_000, 0))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain(surveys, tmp_path_factory):
+    """Layers that one process makes of them."""
+    made = tmp_path_factory.mktemp("plain")
+    for ground in ("auto", "all"):
+        result = run("map", surveys, "--out", made / ground, "--ground", ground)
+        assert result.exit_code == 0, result.output
+    return made
+
+
+class Here:
+    """Stands in for workers: does every task in this process, in random order, some of them twice."""
+
+    def __init__(self, seed=0):
+        self.random, self.done = random.Random(seed), []
+
+    def count(self):
+        return 3
+
+    def each(self, function, *arguments):
+        return {"here": function(*arguments)}
+
+    def run(self, function, tasks):
+        numbered = list(enumerate(tasks))
+        self.random.shuffle(numbered)
+        for number, task in numbered:
+            if self.random.random() < 0.3:
+                function(*task)
+            self.done.append(function)
+            yield number, function(*task)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Workers that are none, small parts, and no room in memory."""
+    workers = Here()
+
+    @contextmanager
+    def hired(scheduler, number, threads, tls_config):
+        yield Crew(workers, 2) if number else None
+
+    monkeypatch.setattr("bumpymap.survey.pipeline.hired", hired)
+    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.catalogue._MOST_BLOCKS", 3)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 5_000)
+    return workers
+
+
+@pytest.mark.parametrize("ground", ["auto", "all"])
+@pytest.mark.parametrize("whole", [False, True])
+def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
+    surveys, plain, tmp_path, here, ground, whole, monkeypatch
+):
+    if whole:  # a file is one part, and has blocks that no other file reaches
+        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+    out = tmp_path / "layers"
+    result = run("map", surveys, "--out", out, "--ground", ground, "--workers", 3, "--scratch", tmp_path / "scratch")
+    assert result.exit_code == 0, result.output
+    assert layers_of(out) == layers_of(plain / ground)
+    assert list((tmp_path / "scratch").iterdir()) == []
+    assert (here.done.count(read_part) == 3) == whole
+    assert (count_marks in here.done) == (ground == "auto")
+    record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
+    assert record["points"] == single["points"]
+    assert record["inputs"] == single["inputs"]
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("most", [20_000, 10**9])
+def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
+    file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
+    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", most)
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", file, "--out", tmp_path / name, "--local", *extra)
+        assert result.exit_code == 0, result.output
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+    assert (here.done.count(read_part) == 1) == (most == 10**9)
+
+
+@pytest.mark.parametrize("ground", ["auto", "all"])
+def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, ground):
+    for file in surveys.iterdir():
+        shutil.copy(file, tmp_path)
+    cut = bytearray((surveys / "a.laz").read_bytes())
+    middle = len(cut) // 2
+    cut[middle : middle + 400] = bytes(400)
+    (tmp_path / "broken.laz").write_bytes(cut)
+    lying = bytearray((surveys / "c.las").read_bytes())
+    lying[179:187] = np.float64(500_020).tobytes()  # max x: points lie outside, which the last of them may tell
+    (tmp_path / "lying.las").write_bytes(lying)
+    arguments = ("map", *sorted(tmp_path.glob("*.la?")), "--ground", ground)
+    refused = run(*arguments, "--out", tmp_path / "refused", "--workers", 3)
+    assert refused.exit_code == 3
+    assert f"\n{refused.output}".count("\nError: ") == 1
+    assert not (tmp_path / "refused").exists()
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        assert run(*arguments, "--out", tmp_path / name, "--skip-bad", *extra).exit_code == 4
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+    records = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("one", "many")]
+    assert len(records[0]["skipped"]) == 2
+    for key in ("skipped", "inputs", "points", "ground_only"):
+        assert records[0][key] == records[1][key], key
+
+
+def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
+    """As long as others of the survey count; where none does, all are named, with the sum of their points."""
+    side = np.linspace(0.5, 59.5, 250)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
+    noise = [write_las(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
+        assert result.exit_code == 0, result.output
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+    refused = [run("map", *noise, "--out", tmp_path / "none", "--skip-bad", *extra) for extra in ((), ("--workers", 3))]
+    assert [result.exit_code for result in refused] == [3, 3]
+    said = [result.output.splitlines()[-1] for result in refused]
+    assert said[0] == said[1]
+    assert "of the 125,000 points" in said[0]
+
+
+def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(surveys, tmp_path, here):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.las").write_bytes((surveys / "c.las").read_bytes())
+        with (tmp_path / f"{name}.las").open("r+b") as file:
+            file.seek(179)
+            file.write(np.float64(500_020).tobytes())  # max x: points lie outside
+    said = []
+    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+        result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
+        assert result.exit_code == 3
+        said.append(result.output.splitlines()[-1])
+    assert said[0] == said[1]
+    assert "every input was skipped" in said[0]
+
+
+def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
+    columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
+    file = write_las(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
+    result = run("map", file, "--out", tmp_path / "layers", "--workers", 3, "--ground", "class")
+    assert result.exit_code == 3
+    assert "no point of the survey has class 2" in result.output
+
+
+def killed_at(place, out, left, monkeypatch, arguments):
+    """Run until ``place`` is reached; copy what a kill at that instant leaves."""
+
+    def killed(*_, **__):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    class Taken(Adoption):
+        def take(self, packs):
+            super().take(packs)
+            killed()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(place, Taken if place.endswith("Adoption") else killed)
+        result = run(*arguments, "--out", out)
+    assert result.exit_code == 130, result.output
+    assert list(left.glob(".bumpymap-run/*"))
+
+
+@pytest.mark.parametrize(
+    ("place", "finished"),
+    [("Harvest.close", True), ("ClusterRun._decide", True), ("Adoption", True), ("gathered", False)],
+)
+def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
+    arguments = ("map", surveys, "--workers", 3)
+    left = tmp_path / "left"
+    killed_at(f"bumpymap.survey.engine.cluster.{place}", tmp_path / "layers", left, monkeypatch, arguments)
+    here.done.clear()
+    assert run(*arguments, "--out", left, "--resume").exit_code == 0
+    assert read_part not in here.done
+    assert (finish_group in here.done) == finished
+    assert layers_of(left) == layers_of(plain / "auto")
+    assert not (left / ".bumpymap-run").exists()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch, whole):
+    if whole:
+        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+    arguments = ("map", surveys)
+    killed_at(
+        "bumpymap.survey.engine.cluster.Adoption",
+        tmp_path / "a",
+        tmp_path / "many",
+        monkeypatch,
+        (*arguments, "--workers", 3),
+    )
+    assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
+    killed_at("bumpymap.survey.engine.local.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
+    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--workers", 3).exit_code == 0
+    for name in ("many", "one"):
+        assert layers_of(tmp_path / name) == layers_of(plain / "auto")
+
+
+def order_in(folder):
+    points, tiles = folder / "points", folder / "tiles"
+    for made in (points, tiles):
+        made.mkdir()
+        (made / ALIVE).write_text("word")
+    return Order(Job(Grid(), (), Mock(), "all"), 1 << 30, 1, points, tiles, "word")
+
+
+def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
+    order = order_in(tmp_path)
+    versions = {"numpy": "2.0"}
+    assert look(order, versions.copy, versions) is None
+    assert "numpy 2.0, not 1.9" in look(order, versions.copy, {"numpy": "1.9"})
+    assert "gdal not at all, not 3" in look(order, versions.copy, {"gdal": "3"})
+    file = surveys / "a.laz"
+    known = identity(file)
+    with pytest.raises(UsageError, match="another file than the client's"):
+        _opened(file, ReadOptions(), (known["size"], "0"), "word")
+    with pytest.raises(UsageError, match="cannot open what the client could"):
+        _opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "word")
+    (order.tiles / ALIVE).unlink()
+    assert "folders that every worker sees" in look(order, versions.copy, versions)
+    task = PartTask(file, ReadOptions(), (known["size"], known["digest"]), 1000, Part(0, 0, 1, 1000, None), None)
+    with pytest.raises(OutputError, match="folders that every worker sees"):
+        read_part(order, task)
+
+
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
+def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
+    """It has read, or opened a file that is another than the client's."""
+    held, started = ChildDecoder(), []
+    start = held._start
+    monkeypatch.setattr(held, "_start", lambda: started.append(start()) or started[-1])
+    monkeypatch.setattr(decoder, "_current", held)
+    order, file = order_in(tmp_path), surveys / "a.laz"
+    known = identity(file)
+    digest = known["digest"] if same else "0"
+    task = PartTask(file, ReadOptions(), (known["size"], digest), 1000, Part(0, 0, 1, 1000, None), None)
+    with nullcontext() if same else pytest.raises(UsageError, match="another file"):
+        assert read_part(order, task).tally.points >= 1000
+    assert started
+    assert all(child.poll() is not None for child in started)
+    assert held._memory.size == 0
+
+
+def test_parts_hold_each_piece_once(surveys):
+    readers = [open_survey(file) for file in sorted(surveys.iterdir())]
+    for most in (1, 5_000, 10**9):
+        parts = cut_parts(readers, 2_000, most)
+        for file, reader in enumerate(readers):
+            own = [part for part in parts if part.file == file]
+            assert [0, *(part.stop for part in own)] == [*(part.first for part in own), len(reader.chunks(2_000))]
+            assert sum(part.points for part in own) == reader.info.point_count
+            assert all(part.points <= max(most, 50_000) for part in own)
+
+
+boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200) for _ in range(2)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(boxes, min_size=1, max_size=6))
+def test_a_block_that_two_parts_reach_is_nobodys_alone(found):
+    bounds = [Bounds(west, south, west + width, south + height) for west, south, width, height in found]
+    parts = [Part(0, n, n + 1, 10, box) for n, box in enumerate(bounds)]
+    grid, side = Grid(), BLOCK_TILES * 3.0
+    order = Mock(job=Mock(grid=grid))
+    rivals = Rivals(grid, parts)
+    reach = [
+        {
+            (row, col)
+            for row in range(int((box.south - 1) // side), int((box.north + 1) // side) + 1)
+            for col in range(int((box.west - 1) // side), int((box.east + 1) // side) + 1)
+        }
+        for box in bounds
+    ]
+    for number, part in enumerate(parts):
+        alone = _alone(order, PartTask("x", ReadOptions(), (0, ""), 1, part, rivals.of(number)))
+        others = set().union(*(reach[other] for other in range(len(parts)) if other != number))
+        mine = {key for key in reach[number] if alone.complete(key)}
+        assert not mine & others
+        if len(parts) == 1:
+            assert mine == reach[number]
+
+
+blocks = st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20), st.integers(1, 9)), max_size=40)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(blocks, max_size=5), st.integers(0, 60))
+def test_groups_hold_each_block_once_with_all_its_packs(packs, skipped):
+    catalogue, holds = Catalogue(), {}
+    for number, entries in enumerate(packs):
+        once = {entry[:2]: entry for entry in entries}
+        catalogue.add(Path(str(number)), np.array(list(once.values()), np.int64).reshape(-1, 3))
+        for key in once:
+            holds.setdefault(key, set()).add(Path(str(number)))
+    assert {tuple(key) for key in catalogue.keys().tolist()} == set(holds)
+    skip = set(sorted(holds)[:skipped])
+    groups = list(catalogue.groups(skip))
+    keys = [key for group in groups for key in group.keys]
+    assert sorted(keys) == sorted(set(holds) - skip)
+    for group in groups:
+        assert set(group.packs) == set().union(*(holds[key] for key in group.keys))
+        assert len(group.keys) <= 64
+
+
+@pytest.fixture(scope="module")
+def helpers(tmp_path_factory):
+    """Folder of a module that workers and this process can import."""
+    folder = tmp_path_factory.mktemp("helpers")
+    (folder / "deadly_helpers.py").write_text(DEADLY)
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+
+
+@pytest.fixture(scope="module")
+def scheduler(helpers):
+    """Address of a real cluster of two processes, which gives a task up when it killed its second worker."""
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+    path = os.pathsep.join([str(helpers), *sys.path])
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50,
+            env={"PYTHONPATH": path},
+        ) as cluster,
+    ):  # fmt: skip
+        yield cluster.scheduler_address
+
+
+@contextmanager
+def deadly(monkeypatch, mark, *, always=False):
+    """Runs whose work kills the process that does it."""
+    from deadly_helpers import Deadly
+
+    def job(grid, columns, work, ground):
+        return Job(grid, columns, Deadly(work, str(mark), always), ground)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.survey.pipeline.Job", job)
+        yield
+
+
+def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
+    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+    assert result.exit_code == 0, result.output
+    assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
+
+
+def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_path):
+    pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
+    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2, "--ground", "all", "--memory", "200MB")
+    assert result.exit_code == 0, result.output
+    assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, alone):
+    """Alone, a file's blocks are finished while it is read; in parts, all of them later."""
+    if not alone:
+        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+        monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
+    mark = tmp_path / "killed"
+    with deadly(monkeypatch, mark):
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler, "--ground", "all")
+    assert result.exit_code == 0, result.output
+    assert mark.exists()
+    assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
+    assert not (tmp_path / "layers" / ".bumpymap-run").exists()
+
+
+def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_path, scheduler, monkeypatch):
+    with deadly(monkeypatch, tmp_path / "killed", always=True):
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+    assert result.exit_code == 2
+    assert "2 workers died one after the other over one task" in result.output
+    assert "--memory" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_a_bad_file_on_a_worker_is_a_bad_file_here(surveys, tmp_path, scheduler):
+    (tmp_path / "cut.laz").write_bytes((surveys / "a.laz").read_bytes()[:-3000])
+    result = run("map", surveys, tmp_path / "cut.laz", "--out", tmp_path / "layers", "--scheduler", scheduler)
+    assert result.exit_code == 3
+    assert "cut.laz" in result.output
+    assert f"\n{result.output}".count("\nError: ") == 1
+    assert not (tmp_path / "layers").exists()
+
+
+def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bumpymap.survey.engine.cluster.Harvest.take", interrupted)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+    assert result.exit_code == 130
+    assert not (tmp_path / "layers").exists()
+
+
+def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
+    from deadly_helpers import fail
+
+    from bumpytiles._dask import workers_at
+
+    drawn = []
+
+    def tasks(count):
+        for number in range(count):
+            drawn.append(number)
+            yield (number + 100,)
+
+    with workers_at(scheduler, 10) as workers:
+        found = {}
+        for number, square in workers.run(fail, tasks(50)):
+            found[number] = square
+            assert len(drawn) - len(found) < 2 * 2 + 1
+        assert found == {number: (number + 100) ** 2 for number in range(50)}
+        with pytest.raises(ValueError, match="five"):
+            list(workers.run(fail, ((number,) for number in range(10))))
+
+
+def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._PATIENCE_S", 0.5)
+    for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", address)
+        assert result.exit_code == 2, (address, result.output, result.exception)
+        assert f"no scheduler answers at {address}" in result.output
+    with distributed.LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", empty.scheduler_address)
+    assert result.exit_code == 2
+    assert "has no workers" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._PATIENCE_S", 5.0)  # it is tried for so long to reach it again
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
+    ) as cluster:
+        monkeypatch.setattr("bumpymap.survey.engine.cluster.Harvest.take", lambda *_: cluster.close())
+        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", cluster.scheduler_address)
+    assert result.exit_code == 2, result.output
+    assert "the connection to the scheduler is lost" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
+    pytest.importorskip("distributed")
+    from bumpytiles._dask import ClusterError, Workers
+
+    client = Mock()
+    client.run.return_value = {"a": OSError("Connection refused"), "b": None, "c": ValueError("mine")}
+    assert list(Workers(client).each(len)) == ["b", "c"]
+    client.run.return_value = {"a": OSError("Connection refused"), "b": OSError("Timed out")}
+    with pytest.raises(ClusterError, match="all 2 workers were lost"):
+        Workers(client).each(len)
+    client.run.return_value = {}
+    with pytest.raises(ClusterError, match="the last worker was lost"):
+        Workers(client).each(len)
+
+
+def test_workers_that_do_not_start_are_told_of(surveys, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+
+    def failed(*_, **__):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("bumpytiles._dask.LocalCluster", failed)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
+    assert result.exit_code == 2, result.output
+    assert "the workers did not start (Nanny failed to start.)" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+@pytest.mark.parametrize("when", ["look", "finish"])
+def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
+    surveys, plain, tmp_path, here, monkeypatch, when
+):
+    pytest.importorskip("distributed")
+    from bumpytiles._dask import ClusterError
+
+    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+    out = tmp_path / "layers"
+    arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
+
+    def lost(*_, **__):
+        raise ClusterError("all 2 workers were lost")
+
+    with monkeypatch.context() as patch:
+        if when == "look":
+            patch.setattr(here, "each", lost)
+        else:
+            patch.setattr("bumpymap.survey.engine.cluster.ClusterRun._finish", lost)
+        result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "all 2 workers were lost. Look at their logs" in result.output
+    assert "nstall" not in result.output
+    if when == "look":
+        assert not out.exists()
+        return
+    assert "Pass --resume to the same command" in result.output
+    here.done.clear()
+    assert run(*arguments, "--resume").exit_code == 0
+    assert read_part not in here.done  # files that were read are not read again
+    assert layers_of(out) == layers_of(plain / "auto")
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
+    assert result.exit_code == 2
+    assert "pip install 'bumpymap[dask]'" in result.output

@@ -1,0 +1,158 @@
+"""Reading ahead changes nothing but the time: order, tallies and refusals are those of reading lot after lot."""
+
+import threading
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.progress import SilentProgress
+from bumpymap.core.types import PointCloud
+from bumpymap.readers import Chunk, ChunkPoints, PointStats
+from bumpymap.survey.engine.intake import Intake, cut, refuse_nothing
+from bumpytiles import Grid, TileBuckets
+
+GRID = Grid()
+
+
+@dataclass
+class Info:
+    path: str
+    bounds: None = None
+
+
+@dataclass
+class Reader:
+    """A file of some pieces of ten points each; fails where it is told to."""
+
+    name: str
+    pieces_held: int
+    bad_fetch: int = -1
+    bad_convert: int = -1
+    bad_judge: bool = False
+    log: list = field(default_factory=list)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    under_way: int = 0
+    most_under_way: int = 0
+    reading: int = 0
+
+    @property
+    def info(self):
+        return Info(self.name)
+
+    def chunks(self, points):
+        return [Chunk(index, 10 * index, 10) for index in range(self.pieces_held)]
+
+    def fetch(self, chunk):
+        with self.lock:
+            assert self.reading == 0, "two threads fetch at once"
+            self.reading += 1
+            self.under_way += 1
+            self.most_under_way = max(self.most_under_way, self.under_way)
+            self.log.append(chunk.index)
+        with self.lock:
+            self.reading -= 1
+        if chunk.index == self.bad_fetch:
+            raise BadInputError(f"{self.name} fetch {chunk.index}")
+        return np.full(10, float(hash(self.name) % 7 + chunk.index))
+
+    def convert(self, chunk, fetched):
+        with self.lock:
+            self.under_way -= 1
+        if chunk.index == self.bad_convert:
+            raise BadInputError(f"{self.name} convert {chunk.index}")
+        return ChunkPoints(PointCloud(fetched, np.zeros(10), np.zeros(10), np.zeros(10, bool)), PointStats(points=10))
+
+    def judge(self, tally):
+        if self.bad_judge:
+            raise BadInputError(f"{self.name} judge")
+
+
+class Buckets(TileBuckets):
+    """Notes what it is told."""
+
+    def __init__(self):
+        super().__init__(GRID)
+        self.progress = []
+
+    def take(self, run, lot=0):
+        self.progress.append(lot)
+        super().take(run, lot)
+
+    def forget(self, first):
+        self.progress.append(("forget", first))
+        super().forget(first)
+
+
+def read(readers, *, may_skip, threads=2):
+    refused = []
+
+    def refuse(reader, error):
+        if not may_skip:
+            raise error
+        refused.append(str(error))
+
+    intake = Intake(readers, cut(readers, 10), GRID, refuse, may_skip=may_skip)
+    buckets = Buckets()
+    intake.read(buckets, 0, threads, SilentProgress())
+    return intake, buckets.progress, refused
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_lots_are_taken_in_order_and_fetched_a_little_ahead(threads):
+    readers = [Reader("a", 20), Reader("b", 1), Reader("c", 30)]
+    intake, told, _ = read(readers, may_skip=False, threads=threads)
+    assert told == list(range(51))
+    assert [reader.log for reader in readers] == [list(range(20)), [0], list(range(30))]
+    assert [tally.points for tally in intake.tallies] == [200, 10, 300]
+    # Those that are prepared, one in hand, and two that are fetched or wait for it.
+    assert max(reader.most_under_way for reader in readers) <= threads + 3
+
+
+@pytest.mark.parametrize(
+    ("faults", "says"),
+    [
+        ({"bad_fetch": 7}, "b fetch 7"),
+        ({"bad_convert": 6, "bad_fetch": 7}, "b convert 6"),
+        ({"bad_convert": 7, "bad_fetch": 6}, "b fetch 6"),
+        ({"bad_convert": 0}, "b convert 0"),
+        ({"bad_fetch": 0}, "b fetch 0"),
+        ({"bad_judge": True}, "b judge"),
+        ({"bad_fetch": 9, "bad_judge": True}, "b fetch 9"),
+    ],
+)
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads):
+    def readers():
+        return [Reader("a", 3), Reader("b", 10, **faults), Reader("c", 3)]
+
+    intake, told, refused = read(readers(), may_skip=True, threads=threads)
+    assert refused == [says]
+    assert intake.skipped == {1}
+    assert [tally.points for tally in intake.tallies] == [30, 0, 30]
+    forgot = told.index(("forget", 3))
+    assert told[:3] == [0, 1, 2]
+    assert told[3:forgot] == list(range(3, forgot))
+    assert told[forgot + 1 :] == [13, 14, 15]
+    with pytest.raises(BadInputError, match=says):
+        read(readers(), may_skip=False, threads=threads)
+
+
+@pytest.mark.parametrize(
+    ("tallies", "says"),
+    [
+        ([PointStats(10, withheld=10)], r"of the 10 points of a, 10 are flagged as withheld\. Clear"),
+        (
+            [PointStats(10, withheld=4, noise=6), PointStats(5, noise=5)],
+            r"of the 15 points of a, b, 4 are flagged as withheld and 11 are of class 7 or 18 \(noise\)\. Clear",
+        ),
+        ([PointStats(1000, not_a_number=1000)], r"of the 1,000 points of a, 1,000 are beams without return\. Is it"),
+        ([PointStats(), PointStats()], r"every input was skipped \(a, b\)"),
+        ([PointStats()] * 7, r"\(a, b, c, d, e and 2 more\)"),
+    ],
+)
+def test_no_point_left(tallies, says):
+    with pytest.raises(BadInputError, match=says):
+        refuse_nothing([Reader(name, 1) for name in "abcdefg"[: len(tallies)]], tallies)
+    refuse_nothing([Reader("a", 1)] * (len(tallies) + 1), [*tallies, PointStats(1)])

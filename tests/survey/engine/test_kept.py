@@ -1,0 +1,201 @@
+"""What a run keeps that ends early, by how it ended: finished tiles are not lost to a helper or a disk that fails."""
+
+import errno
+import os
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.run_folder import Kept, what_is_kept
+from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.readers.decoder_process import ChildDecoder
+from bumpymap.survey.engine.sink import TileSink
+
+GO_ON = "Pass --resume to the same command to go on from the finished tiles."
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def layers_of(folder):
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+@pytest.fixture(scope="module")
+def surveys(tmp_path_factory):
+    """Two files, far enough from each other that the blocks of one are complete when the other is read."""
+    import laspy
+    from pyproj import CRS
+
+    folder = tmp_path_factory.mktemp("surveys")
+    for name, east, count in (("a.laz", 0.0, 15_000), ("b.laz", 96.0, 260_000)):
+        rng = np.random.default_rng(int(east))
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
+        header.add_crs(CRS.from_epsg(32614))
+        las = laspy.LasData(header)
+        x, y = rng.uniform(0.01, 47.0, (2, count))
+        las.x, las.y, las.z = x + 500_016.0 + east, y + 4_000_032.0, 0.2 * np.sin(9 * x) * np.sin(8 * y)
+        las.write(folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain(surveys, tmp_path_factory):
+    out = tmp_path_factory.mktemp("plain") / "layers"
+    assert run("map", surveys, "--out", out).exit_code == 0
+    return layers_of(out)
+
+
+@pytest.fixture(autouse=True)
+def tight(monkeypatch):
+    """A budget under which the small surveys are read in many pieces, and their first blocks finished early."""
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 20_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 20_000)
+
+
+@pytest.fixture
+def after_tiles(monkeypatch):
+    """Something that happens once tiles are on the disk."""
+
+    def happen(what):
+        flush = TileSink.flush
+
+        def flushed(sink):
+            flush(sink)
+            what()
+
+        monkeypatch.setattr(TileSink, "flush", flushed)
+
+    with monkeypatch.context():
+        yield happen
+
+
+def goes_on(surveys, out, plain, monkeypatch, *options):
+    monkeypatch.undo()
+    result = run("map", surveys, "--out", out, "--resume", *options)
+    assert result.exit_code == 0, result.output
+    assert layers_of(out) == plain
+    assert not (out / ".bumpymap-run").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
+def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles):
+    answer = ChildDecoder._answer
+
+    def kill(decoder, child):
+        child.kill()
+        child.wait()
+        return answer(decoder, child)
+
+    after_tiles(lambda: monkeypatch.setattr(ChildDecoder, "_answer", kill))
+    out, scratch = tmp_path / "out", tmp_path / "scratch"
+    result = run("map", surveys, "--out", out, "--scratch", scratch)
+    assert result.exit_code == 2, result.output
+    assert "the process that decodes LAZ was killed (SIGKILL)" in result.output
+    assert "Traceback" not in result.output
+    assert result.output.endswith(f"\n{GO_ON}\n")
+    assert list(out.glob(".bumpymap-run/tiles-*.pack"))
+    (waiting,) = scratch.iterdir()
+    assert waiting.stat().st_mode & 0o777 == 0o700
+    goes_on(surveys, out, plain, monkeypatch, "--scratch", scratch)
+    assert list(scratch.iterdir()) == []
+
+
+def test_a_full_disk_keeps_finished_tiles_and_gives_back_what_waits(surveys, plain, tmp_path, monkeypatch, after_tiles):
+    def fill():
+        def full(*_):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr("bumpytiles.buckets._write", full)
+
+    after_tiles(fill)
+    out, scratch = tmp_path / "out", tmp_path / "scratch"
+    result = run("map", surveys, "--out", out, "--scratch", scratch, "--overwrite")
+    assert result.exit_code == 3, result.output
+    assert "No space left on device" in result.output
+    assert result.output.endswith(f"\n{GO_ON.replace('to the same command', 'in the place of --overwrite')}\n")
+    assert list(out.glob(".bumpymap-run/tiles-*.pack"))
+    assert list(scratch.iterdir()) == []
+    goes_on(surveys, out, plain, monkeypatch)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("a defect")])
+def test_what_nobody_expected_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles, error):
+    def fail():
+        raise error
+
+    after_tiles(fail)
+    result = run("map", surveys, "--out", tmp_path / "out")
+    assert result.exit_code != 0
+    assert GO_ON in (result.output + "".join(getattr(result.exception, "__notes__", [])))
+    goes_on(surveys, tmp_path / "out", plain, monkeypatch)
+
+
+def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("bumpytiles.buckets._write", full)
+    monkeypatch.setattr(TileSink, "flush", lambda _: None)
+    result = run("map", surveys, "--out", tmp_path / "out", "--scratch", tmp_path / "scratch")
+    assert result.exit_code == 3
+    assert "--resume" not in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bad_input_leaves_nothing(surveys, tmp_path, after_tiles):
+    for name in ("a.laz", "b.laz"):
+        shutil.copy(surveys / name, tmp_path)
+    content = bytearray((tmp_path / "b.laz").read_bytes())
+    content[-100_000:-99_000] = bytes(1000)
+    (tmp_path / "b.laz").write_bytes(content)
+    seen = []
+    after_tiles(lambda: seen.append(1))
+    result = run("map", tmp_path / "a.laz", tmp_path / "b.laz", "--out", tmp_path / "out")
+    assert result.exit_code == 3, result.output
+    assert seen
+    assert "--resume" not in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            "bumpymap.survey.pipeline.write_products", lambda *_, **__: (_ for _ in ()).throw(OutputError("full"))
+        )
+        assert run("map", surveys, "--out", out).exit_code == 3
+    packs = sorted(out.glob(".bumpymap-run/tiles-*.pack"))
+    assert len(packs) > 1
+    packs[0].write_bytes(packs[0].read_bytes()[:-9])
+    packs[-1].unlink()
+    goes_on(surveys, out, plain, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("end", "kept"),
+    [
+        (KeyboardInterrupt(), Kept.FINISHED),
+        (OutputError("full"), Kept.FINISHED),
+        (OSError(errno.ENOSPC, "full"), Kept.FINISHED),
+        (UsageError("the process was killed"), Kept.ALL),
+        (MemoryError(), Kept.ALL),
+        (ZeroDivisionError(), Kept.ALL),
+        (BadInputError("damaged"), Kept.NOTHING),
+    ],
+)
+def test_what_is_kept_depends_on_whether_the_same_would_happen_again(end, kept):
+    assert what_is_kept(end) is kept
+
+
+def test_a_server_that_failed_may_answer_the_next_time():
+    end = BadInputError("cannot read https://a/b.laz")
+    end.__cause__ = TimeoutError()
+    assert what_is_kept(end) is Kept.ALL

@@ -1,0 +1,116 @@
+"""What `info` foretells of the unknown tiles is what `map` finds, and both say it in the same words."""
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bumpymap.cli import main
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.types import Reason
+from bumpymap.survey.advice import Outcome, advise, enough_points
+from bumpytiles import Grid
+
+SETTINGS = FeatureSettings()
+CLASS_2 = "ground points (class 2)"
+
+
+def write(path, density, ground_share=0.0, side=60.0):
+    """Write points at random over a square of 20 x 20 tiles."""
+    rng = np.random.default_rng(3)
+    count = int(density * side**2)
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), np.array([500001.0, 4000002.0, 0.0])
+    las = laspy.LasData(header)
+    las.x, las.y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
+    las.z = rng.normal(0.0, 0.02, count)
+    las.classification = np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
+    las.write(path)
+    return path
+
+
+def run(*words):
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout.strip().splitlines()[-1] if words[0] == "map" else result.stdout)
+
+
+def foretold_and_found(out, *words):
+    """Shares of the tiles that are unknown, and the sentences, of `info` and of `map`."""
+    (record,) = run("info", *words, "--json")["files"]
+    mapped = run("map", *words, "--local", "--out", out, "--log-json")
+    found = sum(mapped["unknown"].values()) / mapped["tiles"]
+    return sum(record["unknown_tiles_about"].values()), found, record["needs"][-1], mapped["advice"]
+
+
+@pytest.mark.parametrize(
+    ("density", "ground_share", "words"),
+    [
+        (1.5, 0.0, "larger tiles: bumpymap info --tile-size 7 says"),
+        (4.5, 0.0, "too many holes"),
+        (8.0, 0.0, ""),
+        (14.0, 0.08, "--ground all measures every point, 126 a tile"),
+        (5.0, 0.5, "All points (--ground all) are too few as well, 45 a tile"),
+        (60.0, 0.5, ""),
+    ],
+)
+def test_what_is_foretold_is_found(tmp_path, density, ground_share, words):
+    survey = write(tmp_path / "a.laz", density, ground_share)
+    foretold, found, before, after = foretold_and_found(tmp_path / "out", survey)
+    assert foretold == pytest.approx(found, abs=0.02)
+    assert words in before
+    assert words in after
+    if found > 0.1:
+        assert before == "about " + after.replace(" are unknown", " will be unknown")
+        assert "are unknown" in after
+    else:
+        assert after == ""
+        assert "no CRS" in before
+
+
+@pytest.mark.parametrize("name", ["churo_sparse.laz", "csf_double_xyz.ply", "bcts_adjoining/bcts_1.laz"])
+@pytest.mark.parametrize("ground", ["auto", "all"])
+def test_what_is_foretold_of_real_surveys_is_found(tmp_path, shared_data, name, ground):
+    survey = shared_data / "surveys" / name
+    foretold, found, *_ = foretold_and_found(tmp_path / "out", survey, "--ground", ground)
+    assert foretold == pytest.approx(found, abs=0.05)
+
+
+def outcome(reason, share, measured="points", held=20.0, every=200.0, tiles=100):
+    return Outcome(tiles, {reason: share * tiles}, measured, held, every)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "words"),
+    [
+        (outcome(Reason.TOO_FEW_POINTS, 0.1), ""),
+        (outcome(Reason.TOO_FEW_POINTS, 0.9, held=0.1), "a denser one is needed"),
+        (outcome(Reason.TOO_FEW_POINTS, 0.9, held=20.0), "bumpymap train --tile-size 6 --out my.onnx"),
+        (outcome(Reason.NO_GROUND, 0.9, CLASS_2), "--ground csf looks for ground by itself"),
+        (outcome(Reason.NO_GROUND, 0.9, CLASS_2, every=10.0), "bumpymap info --tile-size 8 --ground all says"),
+        (
+            outcome(Reason.TOO_MANY_HOLES, 0.9, "ground points (found by the cloth)"),
+            "--ground all measures every point",
+        ),
+        (outcome(Reason.TOO_MANY_HOLES, 0.9, tiles=4), "4 tiles of 3 m, most of them on its rim"),
+        (outcome(Reason.TOO_MANY_HOLES, 0.9, held=500.0), "max_hole"),
+        (outcome(Reason.TOO_MANY_HOLES, 0.9, held=40.0), "--tile-size 5"),
+        (outcome(Reason.OUTLIER_RELIEF, 0.9), "class 7 or 18"),
+    ],
+)
+def test_what_would_help(outcome, words):
+    said = advise(outcome, Grid(), SETTINGS, foretold=False)
+    assert words in said
+    assert bool(said) == bool(words)
+    assert "--ground csf" not in said or outcome.measured == CLASS_2
+
+
+def test_enough_points_covers_as_many_pixels_as_asked():
+    grid = Grid()
+    enough = enough_points(grid, SETTINGS)
+    rng = np.random.default_rng(5)
+    covered = [np.unique(rng.integers(0, 225, enough)).size / 225 for _ in range(400)]
+    assert np.mean(covered) == pytest.approx(0.25, abs=0.01)
+    assert enough_points(grid, FeatureSettings(min_points=500)) == 500

@@ -1,0 +1,579 @@
+"""The main job as a user meets it: the command line on files, good and bad."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from click.testing import CliRunner
+from pyproj import CRS
+
+from bumpymap.cli import main
+from bumpymap.core.lock import locked
+from bumpymap.layers import PRODUCT_NAMES
+
+QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def write_las(path, x, y, z, *, crs="EPSG:32614", classification=None, offset=(500_000, 4_000_000, 0)):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
+    if crs:
+        header.add_crs(CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (np.asarray(axis, float) for axis in (x, y, z))
+    if classification is not None:
+        las.classification = classification
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def site():
+    """Points of a 30 m x 30 m site: the west half smooth, the east half rubble."""
+    rng = np.random.default_rng(0)
+    n = 60_000
+    x, y = rng.uniform(0.01, 29.99, n), rng.uniform(0.01, 29.99, n)
+    bumps = 0.25 * np.sin(9 * x) * np.sin(8 * y)
+    z = 100 + 0.02 * x + np.where(x > 15, bumps, 0.0) + 0.004 * rng.normal(size=n)
+    return np.round(x, 3) + 500_001, np.round(y, 3) + 4_000_002, np.round(z, 3)
+
+
+@pytest.fixture(scope="module")
+def survey(site, tmp_path_factory):
+    return write_las(tmp_path_factory.mktemp("survey") / "site.laz", *site)
+
+
+@pytest.fixture(scope="module")
+def layers(survey):
+    out = survey.parent / "layers"
+    result = run("map", survey, "--out", out)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_every_product_is_there_and_nothing_else(layers):
+    assert sorted(path.name for path in layers.iterdir()) == sorted([*PRODUCT_NAMES, "class.tif.aux.xml"])
+
+
+def test_the_smooth_half_is_smoother_than_the_rubble(layers):
+    with rasterio.open(layers / "roughness.tif") as raster:
+        c_r = raster.read(raster.descriptions.index("c_r") + 1)
+        assert c_r.shape == (10, 10)
+        assert raster.bounds == (500_001, 4_000_002, 500_031, 4_000_032)
+    with rasterio.open(layers / "class.tif") as raster:
+        class_id = raster.read(1)
+    assert np.median(c_r[:, 6:]) > 5 * np.median(c_r[:, :4])
+    assert class_id[:, 6:].min() > class_id[:, :4].max()
+
+
+def test_run_json_tells_what_made_the_layers(layers, survey):
+    record = json.loads((layers / "run.json").read_text())
+    text = json.dumps(record)
+    assert survey.name in text
+    assert record["points"] == 60_000
+    assert record["calibration"]["vehicle"] == "warthog"
+
+
+def product_bytes(folder):
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def test_splitting_order_format_offset_and_threads_change_no_bit(layers, site, tmp_path):
+    x, y, z = site
+    order = np.random.default_rng(1).permutation(len(x))
+    half = np.zeros(len(x), bool)
+    half[order[: len(x) // 3]] = True
+    write_las(tmp_path / "b.las", x[half], y[half], z[half], offset=(123_456.789, 3_900_000, 17))
+    # The second file repeats a part of the first: those points count once.
+    rest = ~half | (x < 500_004)
+    write_las(tmp_path / "a.laz", x[rest][::-1], y[rest][::-1], z[rest][::-1], offset=(499_000, 3_999_000, 50))
+    out = tmp_path / "layers"
+    result = run("map", tmp_path / "b.las", tmp_path / "a.laz", "--out", out, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert product_bytes(out) == product_bytes(layers)
+
+
+def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp_path):
+    x, y, z = site
+    in_feet = (1_600_000, 13_000_000, 0)
+    metres = write_las(tmp_path / "m.laz", x, y, z, crs="EPSG:2956")
+    feet_crs = CRS.from_user_input("EPSG:2225")  # US survey feet
+    us_foot = 1200 / 3937
+    feet = write_las(tmp_path / "ft.laz", x / us_foot, y / us_foot, z / us_foot, crs=feet_crs, offset=in_feet)
+    mixed = write_las(tmp_path / "mixed.laz", x / us_foot, y / us_foot, z, crs=feet_crs, offset=in_feet)
+    for file, extra in ((metres, ()), (feet, ()), (mixed, ("--z-unit", "m"))):
+        result = run("map", file, "--out", tmp_path / file.stem, *extra)
+        assert result.exit_code == 0, result.output
+    read = {}
+    for name in ("m", "ft", "mixed"):
+        with rasterio.open(tmp_path / name / "roughness.tif") as raster:
+            read[name] = raster.read()
+            unit = us_foot if name != "m" else 1.0
+            assert raster.transform.a == pytest.approx(3 / unit)
+            assert raster.transform.c * unit == pytest.approx(500_001, abs=1e-4)
+    # A point within a millimetre of a tile's or pixel's edge may change sides: compare in the median.
+    for name in ("ft", "mixed"):
+        for k in range(len(read["m"])):
+            np.testing.assert_allclose(np.nanmedian(read[name][k]), np.nanmedian(read["m"][k]), rtol=0.02, atol=0.01)
+
+
+def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
+    x, y, z = site
+    tree = (np.hypot(x - 500_008, y - 4_000_010) < 3) & (np.arange(len(x)) % 2 == 0)
+    z = z + np.where(tree, 5.0 + np.sin(40 * x), 0.0)
+    file = write_las(tmp_path / "trees.laz", x, y, z, classification=np.where(tree, 5, 2).astype(np.uint8))
+    for ground in ("auto", "class", "all"):
+        assert run("map", file, "--out", tmp_path / ground, "--ground", ground).exit_code == 0
+    under = {}
+    for ground in ("auto", "class", "all"):
+        with rasterio.open(tmp_path / ground / "class.tif") as raster:
+            under[ground] = raster.read(1)[7, 2]
+    assert under["auto"] == under["class"] < under["all"] == 3
+    assert product_bytes(tmp_path / "auto") == product_bytes(tmp_path / "class")
+
+
+def test_the_papers_rules_can_be_asked_for(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "paper", "--compat", "paper")
+    assert result.exit_code == 0, result.output
+    with rasterio.open(tmp_path / "paper" / "class.tif") as raster:
+        assert set(np.unique(raster.read(1))) <= {0, 1, 2, 3}
+
+
+def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):
+    before = product_bytes(layers)
+    refused = run("map", survey, "--out", layers, "--ground", "all", "--tile-size", 3.0)
+    assert refused.exit_code == 3
+    assert "ground was auto, is all\n" in refused.output
+    assert "tile_size" not in refused.output
+    assert "--overwrite" in refused.output
+    assert product_bytes(layers) == before
+    assert run("map", survey, "--out", layers, "--overwrite").exit_code == 0
+    assert product_bytes(layers) == before
+
+
+def inodes(folder):
+    return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("extra", [(), ("--resume",), ("--skip-bad", "--threads", 1, "--memory", "300MB")])
+def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
+    before = inodes(layers)
+    again = run("map", survey, "--out", layers, *extra)
+    assert again.exit_code == 0, again.output
+    assert "Already done" in again.output
+    assert "60,000 points, 100 tiles" in again.output
+    assert inodes(layers) == before
+    first, second = (json.loads(run("map", survey, "--out", layers, *extra, "--log-json").stdout) for _ in range(2))
+    assert first["already_done"] is True
+    assert first == second
+    assert inodes(layers) == before
+
+
+def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
+    """An input that was touched or copied is the same; its bytes decide."""
+    out = tmp_path / "out"
+    moved = tmp_path / "site.laz"
+    shutil.copy(survey, moved)
+    assert run("map", moved, "--out", out).exit_code == 0
+    os.utime(moved)
+    assert "Already done" in run("map", moved, "--out", out).output
+    content = bytearray(moved.read_bytes())
+    content[40] ^= 1  # of the project id: as long as it was, and of no matter to the map
+    moved.write_bytes(content)
+    more = write_las(tmp_path / "more.laz", *site)
+    for given, words in (
+        ((moved,), [f"{moved} has changed since"]),
+        ((more,), [f"{moved} was read, and is not given", f"{more} is given, and was not read"]),
+        ((survey, "--vehicle", "car", "--crs", "EPSG:32614"), ["vehicle was warthog, is car", "crs was not given, is"]),
+    ):
+        refused = run("map", *given, "--out", out)
+        assert refused.exit_code == 3
+        for word in words:
+            assert word in refused.output
+        assert "calibration" not in refused.output
+        assert "{" not in refused.output
+    shutil.copy(survey, moved)
+    (out / "tiles.parquet").write_bytes(b"mine")
+    refused = run("map", moved, "--out", out)
+    assert (refused.exit_code, "tiles.parquet has changed since" in refused.output) == (3, True)
+    (out / "tiles.parquet").unlink()
+    assert "tiles.parquet is missing" in run("map", moved, "--out", out).output
+    for damaged in ("{", "[]", "{}", '{"files": [{}]}'):
+        (out / "run.json").write_text(damaged)
+        refused = run("map", moved, "--out", out)
+        assert (refused.exit_code, "run.json that cannot be read" in refused.output) == (3, True)
+
+
+def test_going_on_and_starting_anew_are_not_asked_for_together(survey, tmp_path):
+    refused = run("map", survey, "--out", tmp_path / "out", "--resume", "--overwrite")
+    assert refused.exit_code == 2
+    assert "give one of them" in refused.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(survey, layers, tmp_path, option):
+    out = tmp_path / "out"
+    shutil.copytree(layers, out)
+    work, staged = out / ".bumpymap-run", out / ".bumpymap-layers-0"
+    for folder in (work, staged):
+        folder.mkdir()
+        (folder / "asked.json").write_text("{}")
+    with locked(out):
+        before = inodes(out)
+        refused = run("map", survey, "--out", out, option)
+        assert refused.exit_code == 3
+        assert f"another run is writing to {out}: pid {os.getpid()} on " in refused.output
+        assert inodes(out) == before
+
+
+def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    (mine / "folder").mkdir(parents=True)
+    (mine / "raster.tif").write_text("mine")
+    (mine / "folder" / "a").write_text("mine")
+    before = inodes(mine)
+    real = tmp_path / "real"
+    real.mkdir()
+    out.symlink_to(real)  # the user's own choice
+    (out / "roughness.tif").symlink_to(mine / "raster.tif")
+    (out / "class.tif").symlink_to(mine / "none.tif")
+    (out / "cost.fgb").symlink_to(mine / "folder")
+    (out / ".bumpymap-layers-0").symlink_to(mine / "folder")
+    (out / "class.tif.aux.xml").symlink_to(mine / "raster.tif")
+    refused = run("map", survey, "--out", out)
+    assert refused.exit_code == 3
+    assert "already holds roughness.tif, class.tif, cost.fgb " in refused.output
+    done = run("map", survey, "--out", out, "--overwrite")
+    assert done.exit_code == 0, done.output
+    assert inodes(mine) == before
+    assert product_bytes(real) == product_bytes(layers)
+    assert not [path for path in real.iterdir() if path.is_symlink()]
+
+
+@pytest.mark.parametrize("option", [None, "--resume", "--overwrite"])
+def test_a_work_folder_that_is_a_link_is_left_alone(survey, tmp_path, option):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    mine.mkdir()
+    (mine / "asked.json").write_text("{}")
+    (mine / ".profile").write_text("mine")
+    out.mkdir()
+    (out / ".bumpymap-run").symlink_to(mine)
+    refused = run("map", survey, "--out", out, *([option] if option else []))
+    assert refused.exit_code == 3
+    assert ".bumpymap-run is a link" in refused.output
+    assert sorted(path.name for path in mine.iterdir()) == [".profile", "asked.json"]
+
+
+def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
+    file = write_las(tmp_path / "nowhere.laz", *site, crs=None)
+    refused = run("map", file, "--out", tmp_path / "layers")
+    assert refused.exit_code == 3
+    assert "--crs" in refused.output
+    assert "--local" in refused.output
+    assert list((tmp_path / "layers").glob("*")) == []
+    assert run("map", file, "--out", tmp_path / "local", "--local").exit_code == 0
+    with rasterio.open(tmp_path / "local" / "class.tif") as raster:
+        assert raster.crs is None
+    assert run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614").exit_code == 0
+    assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
+
+
+def bad_files(folder, survey):
+    good = survey.read_bytes()
+    files = {
+        "picture.laz": b"\x89PNG\r\n\x1a\n" + bytes(500),
+        "empty.laz": b"",
+        "notes.ply": b"not a point cloud\n",
+        "cut.laz": good[: len(good) // 2],
+        "header_only.las": good[:375],
+        "format.las": good[:104] + bytes([99]) + good[105:],
+        "missing.laz": None,
+    }
+    for name, content in files.items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+    write_las(folder / "no_points.las", [], [], [])
+    write_las(folder / "degrees.laz", [-99.1, -99.2], [19.1, 19.2], [1.0, 2.0], crs="EPSG:4326", offset=(0, 0, 0))
+    for value, name in ((np.nan, "nan.ply"), (np.inf, "infinite.ply")):
+        points = np.zeros((50, 3), "<f8")
+        points[7, 2] = value
+        head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty double x\nproperty double y\n"
+        (folder / name).write_bytes(head + b"property double z\nend_header\n" + points.tobytes())
+    lying = bytearray(
+        write_las(folder / "lying.las", [500_001.0] * 50, [4_000_002.0] * 50, np.arange(50.0)).read_bytes()
+    )
+    lying[179:187] = np.float64(4e9).tobytes()  # max x
+    (folder / "lying.las").write_bytes(lying)
+    return [*files, "no_points.las", "degrees.laz", "nan.ply", "infinite.ply", "lying.las"]
+
+
+def test_bad_input_gives_one_clear_message_and_leaves_nothing(survey, tmp_path):
+    for name in bad_files(tmp_path, survey):
+        out = tmp_path / "layers" / name
+        extra = ["--local"] if name.endswith(".ply") else []
+        result = run("map", tmp_path / name, "--out", out, *extra)
+        assert result.exit_code == 3, (name, result.output)
+        assert name in result.output, result.output
+        assert "Traceback" not in result.output
+        assert result.output.count("Error: ") == 1, result.output
+        assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_bad_files_among_good_ones(survey, layers, tmp_path):
+    for name in bad_files(tmp_path, survey):
+        if name.endswith(("missing.laz", "degrees.laz")):
+            (tmp_path / name).unlink(missing_ok=True)
+    (tmp_path / "good.laz").write_bytes(survey.read_bytes())
+    refused = run("map", tmp_path, "--out", tmp_path / "out", "--crs", "EPSG:32614")
+    assert refused.exit_code == 3
+    result = run("map", tmp_path, "--out", tmp_path / "out", "--crs", "EPSG:32614", "--skip-bad")
+    assert result.exit_code == 4, result.output
+    assert "cut.laz" in result.output
+    assert product_bytes(tmp_path / "out") == product_bytes(layers)
+    assert len(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == 10
+
+
+def test_an_unwritable_place_is_refused_before_the_work(survey, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    result = run("map", survey, "--out", tmp_path / "file" / "layers")
+    assert result.exit_code == 3
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["map"], ["map", "x.laz"], ["map", "x.laz", "--out", "o", "--ground", "some"], ["mop"],
+     ["map", "x.laz", "--out", "o", "--tile-size", "-3"], ["map", "x.laz", "--out", "o", "--config", "none.toml"]],
+)  # fmt: skip
+def test_wrong_usage_is_exit_two(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+
+
+def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
+    file = tmp_path / "site.toml"
+    file.write_text(f'surveys = ["{survey}"]\nout = "layers"\n')
+    assert run("map", "--config", file).exit_code == 0
+    assert product_bytes(tmp_path / "layers") == product_bytes(layers)
+    assert run("map", "--config", file, "--out", tmp_path / "elsewhere").exit_code == 0
+    assert (tmp_path / "elsewhere" / "class.tif").exists()
+
+
+def test_other_tiles_than_the_calibrations_are_refused(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "layers", "--tile-size", 1.5, "--pixels", 30)
+    assert result.exit_code == 2
+    assert "1.5" in result.output
+    assert list((tmp_path / "layers").glob("*")) == []
+
+
+def test_machines_get_one_json_object(survey, tmp_path):
+    result = run("map", survey, "--out", tmp_path / "layers", "--log-json")
+    record = json.loads(result.stdout.strip().splitlines()[-1])
+    assert record["points"] == 60_000
+    assert record["tiles"] == 100
+
+
+def test_a_map_without_classes_says_what_to_do(site, tmp_path):
+    x, y, z = (axis[::100] for axis in site)
+    sparse = write_las(tmp_path / "sparse.laz", x, y, z)
+    result = run("map", sparse, "--out", tmp_path / "sparse")
+    assert result.exit_code == 0
+    assert "of the tiles are unknown, most for too few points: 6 points a tile in the median" in result.output
+    few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
+    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
+    assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
+
+
+def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.survey.pipeline.measure", None)
+    far = write_las(tmp_path / "far.laz", [500_001.0, 800_001.0], [4_000_002.0, 4_300_002.0], [1.0, 2.0])
+    result = run("map", far, "--out", tmp_path / "layers")
+    assert result.exit_code == 3
+    assert "300.0 km x 300.0 km" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_a_part_of_the_survey_in_another_format_changes_nothing(tmp_path):
+    part = QUARRY.with_name("quarry_part.ply")
+    for name, files in (("laz", [QUARRY]), ("both", [QUARRY, part])):
+        # The part's own CRS stands in no PLY header.
+        assert run("map", *files, "--out", tmp_path / name, "--crs", "EPSG:32632").exit_code == 0
+    with (
+        rasterio.open(tmp_path / "laz" / "roughness.tif") as one,
+        rasterio.open(tmp_path / "both" / "roughness.tif") as two,
+    ):
+        np.testing.assert_array_equal(one.read(), two.read())
+
+
+def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["map", survey, "--out", ""], ["map", "", "--out", "layers"], ["info", ""]):
+        result = run(*arguments)
+        assert result.exit_code == 2
+        assert "the path is empty" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bumpymap.survey.engine.local.decide_ground", interrupted)
+    result = run("map", survey, "--out", tmp_path / "layers")
+    assert result.exit_code == 130
+    assert "Interrupted" in result.output
+    assert not (tmp_path / "layers").exists()
+
+
+def test_info_judges_the_points_that_map_will_measure(site, tmp_path):
+    few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
+    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
+    told = " ".join(run("info", wooded).output.split())
+    assert "100% of the tiles will be unknown, most for too few points: 12 ground points (class 2) a tile" in told
+    assert "ready" not in told
+
+
+def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
+    points = np.zeros((50, 3), "<f4")
+    points[7, 2] = -3.4e38
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty float x\nproperty float y\n"
+    (tmp_path / "a.ply").write_bytes(head + b"property float z\nend_header\n" + points.tobytes())
+    result = run("map", tmp_path / "a.ply", "--out", tmp_path / "layers", "--local")
+    assert result.exit_code == 3
+    assert "stands for 'no data'" in result.output
+
+
+def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
+    for _ in range(2):
+        result = run("demo", "--survey", QUARRY, "--out", tmp_path)
+        assert result.exit_code == 0, result.output
+        assert str(tmp_path / "layers" / "class.tif") in result.output
+    with rasterio.open(tmp_path / "layers" / "class.tif") as raster:
+        assert raster.crs.to_epsg() == 32632
+        counts = np.bincount(raster.read(1).ravel(), minlength=256)
+    assert counts[:4].min() > 50
+
+
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
+    from bumpymap.lab import QuarrySite
+
+    run("map", QUARRY, "--out", tmp_path / "layers")
+    with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
+        c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
+
+    def median(zone):
+        col, row = QuarrySite().tiles_inside(zone)
+        return np.nanmedian(c_r[np.round(north / 3).astype(int) - 1 - row, col - np.round(west / 3).astype(int)])
+
+    cost = {zone: median(zone) for zone in ("pad", "road", "washboard", "ruts", "rubble", "bank")}
+    assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
+    assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
+    assert cost["rubble"] > 0.273  # rough or worse
+
+
+def test_info_says_how_several_files_make_one_map(survey, layers, tmp_path):
+    for name in ("a.laz", "b.laz"):
+        (tmp_path / name).write_bytes(survey.read_bytes())
+    told = run("info", tmp_path, "--quick").output
+    assert f"2 files, 120,000 points, one map: bumpymap map {tmp_path} --out DIR" in told
+    assert "one map" not in run("info", survey, "--quick").output
+
+
+def test_a_folder_may_have_any_name(survey, layers, tmp_path):
+    out = tmp_path / "Grünfläche [2] 50%! new"
+    result = run("map", survey, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert product_bytes(out) == product_bytes(layers)
+
+
+def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
+    out = tmp_path / "layers"
+    assert run("map", survey, "--out", out).exit_code == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    nowhere = write_las(tmp_path / "mars.laz", *site, crs=None)
+    # A CRS of another planet: no relation to longitude and latitude on Earth.
+    result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
+    assert result.exit_code == 3, result.output
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
+
+
+def layers_of(folder):
+    return [(folder / name).read_bytes() for name in LAYERS]
+
+
+@pytest.fixture
+def tight(monkeypatch):
+    """A budget under which the small survey is read in many pieces, spilled, and done in shares."""
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 20_000)
+    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 8_000)
+
+
+def test_points_that_wait_on_disk_change_no_bit(survey, tmp_path, request):
+    assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
+    request.getfixturevalue("tight")
+    assert run("map", survey, "--out", tmp_path / "spilled", "--scratch", tmp_path / "scratch").exit_code == 0
+    assert layers_of(tmp_path / "spilled") == layers_of(tmp_path / "whole")
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+@pytest.mark.parametrize("where", ["read", "measure", "write"])
+def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monkeypatch, tight, where):
+    assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
+    out, left = tmp_path / "layers", tmp_path / "left"
+    place = {
+        "read": "bumpymap.survey.engine.local.decide_ground",
+        "measure": "bumpymap.survey.engine.local.LocalRun._finish_rest",
+        "write": "bumpymap.survey.pipeline.write_products",
+    }[where]
+
+    def killed(*_, **__):
+        shutil.copytree(out, left)  # what a kill at this instant leaves
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(place, killed)
+        assert run("map", survey, "--out", out).exit_code == 130
+    assert list(left.glob(".bumpymap-run/*"))
+    refused = run("map", survey, "--out", left)
+    assert refused.exit_code == 3
+    assert "--resume" in refused.output
+    other = run("map", survey, "--out", left, "--resume", "--ground", "all")
+    assert other.exit_code == 2
+    assert "\n  ground was auto, is all\n" in other.output
+    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert layers_of(left) == layers_of(tmp_path / "whole")
+    assert not (left / ".bumpymap-run").exists()
+
+
+def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp_path, monkeypatch):
+    out, left = tmp_path / "layers", tmp_path / "left"
+
+    def killed(*_):
+        shutil.copytree(out, left)  # the layers are there, and so is the work folder
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.core.run_folder._remove", killed)
+        assert run("map", survey, "--out", out).exit_code == 130
+    refused = run("map", survey, "--out", left)
+    assert refused.exit_code == 3
+    assert "--resume" in refused.output
+    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert layers_of(left) == layers_of(layers)
+    assert not (left / ".bumpymap-run").exists()

@@ -1,0 +1,128 @@
+"""The same points give the same bytes in every file, however they come: split, ordered, read in pieces, spilled."""
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings, strategies as st
+from pyproj import CRS
+
+from bumpymap.cli import main
+from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.survey import Budget
+
+CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
+"""Not a corner of a block, so that files and blocks overlap anyhow."""
+SPAN = (130.0, 70.0)
+"""Some three by two blocks of 48 m."""
+OF_THE_CALL = {"surveys", "out", "scratch", "threads", "memory"}
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Rough ground under bushes, on a grid of 1 mm, with points that occur twice; x, y, z, class."""
+    rng = np.random.default_rng(0)
+    n = 150_000
+    x, y = rng.uniform(0, SPAN[0], n), rng.uniform(0, SPAN[1], n)
+    bush = rng.random(n) < 0.3
+    z = 0.1 * x + 0.8 * np.sin(5 * x) * (x > 60) + 0.01 * rng.normal(size=n) + bush * rng.uniform(0, 2, n)
+    cloud = np.column_stack([np.round(x, 3), np.round(y, 3), np.round(z, 3), np.where(bush, 5, 2)])
+    return np.concatenate([cloud, cloud[:500]])
+
+
+def write(path, points, offset):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
+    header.add_crs(CRS.from_epsg(32614))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (points[:, :3] + CORNER).T
+    las.classification = points[:, 3].astype(np.uint8)
+    las.write(path)
+    return path
+
+
+def mapped(files, out, *options):
+    words = ["map", *map(str, files), "--out", str(out), *map(str, options)]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, "class.tif.aux.xml"])
+    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
+    run = json.loads((out / "run.json").read_text())
+    settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
+    kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
+    return content, kept | {"settings": settings_of_the_map}
+
+
+@pytest.fixture(scope="module")
+def whole(points, tmp_path_factory):
+    """What one LAZ file gives that fits into memory, for each way to choose points."""
+    folder = tmp_path_factory.mktemp("whole")
+    survey = write(folder / "a.laz", points, CORNER)
+    return {ground: mapped([survey], folder / ground, "--ground", ground) for ground in ("auto", "all")}
+
+
+@st.composite
+def deliveries(draw):
+    """One way to deliver and read a survey."""
+    files = draw(st.integers(1, 5))
+    return {
+        "files": files,
+        "split": draw(st.sampled_from(["at random", "west to east", "south to north"])),
+        "formats": draw(st.lists(st.sampled_from(["las", "laz"]), min_size=files, max_size=files)),
+        "order": draw(st.permutations(range(files))),
+        "shuffled": draw(st.booleans()),
+        "seed": draw(st.integers(0, 99)),
+        "offset": draw(
+            st.sampled_from([(400_000, 3_500_000, 0), (500_000, 4_000_000, 300), (123_456.789, 3_900_000, 17)])
+        ),
+        "threads": draw(st.integers(1, 3)),
+        "piece": draw(st.integers(2_000, 150_000)),
+        "waiting": draw(st.integers(8_000, 200_000)),
+        "block": draw(st.integers(5_000, 100_000)),
+    }
+
+
+def delivered(points, folder, way):
+    """Write the files of a delivery, in the order in which they are named."""
+    rng = np.random.default_rng(way["seed"])
+    if way["shuffled"]:
+        points = rng.permutation(points)
+    axis = {"west to east": 0, "south to north": 1}.get(way["split"])
+    if axis is None:
+        file = rng.integers(way["files"], size=len(points))
+    else:
+        file = np.minimum(points[:, axis] / SPAN[axis] * way["files"], way["files"] - 1).astype(int)
+    paths = [
+        write(folder / f"{number}.{kind}", points[file == number], way["offset"])
+        for number, kind in enumerate(way["formats"])
+    ]
+    return [paths[number] for number in way["order"]]
+
+
+@settings(max_examples=12, deadline=None)
+@given(way=deliveries(), ground=st.sampled_from(["auto", "all"]))
+def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, way, ground):
+    folder = tmp_path_factory.mktemp("delivery")
+    files = delivered(points, folder, way)
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("piece", "waiting", "block"):
+            patch.setattr(Budget, f"{name}_points", way[name])
+        content, run = mapped(
+            files, folder / "layers", "--ground", ground, "--threads", way["threads"], "--scratch", folder / "scratch"
+        )
+    wanted, wanted_run = whole[ground]
+    assert [name for name in wanted if content[name] != wanted[name]] == []
+    assert run == wanted_run
+    assert list(Path(folder / "scratch").iterdir()) == []
+
+
+def test_both_ways_to_choose_points_are_tried(whole):
+    """The property above would hold little were the two the same, or the site all of one kind."""
+    (auto, auto_run), (everything, run) = whole["auto"], whole["all"]
+    assert auto_run["ground_only"]
+    assert not run["ground_only"]
+    assert auto["roughness.tif"] != everything["roughness.tif"]
+    assert sum(count > 0 for count in auto_run["counts"]["by_class"].values()) > 1

@@ -1,0 +1,46 @@
+from ._dask import (
+    ClusterError as ClusterError,
+    TlsFiles as TlsFiles,
+    Workers as Workers,
+    local_workers as local_workers,
+    threads_here as threads_here,
+    workers_at as workers_at,
+)
+from .buckets import (
+    MemoryLimits as MemoryLimits,
+    TileBuckets as TileBuckets,
+    TooManyPointsError as TooManyPointsError,
+)
+from .grid import (
+    Bounds as Bounds,
+    Grid as Grid,
+    TileWindow as TileWindow,
+)
+from .native import (
+    entry as entry,
+    inner as inner,
+    order_free as order_free,
+)
+from .pack import (
+    BlockKey as BlockKey,
+    Column as Column,
+    MemoryPack as MemoryPack,
+    Pack as Pack,
+    PackError as PackError,
+    PackWriter as PackWriter,
+)
+from .run import (
+    run_blocks as run_blocks,
+)
+from .signals import (
+    blocked_signals as blocked_signals,
+)
+from .split import (
+    BLOCK_TILES as BLOCK_TILES,
+    Run as Run,
+    TilePoints as TilePoints,
+    group_points as group_points,
+)
+from .tile_table import (
+    TileTable as TileTable,
+)
