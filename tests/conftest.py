@@ -3,11 +3,15 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
+from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.lab import load_open3d
+from bumpymap.patches.features import join_stacks, measure
+from bumpytiles import Grid, TileBuckets
 
 # No test may depend on a clock; in CI the same examples are tried every time.
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
@@ -29,3 +33,28 @@ def pytest_runtest_setup(item):
     """Skip a test that is marked with ``open3d`` where it cannot be loaded, and say why."""
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):
         pytest.skip(reason)
+
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """Folder of the real surveys and scans; the test is skipped where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip("the real surveys (../shared/data) are not here")
+    return SHARED
+
+
+def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
+    """PatchStack of loose points."""
+    buckets = TileBuckets(grid or Grid())
+    x, y, z = (np.asarray(column, float) for column in (x, y, z))
+    buckets.add(x, y, z, np.zeros(len(x), bool) if flag is None else flag)
+    blocks = list(buckets.blocks())
+    return join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
+
+
+@pytest.fixture(name="measure_points")
+def measure_points_fixture():
+    return measure_points

@@ -103,6 +103,7 @@ from .scan_types import (
     Scan as Scan,
     ScanMethod as ScanMethod,
     SectorStack as SectorStack,
+    point_classes as point_classes,
 )
 from .settings_file import (
     read_settings_file as read_settings_file,

@@ -37,9 +37,9 @@ def session(content: bytes) -> Any:
 
 
 @lru_cache(maxsize=2)
-def shipped_network(name: str) -> bytes:
-    """Read a network that ships with bumpymap."""
-    return (files("bumpymap") / "data" / "models" / name).read_bytes()
+def shipped_network(room: str, name: str) -> bytes:
+    """Read a network that ships with a room of bumpymap: ``shipped_network("rating", "textures.onnx")``."""
+    return (files(f"bumpymap.{room}") / "data" / "models" / name).read_bytes()
 
 
 def read_network(path: Path, kind: str, remedy: str) -> bytes:

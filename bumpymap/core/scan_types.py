@@ -22,6 +22,7 @@ __all__ = [
     "Scan",
     "ScanMethod",
     "SectorStack",
+    "point_classes",
 ]
 
 ScanMethod = Literal["filter", "learned"]
@@ -169,3 +170,19 @@ class ClassedSectors:
     """(n,) stripe count of the filter method; None from the learned one."""
     method: ScanMethod
     """How they were found."""
+
+
+def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
+    """Give every point the class of its sector.
+
+    Returns
+    -------
+    (m,) uint8
+        0 to 2; ``NOT_TRAVERSABLE`` where the sector is not, or where no sector holds the point.
+    """
+    place = classed.sectors.point_sector
+    if len(place) != len(scan.points):
+        raise ValueError(f"the sectors are those of a scan of {len(place)} points; this one has {len(scan.points)}")
+    padded = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))
+    class_id: NDArray[np.uint8] = padded[place]
+    return class_id

@@ -187,7 +187,7 @@ class Calibration:
                 f"no calibration for a vehicle named '{vehicle}' ships with bumpymap; there are: {', '.join(known)}. "
                 "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then map --calibration FILE"
             )
-        resource = files("bumpymap") / "data" / "calibrations" / f"{vehicle}.json"
+        resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
 
     @property
@@ -257,7 +257,7 @@ def _is_number(value: Any) -> bool:
 
 def shipped_calibrations() -> list[str]:
     """Names of the vehicles whose calibration is in the package."""
-    folder = files("bumpymap") / "data" / "calibrations"
+    folder = files("bumpymap.rating") / "data" / "calibrations"
     return sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
 
 

@@ -1,4 +1,4 @@
-"""Compiled kernels: measured tiles and their textures in, ride costs out; see ``bumpymap.rating.cost`` for the model."""
+"""Compiled kernels: tiles and their textures in, ride costs out; see ``bumpymap.rating.cost`` for the model."""
 
 import math
 

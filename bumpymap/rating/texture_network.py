@@ -70,7 +70,7 @@ class TextureModel:
     @classmethod
     def shipped(cls) -> "TextureModel":
         """Read the network that ships with bumpymap."""
-        return cls._from_bytes(shipped_network("textures.onnx"), "the texture network in the package")
+        return cls._from_bytes(shipped_network("rating", "textures.onnx"), "the texture network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "TextureModel":

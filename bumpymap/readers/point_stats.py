@@ -1,8 +1,8 @@
 """What is counted while points pass, and the verdict when all were seen.
 
 A header's extent and point count can only be judged when all points were seen, and the pieces of a file may be read in
-any order, by several machines. Each piece gives a ``PointStats``; tallies are merged, and ``judge`` holds the sum to what
-the header said.
+any order, by several machines. Each chunk gives a ``PointStats``; they are merged, and ``judge`` compares the sum with
+what the header said.
 """
 
 import math
@@ -142,8 +142,9 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
         _judge_extent(tally, path, bounds)
     if tally.points_outside_node:
         raise BadInputError(
-            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} lie outside the part of the octree that holds "
-            f"them: the file is damaged. Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
+            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} "
+            f"lie outside the part of the octree that holds them: the file is damaged. "
+            f"Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
         )
 
 

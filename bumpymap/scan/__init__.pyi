@@ -21,9 +21,6 @@ from .pipeline import (
     fit_frames as fit_frames,
     scan_frames as scan_frames,
 )
-from .points import (
-    point_classes as point_classes,
-)
 from .polar import (
     polar_sectors as polar_sectors,
 )

@@ -89,7 +89,7 @@ class ScanModel:
     @classmethod
     def shipped(cls) -> "ScanModel":
         """Read the network that ships with bumpymap."""
-        return cls.from_bytes(shipped_network("scan.onnx"), "the scan network in the package")
+        return cls.from_bytes(shipped_network("scan", "scan.onnx"), "the scan network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "ScanModel":

@@ -66,7 +66,7 @@ def _by_network(config: ScanConfig) -> bool:
 
 
 def _shipped_network() -> ScanModel | None:
-    there = (files("bumpymap") / "data" / "models" / "scan.onnx").is_file()
+    there = (files("bumpymap.scan") / "data" / "models" / "scan.onnx").is_file()
     return ScanModel.shipped() if there else None
 
 

@@ -252,7 +252,7 @@ def load_stripes(path: Path | None = None) -> StripeModel:
 
 @cache
 def _shipped() -> StripeModel:
-    source = files("bumpymap") / "data" / "models" / "stripes.json"
+    source = files("bumpymap.scan") / "data" / "models" / "stripes.json"
     return _parse(source.read_text(encoding="utf-8"), "stripes.json")
 
 

@@ -1,4 +1,4 @@
-"""Make bumpymap/data/models/stripes.json anew, and print the tables of stripes.md: python docs/models/stripes.py.
+"""Make bumpymap/scan/data/models/stripes.json anew, and print the tables of stripes.md: python docs/models/stripes.py.
 
 Takes some minutes and open3d. Scenes are those of seed 5150, each seen by one of the 64- and 128-line sensors.
 """
@@ -15,7 +15,7 @@ from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stri
 
 SEED, TURNS, IN_A_ROW = 5150, 2, 7
 """Seven scenes, one of each theme, go to each sensor in turn, twice."""
-OUT = Path(bumpymap.__file__).parent / "data" / "models" / "stripes.json"
+OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"
 
 
 def look(index: int, name: str) -> SectorStack:

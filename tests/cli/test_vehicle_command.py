@@ -10,7 +10,7 @@ from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.vehicle.keys import KEYS
 from bumpymap.rating.vehicle.profile import load_profile
 
-SHIPPED = Path(__file__).parents[2] / "bumpymap" / "data"
+SHIPPED = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 
 
 @pytest.fixture(autouse=True)
@@ -125,7 +125,7 @@ def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):
     vehicle("new", "mine", "--like", "warthog")
     path = tmp_path / "mine.toml"
     path.write_text(path.read_text().replace("ride_weight = 5.0", "ride_weight = 9").replace("= 300.0", "= 40"))
-    quarry = SHIPPED.parents[1] / "sample_data" / "quarry.laz"
+    quarry = SHIPPED.parents[2] / "sample_data" / "quarry.laz"
     words = ["map", str(quarry), "--vehicle", "mine.toml", "--out"]
     result = CliRunner().invoke(main, [*words, "own", "--quiet"])
     assert result.exit_code == 0, result.output

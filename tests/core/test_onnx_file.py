@@ -65,7 +65,7 @@ def test_no_thread_is_left_that_could_send_something(home):
         "import os, numpy\n"
         "before = len(os.listdir('/proc/self/task'))\n"
         "from bumpymap.core.onnx_file import session, shipped_network\n"
-        "session(shipped_network('textures.onnx'))\n"
+        "session(shipped_network('rating', 'textures.onnx'))\n"
         "print(len(os.listdir('/proc/self/task')) - before)"
     )
     if not Path("/proc/self/task").is_dir():

@@ -111,7 +111,7 @@ def filled(command: str) -> list[str]:
 
 def furnish(folder: Path) -> None:
     """Put the files there that commands name: small surveys, frames of a drive, a vehicle of one's own."""
-    data = ROOT / "bumpymap" / "data"
+    data = ROOT / "bumpymap" / "rating" / "data"
     survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
     x, y = np.asarray(survey.x), np.asarray(survey.y)
     (folder / "flights").mkdir()

@@ -6,7 +6,7 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.calibration_lookup import find_calibration
 
-DATA = Path(__file__).parents[2] / "bumpymap" / "data"
+DATA = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from bumpymap.core import Scan
+from bumpymap.core import Scan, point_classes
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, point_classes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 
 REAL = [
     "monoforce/husky/1666877643_267394304.ply",

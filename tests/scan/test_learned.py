@@ -184,7 +184,7 @@ def test_other_files_are_refused(tmp_path, model):
         ScanModel.load(tmp_path / "text.onnx")
     from importlib.resources import files
 
-    (tmp_path / "other.onnx").write_bytes((files("bumpymap") / "data" / "models" / "textures.onnx").read_bytes())
+    (tmp_path / "other.onnx").write_bytes((files("bumpymap.rating") / "data" / "models" / "textures.onnx").read_bytes())
     with pytest.raises(BadInputError, match="not a scan network"):
         ScanModel.load(tmp_path / "other.onnx")
     onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")

@@ -16,12 +16,12 @@ import rasterio
 from ply_files import read_vertices
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import PolarSettings
+from bumpymap.core import PolarSettings, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.lock import locked
 from bumpymap.layers import name_frames, write_frame
 from bumpymap.readers import Robot, read_scan
-from bumpymap.scan import classify_filter, load_stripes, point_classes, polar_sectors
+from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import fit_frames, scan_frames
 

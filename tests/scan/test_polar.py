@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
+from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.scan import classify_filter, point_classes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan._place_kernels import turn_of
 from bumpymap.scan.polar import anchor_of
 

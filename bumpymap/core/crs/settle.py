@@ -1,8 +1,8 @@
 """Settle the CRS and units of a file, and of the files of a run.
 
 A file's own statement is a ``CrsStatement``. ``--crs`` wins over it; ``--z-unit`` wins over every unit of height. The
-result keeps the vertical part too, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused with
-the command that reprojects the file.
+result keeps the vertical part too, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused
+with the command that reprojects the file.
 """
 
 import logging

@@ -52,8 +52,8 @@ Tells the four terrain forms of the BumpyPatch paper apart in the heightmap of o
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} a texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch alters the patches anew: brightness,
-rotation, blur, noise and holes, all of them, but on one patch in {LIGHT_EVERY} each only with probability
+waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch alters the patches anew:
+brightness, rotation, blur, noise and holes, all of them, but on one patch in {LIGHT_EVERY} each only with probability
 {LIGHT.chance:g}. Unseen patches come from other seeds: none of them, altered or not, was learned from. Every epoch adds
 to the `high_noise` patches {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of 3 m, one way or
 crossing): no form holds them, and a network that never met them takes the shortest for `flat`.

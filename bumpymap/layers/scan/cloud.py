@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import ClassedSectors, Scan, write_vertices
+from bumpymap.core import ClassedSectors, Scan, point_classes, write_vertices
 from bumpymap.layers.scan.style import COLOURS, looks_of
-from bumpymap.scan import point_classes
 
 __all__ = ["write_cloud"]
 

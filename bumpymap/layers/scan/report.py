@@ -6,11 +6,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.layers.manifest import describe_input
 from bumpymap.layers.scan.names import Frame
 from bumpymap.layers.scan.style import NAMES
-from bumpymap.scan import point_classes
 
 __all__ = ["FrameReport", "report_frame", "why_empty"]
 

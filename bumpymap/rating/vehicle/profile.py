@@ -134,7 +134,7 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
         Not TOML, or values that cannot be.
     """
     if str(name_or_path) in shipped_profiles():
-        with as_file(files("bumpymap") / "data" / "vehicles" / f"{name_or_path}.toml") as shipped:
+        with as_file(files("bumpymap.rating") / "data" / "vehicles" / f"{name_or_path}.toml") as shipped:
             return VehicleProfile.from_dict(
                 read_toml(shipped, "the vehicle profile", BadInputError), f"vehicle profile {name_or_path}"
             )
@@ -150,7 +150,7 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
 
 def shipped_profiles() -> list[str]:
     """Names of the profiles in the package."""
-    folder = files("bumpymap") / "data" / "vehicles"
+    folder = files("bumpymap.rating") / "data" / "vehicles"
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 

@@ -1,7 +1,7 @@
 """What a run of the engine keeps: finished tiles, points that wait, what is to be said of the reading.
 
-It lies in the folder of the run (see `bumpymap.core.run_folder`). Points may wait in a folder of the run's own on another
-disk, whose name nobody can tell beforehand; the run notes where.
+It lies in the folder of the run (see `bumpymap.core.run_folder`). Points may wait in a folder of the run's own on
+another disk, whose name nobody can tell beforehand; the run notes where.
 """
 
 import json

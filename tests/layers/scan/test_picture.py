@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from bumpymap.core import PolarSettings, Scan
+from bumpymap.core import PolarSettings, Scan, point_classes
 from bumpymap.layers import COLOURS, NAMES
 from bumpymap.layers.scan._glyphs import HEIGHT, word
 from bumpymap.layers.scan.geometry import sector_bounds
 from bumpymap.layers.scan.picture import SIDE, paint, reach_of, write_picture
-from bumpymap.scan import classify_filter, point_classes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 

@@ -43,7 +43,7 @@ def test_profile_is_frozen():
 
 
 def test_file_with_a_path_is_read(tmp_path):
-    source = Path(__file__).parents[3] / "bumpymap" / "data" / "vehicles" / "car.toml"
+    source = Path(__file__).parents[3] / "bumpymap" / "rating" / "data" / "vehicles" / "car.toml"
     path = tmp_path / "mine.toml"
     path.write_text(source.read_text().replace("speed_mps = 3.0", "speed_mps = 2"))
     assert load_profile(path).speed_mps == 2.0
@@ -168,7 +168,7 @@ def test_unknown_name_lists_the_shipped_profiles():
 
 
 def test_a_mark_of_byte_order_is_skipped(tmp_path):
-    source = Path(__file__).parents[3] / "bumpymap" / "data" / "vehicles" / "car.toml"
+    source = Path(__file__).parents[3] / "bumpymap" / "rating" / "data" / "vehicles" / "car.toml"
     path = tmp_path / "mine.toml"
     path.write_bytes(b"\xef\xbb\xbf" + source.read_bytes())
     assert load_profile(path) == load_profile("car")

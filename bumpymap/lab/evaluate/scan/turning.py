@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bumpymap.core import ClassedSectors, Scan
-from bumpymap.scan import point_classes
+from bumpymap.core import ClassedSectors, Scan, point_classes
 
 __all__ = ["kept_share", "turned"]
 
