@@ -123,7 +123,7 @@ def test_no_two_files_import_each_other():
 
 @pytest.mark.parametrize("package", ONE_PLACE)
 def test_one_file_imports_a_package_that_needs_care(package):
-    """ONNX Runtime: it switches the telemetry off first. open3d: it says which libraries are missing. Dask: the seam."""
+    """ONNX Runtime: telemetry off first. open3d: it says which libraries are missing. Dask: the seam."""
     importing = {
         str(file.relative_to(ROOT))
         for folder in ("bumpymap", "tiles", "docs")
