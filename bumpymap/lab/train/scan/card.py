@@ -107,8 +107,8 @@ def _data(settings: ScanTrainSettings, simulated: bool) -> str:
         return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
     return f"""{settings.scenes} made-up scenes with labels (`bumpymap.lab.worlds.scans`), each seen once by another
 sensor of 32, 64 or 128 lines with range noise of 0.8 to 3 cm, 0.1 to 5 % of lost returns and a tilt of some degrees. No
-real scan was used. The ground of every tenth scene is seen once more from above, without shadows and with blocks heaped on half
-of it. Unseen scenes come from other numbers of the same seed.
+real scan was used. The ground of every tenth scene is seen once more from above, without shadows and with blocks heaped
+on half of it. Unseen scenes come from other numbers of the same seed.
 """
 
 
