@@ -41,25 +41,21 @@ def reached(monkeypatch, tmp_path):
         return end
 
     import bumpymap.readers
-    import bumpymap.scan.pipeline
     import bumpymap.survey.engine
     import bumpymap.survey.pipeline
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
-    monkeypatch.setattr(bumpymap.scan.pipeline, "scan_frames", ends("scan"))
-    monkeypatch.setattr(bumpymap.scan.pipeline, "fit_frames", ends("scan"))
+    monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
+    monkeypatch.setattr("bumpymap.scan.fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
     monkeypatch.setattr(evaluate_command, "_require", ends("evaluate"))
     monkeypatch.setattr(train_command, "_require", lambda **_: None)
     if importlib.util.find_spec("torch"):
-        import bumpymap.lab.train.make
-        import bumpymap.lab.train.scan.make
-
-        monkeypatch.setattr(bumpymap.lab.train.make, "make_model", ends("train"))
-        monkeypatch.setattr(bumpymap.lab.train.scan.make, "make_scan_model", ends("train"))
-        monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.load_open3d", lambda _: None)
+        monkeypatch.setattr("bumpymap.lab.make_model", ends("train"))
+        monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train"))
+        monkeypatch.setattr("bumpymap.lab.load_open3d", lambda _: None)
     return got
 
 

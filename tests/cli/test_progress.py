@@ -168,22 +168,26 @@ def test_a_map_counts_what_it_says(tmp_path, memory):
     from bumpymap.survey.pipeline import map_surveys
 
     progress = Counting()
-    map_surveys(MapConfig((QUARRY,), tmp_path / "o", memory=memory), told)
-    assert [stage for stage, _, _ in told.stages] == ["reading points", "measuring blocks of tiles", "writing layers"]
-    for stage, total, steps in told.stages:
+    map_surveys(MapConfig((QUARRY,), tmp_path / "o", memory=memory), progress)
+    assert [stage for stage, _, _ in progress.stages] == [
+        "reading points",
+        "measuring blocks of tiles",
+        "writing layers",
+    ]
+    for stage, total, steps in progress.stages:
         assert total is not None
         assert steps == total, stage
-    assert told.stages[0][1] == 1_250_248
-    assert told.stages[1][1] < 100  # of 1,426 tiles
+    assert progress.stages[0][1] == 1_250_248
+    assert progress.stages[1][1] < 100  # of 1,426 tiles
 
 
 def test_info_counts_every_point(tmp_path, monkeypatch):
     from bumpymap.cli import info_command
 
     progress = Counting()
-    monkeypatch.setattr(info_command, "show_progress", lambda **_: _given(told))
+    monkeypatch.setattr(info_command, "show_progress", lambda **_: _given(progress))
     assert CliRunner().invoke(main, ["info", str(QUARRY)]).exit_code == 0
-    assert told.stages == [["reading quarry.laz", 1_250_248, 1_250_248]]
+    assert progress.stages == [["reading quarry.laz", 1_250_248, 1_250_248]]
 
 
 class _given:  # noqa: N801 (stands in for a function)

@@ -202,10 +202,9 @@ def test_an_evaluation_that_is_ended_says_so(tmp_path, monkeypatch, name, code, 
     from click.testing import CliRunner
 
     from bumpymap.cli import evaluate_command, main
-    from bumpymap.lab.evaluate import run
 
     monkeypatch.setattr(evaluate_command, "_require", lambda _: None)
-    monkeypatch.setattr(run, "evaluate_library", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
+    monkeypatch.setattr("bumpymap.lab.evaluate_library", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
     result = CliRunner().invoke(main, ["evaluate", "--library", "--out", str(tmp_path)])
     assert result.exit_code == code
     assert result.stderr.strip() == f"{word} {KEPT}"

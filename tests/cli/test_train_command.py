@@ -80,7 +80,6 @@ def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
 
 def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatch):
     require_torch()
-    from bumpymap.lab.train.scan import make
 
     class EnoughError(Exception):
         pass
@@ -91,7 +90,7 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
         raise EnoughError
 
     called = []
-    monkeypatch.setattr(make, "make_scan_model", instead)
+    monkeypatch.setattr("bumpymap.lab.make_scan_model", instead)
     monkeypatch.setattr(train_command, "find_spec", lambda _: object())
     monkeypatch.setitem(sys.modules, "open3d", ModuleType("open3d"))
     words = ("--seed", 3, "--epochs", 4, "--scenes", 5, "--sectors-per-class", 6, "--threads", 2)

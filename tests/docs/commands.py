@@ -127,7 +127,7 @@ def furnish(folder: Path) -> None:
     _drive(folder)
     shutil.copy(data / "vehicles" / "small_rover.toml", folder / "my_vehicle.toml")
     shutil.copy(folder / "my_vehicle.toml", folder / "my_robot.toml")
-    shutil.copy(next((data / "models").glob("scan*.onnx")), folder / "own.onnx")
+    shutil.copy(next((ROOT / "bumpymap" / "scan" / "data" / "models").glob("scan*.onnx")), folder / "own.onnx")
     shutil.copy(folder / "own.onnx", folder / "scan.onnx")
     for name in ("my_vehicle.json", "my_robot.json"):
         shutil.copy(data / "calibrations" / "small_rover.json", folder / name)

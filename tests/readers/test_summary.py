@@ -50,8 +50,8 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     monkeypatch.setattr(module, "_MERGE_AT", 10)
     monkeypatch.setattr(module, "_BATCH_PIXELS", 1000)
     reader = open_survey(path)
-    chunks = reader.chunks
-    monkeypatch.setattr(reader, "chunks", lambda: chunks(77))
+    clouds = reader.clouds
+    monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
     assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4)).read(reader).summary() == whole
 
 

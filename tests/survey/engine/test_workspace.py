@@ -17,7 +17,7 @@ ASKED = {"inputs": {"a.laz": 1}, "cut": {"chunk_points": 100}}
 def killed(out, scratch, run_spec=ASKED):
     """Leave what a kill would leave; gives the folder in which points wait."""
     kept = out.with_name("kept")
-    with Workspace.opened(out, scratch, asked, resume=False) as space:
+    with Workspace.opened(out, scratch, run_spec, resume=False) as space:
         (space.scratch / "points-00000000-00000001.pack").write_bytes(b"")
         waiting = space.scratch
         shutil.copytree(out, kept)

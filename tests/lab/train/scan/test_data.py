@@ -91,7 +91,7 @@ def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
 
 @pytest.mark.open3d
 def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.sensor.draw_sensor", lambda _rng: SMALL)
+    monkeypatch.setattr("bumpymap.lab.worlds.draw_sensor", lambda _rng: SMALL)
     frames = [folder / "00000" / "os1_cloud_node_kitti_bin" / f"00000{k}.bin" for k in range(2)]
     told = []
     read = folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
@@ -118,7 +118,7 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
 
 @pytest.mark.open3d
 def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.sensor.draw_sensor", lambda _rng: SMALL)
+    monkeypatch.setattr("bumpymap.lab.worlds.draw_sensor", lambda _rng: SMALL)
     first = simulated_sectors(1, [2, 3], 1, tmp_path / "keep")
     assert len(list((tmp_path / "keep").iterdir())) == 2
     monkeypatch.setattr(data, "scene_scan", None)
