@@ -81,7 +81,10 @@ ROOMS = {
     "scan_world": (set(), {"numpy", "open3d"}),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
-    "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
+    "scan_products": (
+        {"ply_file", "products", "scan"},
+        {"PIL", "laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"},
+    ),
     "scan_asked": ({"frames", "products", "readers", "scan", "scan_config", "scan_methods", "scan_products"}, set()),
     "scan_pipeline": (
         {
@@ -102,7 +105,7 @@ ROOMS = {
     "sample": ({"ply_file"}, {"bumpytiles", "laspy", "numpy", "pyproj"}),
 }
 HEAVY = {
-    "CSF",
+    "CSF", "PIL",
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
     "numpy", "onnx", "onnxruntime", "open3d", "pandas", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
     "scipy", "shapely", "skimage", "sklearn", "torch",
@@ -187,7 +190,7 @@ def test_help_loads_nothing_heavy():
 
 def test_a_run_with_kept_kernels_loads_neither_the_compiler_nor_pandas(tmp_path):
     survey = str(ROOT / "sample_data" / "quarry.laz")
-    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"
     for run in ("first", "second"):  # the first may have to compile
         command = [sys.executable, "-c", code, "map", survey, "--out", str(tmp_path / run)]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
