@@ -15,7 +15,7 @@ ROOMS = {
     "readers": ({"core"}, {"fsspec", "laspy", "lazrs", "numpy", "pypcd4", "pyproj"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
     "rating": ({"core"}, {"numpy"}),
-    "layers": ({"core"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"}),
+    "layers": ({"core"}, {"PIL", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"}),
     "survey": ({"core", "readers", "patches", "rating", "layers"}, {"numpy"}),
     "scan": (
         {"core", "readers", "rating", "layers", "survey"},
@@ -189,7 +189,7 @@ def test_help_loads_nothing_heavy():
 
 def test_a_run_with_kept_kernels_loads_neither_the_compiler_nor_pandas(tmp_path):
     survey = str(ROOT / "sample_data" / "quarry.laz")
-    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
+    code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"
     for run in ("first", "second"):  # the first may have to compile
         loaded = loaded_by(code, "map", survey, "--out", str(tmp_path / run))
     assert {"llvmlite", "pyarrow", "pyogrio"} <= loaded

@@ -69,7 +69,11 @@ class _LazyGroup(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`."""
+        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`.
+
+        ``obj`` of the context is True where the words are those of the process, which is then the command's own.
+        """
+        extra.setdefault("obj", args is None)
         words = list(sys.argv[1:] if args is None else args)
         run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
         if not standalone_mode:

@@ -53,6 +53,7 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli._summary import show
+    from bumpymap.layers import import_without_pandas
     from bumpymap.survey import map_surveys
 
     set_up_logging(as_json=log_json)
@@ -62,6 +63,8 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
         if name not in settings:
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
     config = MapConfig(**settings)
+    if ctx.obj:
+        import_without_pandas("pyogrio.raw")
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = map_surveys(config, progress)
     if not quiet:

@@ -74,10 +74,13 @@ def command(
     bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli import _scan_summary
+    from bumpymap.layers import import_without_pandas
     from bumpymap.scan import fit_frames, scan_frames
 
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
+    if ctx.obj:
+        import_without_pandas(*["pyogrio.raw"] if config.poses else [])
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         if fit is None:
             result = scan_frames(config, progress)

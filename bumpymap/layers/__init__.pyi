@@ -1,3 +1,6 @@
+from ._imports import (
+    import_without_pandas as import_without_pandas,
+)
 from .complete import (
     complete_record as complete_record,
     is_complete as is_complete,

@@ -1,6 +1,6 @@
 """Cloud-optimised GeoTIFF: a sparse scratch raster, then GDAL's COG driver, which adds overviews and statistics.
 
-The scratch raster is filled chunk by chunk, so that neither a large survey nor a large gap needs memory. A small one
+The scratch raster is filled window by window, so that neither a large survey nor a large gap needs memory. A small one
 stays in memory.
 """
 
@@ -28,7 +28,7 @@ except ImportError:  # not on Windows
 
 from bumpymap.core import atomic
 from bumpymap.layers._whole import digest, require_room, require_same
-from bumpymap.layers.placement import PlacedWindow, Placement
+from bumpymap.layers.placement import Placement, RasterWindow
 
 __all__ = ["Layer", "Sheet", "write_cog"]
 
@@ -85,7 +85,7 @@ def write_cog(
     path: Path,
     placement: Placement,
     sheet: Sheet,
-    paint: Callable[[PlacedWindow], NDArray[np.generic] | None],
+    paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int,
 ) -> None:
     """Write a COG, whole or not at all.
@@ -99,9 +99,9 @@ def write_cog(
     sheet : Sheet
         Bands, type, overviews.
     paint : callable
-        Gives the pixels of a chunk, (bands, lines * pixels, columns * pixels), north up; None where all are nodata.
+        Gives the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None where all are nodata.
     side : int
-        Side of a chunk, tiles: a multiple of a block's.
+        Side of a window, tiles: a multiple of a block's.
 
     Raises
     ------
@@ -171,10 +171,10 @@ def _write_scratch(
     scratch: str,
     placement: Placement,
     sheet: Sheet,
-    paint: Callable[[PlacedWindow], NDArray[np.generic] | None],
+    paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int | None,
 ) -> list[tuple[Window, int]]:
-    """Paint the raster chunk by chunk; give the windows that were painted, with their checksums.
+    """Paint the raster window by window; give those that were painted, with their checksums.
 
     Without a ``side`` all is painted at once, in one write that cannot lose a part, and there are no checksums.
     """
@@ -208,13 +208,13 @@ def _write_scratch(
         if sheet.colours:
             file.write_colormap(1, sheet.colours)
         whole = max(placement.window.cols, placement.window.rows)
-        for placed in placement.windows(side or whole, aligned=side is not None):
-            canvas = paint(placed)
+        for window in placement.windows(side or whole, aligned=side is not None):
+            canvas = paint(window)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
-                window = Window(placed.column * pixels, placed.line * pixels, across, down)
-                file.write(canvas, window=window)
-                painted += [] if side is None else [(window, digest(canvas))]
+                place = Window(window.column * pixels, window.line * pixels, across, down)
+                file.write(canvas, window=place)
+                painted += [] if side is None else [(place, digest(canvas))]
     return painted
 
 

@@ -1,8 +1,9 @@
-"""Connected areas of equal tiles in a cell of the map, and sums over each, compiled.
+"""Connected areas of equal tiles in a window of the map, and sums over each, compiled.
 
-Union-find over the pixels themselves: the root of an area is its first pixel in reading order (north row first, west
-first), so areas get their numbers in that order whatever their shape, and no second sorting is needed. Sums are made
-one tile after the other: the same tiles in the same order give the same bits.
+A union-find over the pixels, because scipy.ndimage labels one value at a time: measured three to six times slower, and
+0.2 s to import. The root of an area is its first pixel in reading order (north row first, west first), so areas get
+their numbers in that order. Sums are made one tile after the other: the same tiles in the same order give the same
+bits.
 """
 
 import numpy as np

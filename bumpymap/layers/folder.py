@@ -104,7 +104,7 @@ def write_products(
         What the run knows about itself, see `complete_manifest`; ``inputs`` are records with a ``path``, to which size
         and checksum are added, see `describe_input`.
     progress : Progress, optional
-        Told of each layer.
+        Counts the layers as they are written.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BANDS, CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers._cog import Layer, Sheet, write_cog
-from bumpymap.layers.placement import PlacedWindow, Placement
+from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
 
 __all__ = ["CLASS_COLOURS", "write_classes", "write_cost", "write_heightmap", "write_roughness"]
@@ -24,9 +24,9 @@ CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
 
 _TILE_BLOCK = 128
 _HEIGHT_BLOCK = 512
-_TILE_CHUNK = 16 * BLOCK_TILES
-"""Side of the chunks that are painted at a time, tiles: whole blocks, so that none is read twice."""
-_CHUNK_PIXELS = 1024
+_TILE_WINDOW = 16 * BLOCK_TILES
+"""Side of the windows that are painted at a time, tiles: whole blocks, so that none is read twice."""
+_WINDOW_PIXELS = 1024
 """The same for the height map, pixels: as many blocks as fit."""
 
 
@@ -61,7 +61,7 @@ def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None =
         block=_TILE_BLOCK,
         about=_about(table, "ride cost and roughness of each tile", about),
     )
-    write_cog(path, place, sheet, _painter(table.tiles, gaps, "float32"), _TILE_CHUNK)
+    write_cog(path, place, sheet, _painter(table.tiles, gaps, "float32"), _TILE_WINDOW)
 
 
 def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -87,7 +87,7 @@ def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = N
         everywhere=True,  # the reason says something about tiles without points too
     )
     gaps = {"class_id": NO_CLASS, "reason": Reason.NO_POINTS}
-    write_cog(path, place, sheet, _painter(table.tiles, gaps, "uint8", everywhere=True), _TILE_CHUNK)
+    write_cog(path, place, sheet, _painter(table.tiles, gaps, "uint8", everywhere=True), _TILE_WINDOW)
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -113,16 +113,16 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
         about=_about(table, "cost of driving over each tile", own | (about or {})),
     )
 
-    def paint(placed: PlacedWindow) -> NDArray[np.float32] | None:
-        if not table.tiles.holds(placed.window):
+    def paint(window: RasterWindow) -> NDArray[np.float32] | None:
+        if not table.tiles.holds(window.tiles):
             return None
-        found = table.tiles.read(PASSABLE_COLUMNS, placed.window)
+        found = table.tiles.read(PASSABLE_COLUMNS, window.tiles)
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
-        canvas = np.full((1, placed.window.rows, placed.window.cols), np.nan, dtype=np.float32)
-        canvas[0][placed.places(found)] = np.where(rule.passable(found), cost, np.nan)
+        canvas = np.full((1, window.tiles.rows, window.tiles.cols), np.nan, dtype=np.float32)
+        canvas[0][window.places(found)] = np.where(rule.passable(found), cost, np.nan)
         return canvas
 
-    write_cog(path, place, sheet, paint, _TILE_CHUNK)
+    write_cog(path, place, sheet, paint, _TILE_WINDOW)
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -145,30 +145,30 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
         level=1,
     )
 
-    def paint(placed: PlacedWindow) -> NDArray[np.float32] | None:
-        if not table.tiles.holds(placed.window):
+    def paint(window: RasterWindow) -> NDArray[np.float32] | None:
+        if not table.tiles.holds(window.tiles):
             return None
-        found = table.tiles.read(("heights",), placed.window)
-        line, column = placed.places(found)
-        lines, columns = placed.window.rows, placed.window.cols
+        found = table.tiles.read(("heights",), window.tiles)
+        line, column = window.places(found)
+        lines, columns = window.tiles.rows, window.tiles.cols
         canvas = np.full((lines, pixels, columns, pixels), np.nan, dtype=np.float32)
         canvas[line, :, column, :] = found["heights"]
         return canvas.reshape(1, lines * pixels, columns * pixels)
 
-    write_cog(path, place, sheet, paint, max(1, _CHUNK_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
+    write_cog(path, place, sheet, paint, max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
 
 
 def _painter(
     tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, everywhere: bool = False
-) -> Callable[[PlacedWindow], NDArray[np.generic] | None]:
+) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
     """Give the function that lays out one value a tile and band; ``gaps`` are what stands where there is no tile."""
 
-    def paint(placed: PlacedWindow) -> NDArray[np.generic] | None:
-        if not (everywhere or tiles.holds(placed.window)):
+    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
+        if not (everywhere or tiles.holds(window.tiles)):
             return None
-        canvas = np.empty((len(gaps), placed.window.rows, placed.window.cols), dtype=dtype)
-        found = tiles.read(tuple(gaps), placed.window)
-        place = placed.places(found)
+        canvas = np.empty((len(gaps), window.tiles.rows, window.tiles.cols), dtype=dtype)
+        found = tiles.read(tuple(gaps), window.tiles)
+        place = window.places(found)
         for band, (name, gap) in zip(canvas, gaps.items(), strict=True):
             band[...] = gap
             band[place] = found[name]

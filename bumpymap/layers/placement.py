@@ -1,4 +1,4 @@
-"""Where the tiles of a map lie in its files: raster window, chunks of it, CRS units."""
+"""Where the tiles of a map lie in its files: the raster that they span, windows of it, CRS units."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from rasterio.transform import Affine
 from bumpymap.core import BadInputError, CostTable, Georeference
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["MAX_PIXELS", "MAX_SIDE", "MAX_TILES", "PlacedWindow", "Placement", "check_extent"]
+__all__ = ["MAX_PIXELS", "MAX_SIDE", "MAX_TILES", "Placement", "RasterWindow", "check_extent"]
 
 MAX_TILES = 100_000_000
 """Most tiles that the window around a survey may span: 30 km x 30 km of 3 m tiles."""
@@ -46,19 +46,19 @@ def check_extent(grid: Grid, window: TileWindow) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedWindow:
+class RasterWindow:
     """A rectangle of the raster."""
 
-    window: TileWindow
-    """Its tiles."""
+    tiles: TileWindow
+    """The tiles in it."""
     line: int
     """Its northmost raster row, in tiles from the top."""
     column: int
     """Its westmost raster column, in tiles."""
 
     def places(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Line and column inside the chunk, counted from its north-west corner, of tiles that were read for it."""
-        return self.window.row + self.window.rows - 1 - found["row"], found["col"] - self.window.col
+        """Line and column inside the window, counted from its north-west corner, of tiles that were read for it."""
+        return self.tiles.row + self.tiles.rows - 1 - found["row"], found["col"] - self.tiles.col
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class Placement:
         step = self.grid.tile_size / self.georeference.metres_per_unit / pixels
         return Affine(step, 0.0, float(west), 0.0, -step, float(north))
 
-    def windows(self, side: int, *, aligned: bool) -> Iterator[PlacedWindow]:
+    def windows(self, side: int, *, aligned: bool) -> Iterator[RasterWindow]:
         """Cut the raster into squares of ``side`` tiles, north-west first; those on the rim may be smaller.
 
         Cuts lie ``side`` tiles apart, counted from the CRS origin where ``aligned`` (a multiple of a block's side then
@@ -112,7 +112,7 @@ class Placement:
         for south, top in reversed(rows):
             for west, right in cols:
                 inside = TileWindow(west, south, right - west, top - south)
-                yield PlacedWindow(inside, north - top, west - window.col)
+                yield RasterWindow(inside, north - top, west - window.col)
 
 
 def _cuts(start: int, stop: int, side: int, origin: int) -> list[tuple[int, int]]:

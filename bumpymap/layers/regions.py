@@ -15,17 +15,17 @@ from rasterio.transform import Affine
 
 from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers._label import add_up, label
-from bumpymap.layers.placement import PlacedWindow, Placement
+from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
 
-__all__ = ["CELL", "Regions", "dissolve"]
+__all__ = ["REGION_WINDOW", "Regions", "dissolve"]
 
-CELL = 2_048
-"""Side of the cells that regions are cut at, tiles: 6 km of 3 m tiles."""
+REGION_WINDOW = 2_048
+"""Side of the windows that regions are cut at, tiles: 6 km of 3 m tiles."""
 _BATCH = 8_192
 """Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
-_STRIP = CELL * BLOCK_TILES
-"""Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a cell."""
+_STRIP = REGION_WINDOW * BLOCK_TILES
+"""Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a window."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
 _BARRED = 10
@@ -90,8 +90,8 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
     """Join neighbouring tiles of one class, all passable or none, or unknown for one reason, into regions.
 
     Tiles are neighbours when they share a side. Outlines run along tile sides; vertices are whole numbers of tiles.
-    A large map is dissolved cell by cell, `CELL` x `CELL` tiles counted from its north-west corner: a region that
-    crosses the border of a cell is cut there, and memory does not depend on the size of the map.
+    A large map is dissolved window by window, `REGION_WINDOW` tiles a side, counted from its north-west corner: a
+    region that crosses the border of a window is cut there, and memory does not depend on the size of the map.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
     Yields
     ------
     Regions
-        Some thousand at a time: the cells north-west first, in each the region with the northmost (then westmost)
+        Some thousand at a time: the windows north-west first, in each the region with the northmost (then westmost)
         tile first.
 
     Raises
@@ -112,28 +112,28 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
         The tiles span too much for a raster.
     """
     place = placement or Placement.of(table)
-    for placed in place.windows(CELL, aligned=False):
-        if table.tiles.holds(placed.window):
-            yield from _dissolve_cell(table, place, placed)
+    for window in place.windows(REGION_WINDOW, aligned=False):
+        if table.tiles.holds(window.tiles):
+            yield from _dissolve_window(table, place, window)
 
 
-def _dissolve_cell(table: CostTable, place: Placement, placed: PlacedWindow) -> Iterator[Regions]:
-    keys = _lay_out(table, placed)
+def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -> Iterator[Regions]:
+    keys = _lay_out(table, window)
     labels, first, last = label(keys)
     key = keys.ravel()[first]
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
-    means = _add_up(table, placed, labels, len(first)) / tiles
+    means = _add_up(table, window, labels, len(first)) / tiles
     passable = key < _BARRED
     class_id = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _BARRED).astype(np.uint8)
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
     for start in range(0, len(first), _BATCH):
         some = slice(start, start + _BATCH)
-        rows = slice(int(first[start]) // placed.window.cols, int(last[some].max()) // placed.window.cols + 1)
+        rows = slice(int(first[start]) // window.tiles.cols, int(last[some].max()) // window.tiles.cols + 1)
         c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
         free = passable[some]
         yield Regions(
             placement=place,
-            outlines=_outlines(labels, placed.window, rows, range(start + 1, start + len(first[some]) + 1)),
+            outlines=_outlines(labels, window.tiles, rows, range(start + 1, start + len(first[some]) + 1)),
             class_id=class_id[some],
             reason=reason[some],
             tiles=tiles[some],
@@ -147,26 +147,26 @@ def _dissolve_cell(table: CostTable, place: Placement, placed: PlacedWindow) -> 
         )
 
 
-def _lay_out(table: CostTable, placed: PlacedWindow) -> NDArray[np.uint8]:
-    """Keys (rows, cols) of a cell, 0 where there is no tile, north row first."""
-    keys = np.zeros((placed.window.rows, placed.window.cols), dtype=np.uint8)
-    for strip in table.tiles.strips(_STRIP, placed.window):
+def _lay_out(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
+    """Keys (rows, cols) of a window, 0 where there is no tile, north row first."""
+    keys = np.zeros((window.tiles.rows, window.tiles.cols), dtype=np.uint8)
+    for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
         known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _BARRED)
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
-        keys[placed.places(found)] = key
+        keys[window.places(found)] = key
     return keys
 
 
-def _add_up(table: CostTable, placed: PlacedWindow, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def _add_up(table: CostTable, window: RasterWindow, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
     """Give sums (5, count) over the tiles of each label, of ``_VALUES`` and the hazard.
 
     Reading twice takes less memory than values laid out.
     """
     totals = np.zeros((len(_VALUES) + 1, count))
-    for strip in table.tiles.strips(_STRIP, placed.window):
+    for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read(_VALUES, strip)
-        area = labels[placed.places(found)] - 1
+        area = labels[window.places(found)] - 1
         for total, name in zip(totals, _VALUES, strict=False):
             add_up(area, found[name], total)
         add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
@@ -174,7 +174,7 @@ def _add_up(table: CostTable, placed: PlacedWindow, labels: NDArray[np.int32], c
 
 
 def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
-    """Trace the outlines of some labels of a cell, which lie in some of its rows, in grid coordinates."""
+    """Trace the outlines of some labels of a window, which lie in some of its rows, in grid coordinates."""
     part = labels[rows]
     grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
     mask = (part >= wanted.start) & (part < wanted.stop)

@@ -12,7 +12,6 @@ import shapely
 from numpy.typing import NDArray
 
 from bumpymap.core import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostTable, Reason, atomic, tile_columns
-from bumpymap.layers._arrow import lists, numbers, texts
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
@@ -120,14 +119,15 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
     col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
     chance = found["probability"]
+    heights = pa.array(found["heights"].reshape(-1), pa.float32())
     columns: dict[str, Any] = {
         "col": col,
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
         "texture": _texture(chance),
-        "class": numbers(found["class_id"], schema.field("class").type, found["class_id"] != NO_CLASS),
+        "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
         "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
-        "heights": lists(found["heights"], schema.field("heights").type),
+        "heights": pa.FixedSizeListArray.from_arrays(heights, place.grid.pixels**2),
     }
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
@@ -135,9 +135,8 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
 
 
 def _array(values: Any, field: pa.Field) -> pa.Array:
-    if isinstance(values, pa.Array):
-        return values
-    return texts(values, field.type) if values.dtype == object else numbers(values, field.type)
+    """Give an array of the field's type in which None and NaN are null."""
+    return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
 
 
 def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:

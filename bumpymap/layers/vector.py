@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import NO_CLASS, BadInputError, atomic
-from bumpymap.layers._arrow import values
-from bumpymap.layers._ogr import announced
 from bumpymap.layers.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
@@ -196,14 +194,13 @@ def _schema() -> pa.Schema:
 def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
     columns: dict[str, Any] = _columns(regions)
     columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
-    return pa.record_batch([values(columns[field.name], field.type) for field in schema], schema=schema)
+    return pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
     """Turn the regions that wait, so many, into FlatGeobuf."""
-    with announced("pandas", "geopandas"):
-        from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
-        from pyogrio.raw import read, write_arrow
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
+    from pyogrio.raw import read, write_arrow
 
     crs = placement.horizontal_crs
     # Small ones through memory. GDAL takes what follows a '!' in a path for a part of an archive, and does not notice

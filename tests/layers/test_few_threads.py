@@ -27,7 +27,7 @@ except RuntimeError:
     pass
 place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
 sheet = _cog.Sheet([_cog.Layer("height")], "float32", float("nan"), 15, None, "AVERAGE", 512)
-paint = lambda chunk: np.full((1, chunk.window.rows * 15, chunk.window.cols * 15), 7, np.float32)
+paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
 _cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
 """
 

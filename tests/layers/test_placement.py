@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import MAX_TILES, Placement, check_extent
-from bumpymap.layers.placement import PlacedWindow
+from bumpymap.layers.placement import RasterWindow
 from bumpytiles import Grid, TileWindow
 
 
@@ -18,24 +18,24 @@ def test_chunks_cover_the_raster_once(aligned, window, side):
     place = Placement(Georeference(None), Grid(), window)
     raster = np.zeros((window.rows, window.cols), int)
     corners = []
-    for placed in place.windows(side, aligned=aligned):
-        part = placed.window
+    for cut in place.windows(side, aligned=aligned):
+        part = cut.tiles
         assert 1 <= part.cols <= side
         assert 1 <= part.rows <= side
-        assert part.col - window.col == placed.column
-        assert window.row + window.rows - part.row - part.rows == placed.line
+        assert part.col - window.col == cut.column
+        assert window.row + window.rows - part.row - part.rows == cut.line
         west, north = (0, 0) if aligned else (window.col, window.row + window.rows)
-        assert (part.col - west) % side == 0 or placed.column == 0
-        assert (part.row + part.rows - north) % side == 0 or placed.line == 0
-        raster[placed.line : placed.line + part.rows, placed.column : placed.column + part.cols] += 1
-        corners.append((placed.line, placed.column))
+        assert (part.col - west) % side == 0 or cut.column == 0
+        assert (part.row + part.rows - north) % side == 0 or cut.line == 0
+        raster[cut.line : cut.line + part.rows, cut.column : cut.column + part.cols] += 1
+        corners.append((cut.line, cut.column))
     assert (raster == 1).all()
     assert corners == sorted(corners)
 
 
 def test_tiles_find_their_places_in_a_chunk():
-    placed = PlacedWindow(TileWindow(4, 1, 2, 2), 0, 0)
-    line, column = placed.places({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
+    cut = RasterWindow(TileWindow(4, 1, 2, 2), 0, 0)
+    line, column = cut.places({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
     assert (line.tolist(), column.tolist()) == ([1, 0, 0], [1, 0, 1])
 
 

@@ -138,9 +138,9 @@ def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
             np.testing.assert_array_equal(values, whole[name])
 
 
-def test_a_large_map_is_cut_into_cells_from_its_north_west_corner(make_field, monkeypatch):
+def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
     cost_map = make_field(45, 30, holes=0.3)
-    monkeypatch.setattr("bumpymap.layers.regions.CELL", 20)
+    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
     found = joined(list(dissolve(CostTable.of(cost_map))))
     patches = cost_map.patches
     west, north = patches.col.min(), patches.row.max()

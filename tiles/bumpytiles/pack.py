@@ -4,6 +4,10 @@ What leaves memory during a run goes into packs: points that wait for their bloc
 pack is data (the columns of one block back to back, block after block), then an index, then a trailer that says where
 the index is. It is written under another name and renamed, so a pack that can be seen is complete; the index has a
 checksum of its own.
+
+Arrow's IPC file was tried instead. Its footer has no checksum (of 639 bytes changed one at a time outside the columns,
+4 gave other data without an error), some rows of a large block cannot be read alone, and small blocks take 1.6 times
+as long to write.
 """
 
 import json
@@ -76,12 +80,12 @@ class PackWriter:
         return self
 
     def add(self, key: BlockKey, rows: int, columns: Mapping[str, Iterable[NDArray[Any]]]) -> None:
-        """Write a block: ``rows`` rows; each column comes in one or more pieces that follow each other."""
+        """Write a block: ``rows`` rows; each column comes in one or more arrays that follow each other."""
         self._index.append((*key, rows, self._at))
         for column in self._columns:
             size = 0
-            for chunk in columns[column.name]:
-                size += self._file.write(_bytes(np.ascontiguousarray(chunk, dtype=column.dtype)))
+            for array in columns[column.name]:
+                size += self._file.write(_bytes(np.ascontiguousarray(array, dtype=column.dtype)))
             if size != rows * column.row_bytes:
                 raise ValueError(f"column {column.name} holds {size} bytes; {rows} rows need {rows * column.row_bytes}")
             self._at += size

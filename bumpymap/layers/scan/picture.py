@@ -1,21 +1,18 @@
 """frames/NAME.png: a scan from above, forward up, sectors and points in the colours of their classes.
 
-Every pixel of the picture knows its distance and azimuth, and so its sector: painting is looking up, and needs no
-drawing library. Only the letters of the legend are drawn, dot by dot.
+The sector of every pixel follows from its distance and azimuth, so sectors, points and range rings are painted in the
+array of pixels. Pillow draws the text and the arrows, with the font that it carries: no font of the machine is used.
 """
 
 import math
-import warnings
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning
-from rasterio.io import MemoryFile
+from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack
-from bumpymap.layers.scan._glyphs import HEIGHT, word
 from bumpymap.layers.scan.geometry import sector_bounds
 from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
 
@@ -25,49 +22,57 @@ SIDE = 960
 """Pixels along a side of the scene."""
 _PANEL = 300
 """Pixels of the legend's width, to the right of the scene."""
-_PAPER, _INK, _RING = (16, 18, 22), (235, 235, 235), (120, 124, 132)
+_PAPER, _INK, _FAINT_INK, _RING = (16, 18, 22), (235, 235, 235), (170, 174, 182), (120, 124, 132)
 _FILL = 0.42
 """How much of its class colour the area of a sector takes; its points take all of it."""
 _BORDER = 0.7
 """How bright it is between two sectors."""
 _STEPS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 _FEWEST_RINGS = 3
-_ARROW_PX = 16
+_ARROW = ((0, -16), (12, 14), (0, 9), (-12, 14))
+"""Corners of the arrow that points forward, pixels to the right and down from the sensor."""
+_TEXT_PX, _SMALL_PX = 21, 17
+"""Sizes of the letters of names, and of all other text."""
+_SWATCH_PX = 34
 
 Picture = NDArray[np.uint8]
 
 
 def write_picture(scan: Scan, classed: ClassedSectors, path: Path) -> None:
     """Write the picture of a scan as PNG."""
-    bands = np.ascontiguousarray(paint(scan, classed).transpose(2, 0, 1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # the sensor's frame has no place on Earth
-        with MemoryFile() as memory:
-            with memory.open(
-                driver="PNG", count=3, height=bands.shape[1], width=bands.shape[2], dtype="uint8", zlevel=4
-            ) as file:
-                file.write(bands)
-            path.write_bytes(memory.read())
+    paint(scan, classed).save(path, "PNG", compress_level=4)
 
 
-def paint(scan: Scan, classed: ClassedSectors) -> Picture:
+def paint(scan: Scan, classed: ClassedSectors) -> Image.Image:
     """Paint a scan.
 
     Returns
     -------
-    (SIDE, SIDE + legend, 3) uint8
-        Forward (x) is up, left (y) is left; the sensor is in the middle of the scene.
+    Image
+        RGB, ``SIDE`` high and wider by the legend. Forward (x) is up, left (y) is left; the sensor is in the middle of
+        the scene.
     """
     reach = reach_of(classed.sectors)
+    step = _ring_step(reach)
+    picture: Picture = np.full((SIDE, SIDE + _PANEL, 3), _PAPER, np.uint8)
+    picture[:, :SIDE] = _scene(scan, classed, reach, step)
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    _draw_distances(draw, reach, step)
+    _draw_arrow(draw, SIDE // 2, SIDE // 2)
+    _draw_legend(draw, scan, classed, step)
+    return image
+
+
+def _scene(scan: Scan, classed: ClassedSectors, reach: float, step: float) -> Picture:
+    """Paint what lies around the sensor, (SIDE, SIDE, 3): sectors, points over them, range rings over both."""
     scene: Picture = np.full((SIDE, SIDE, 3), _PAPER, np.uint8)
     _paint_sectors(scene, classed, reach)
     _paint_points(scene, scan, classed, reach)
-    step = _ring_step(reach)
-    _paint_rings(scene, reach, step)
-    _paint_arrow(scene, SIDE // 2, SIDE // 2)
-    panel: Picture = np.full((SIDE, _PANEL, 3), _PAPER, np.uint8)
-    _paint_legend(panel, scan, classed, step)
-    return np.concatenate([scene, panel], axis=1)
+    place, strength = _ring_lines(reach, step)
+    under = scene.reshape(-1, 3)[place]
+    scene.reshape(-1, 3)[place] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
+    return scene
 
 
 def reach_of(stack: SectorStack) -> float:
@@ -147,16 +152,6 @@ def _ring_step(reach: float) -> float:
     return max((step for step in _STEPS_M if step * _FEWEST_RINGS <= reach), default=reach)
 
 
-def _paint_rings(scene: Picture, reach: float, step: float) -> None:
-    place, strength = _ring_lines(reach, step)
-    under = scene.reshape(-1, 3)[place]
-    scene.reshape(-1, 3)[place] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
-    for number in range(1, int(reach / step + 1e-6) + 1):
-        # On the diagonal, forward and to the right, where neither the arrow nor the edge is in the way.
-        out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
-        _write(scene, f"{number * step:g} m", int(SIDE / 2 - out) - HEIGHT, int(SIDE / 2 + out) + 4)
-
-
 @lru_cache(maxsize=2)
 def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Pixels of the range rings, and how much of their colour they take."""
@@ -166,38 +161,47 @@ def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[n
     return place, np.minimum(np.float32(1.2) - off[place], np.float32(0.8))
 
 
-def _paint_arrow(scene: Picture, row: int, column: int) -> None:
-    """Paint a triangle that points forward; its middle is the sensor."""
-    down, right = np.mgrid[-_ARROW_PX : _ARROW_PX + 1, -_ARROW_PX : _ARROW_PX + 1]
-    inside = (np.abs(right) <= (down + _ARROW_PX) * 0.4) & (down <= _ARROW_PX * 0.6 + np.abs(right) * 0.4)
-    scene[row - _ARROW_PX : row + _ARROW_PX + 1, column - _ARROW_PX : column + _ARROW_PX + 1][inside] = _INK
+def _draw_distances(draw: ImageDraw.ImageDraw, reach: float, step: float) -> None:
+    """Write the distance of each range ring, dark around the letters: they lie over sectors and points."""
+    for number in range(1, int(reach / step + 1e-6) + 1):
+        # On the diagonal, forward and to the right, where neither the arrow nor the edge is in the way.
+        out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
+        corner = (SIDE / 2 + out + 4, SIDE / 2 - out)
+        draw.text(corner, f"{number * step:g} m", _INK, _font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
 
 
-def _paint_legend(panel: Picture, scan: Scan, classed: ClassedSectors, step: float) -> None:
+def _draw_arrow(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
+    """Draw the arrow that points forward; the sensor is there."""
+    draw.polygon([(column + right, row + down) for right, down in _ARROW], _INK, _PAPER)
+
+
+def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors, step: float) -> None:
     stack = classed.sectors
     sectors = np.bincount(
         np.where(classed.class_id == NOT_TRAVERSABLE, CLASSES, classed.class_id), minlength=CLASSES + 1
     )
     outside = int((stack.point_sector < 0).sum())
-    row = 40
+    left, row = SIDE + 16, 40
+    text = left + _SWATCH_PX + 14
     for look, name in enumerate(NAMES):
-        panel[row : row + 28, 16:44] = COLOURS[look]
-        _write(panel, name.upper(), row, 56)
-        count = f"{outside:,} POINTS" if look > CLASSES else f"{sectors[look]:,} SECTORS"
-        _write(panel, count, row + 18, 56, _RING)
+        draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(COLOURS[look].tolist()))
+        draw.text((text, row + 7), name, _INK, _font(_TEXT_PX), "lm")
+        count = f"{outside:,} points" if look > CLASSES else f"{sectors[look]:,} sectors"
+        draw.text((text, row + 30), count, _FAINT_INK, _font(_SMALL_PX), "lm")
         row += 56
-    row += 20
-    _paint_arrow(panel, row + 7, 30)
-    _write(panel, "FORWARD", row, 56)
-    _write(panel, f"RINGS: {step:g} m", row + 40, 16)
-    _write(panel, f"{len(scan.points):,} POINTS", row + 70, 16)
+    row += 30
+    _draw_arrow(draw, left + _SWATCH_PX // 2, row)
+    draw.text((text, row), "forward", _INK, _font(_TEXT_PX), "lm")
+    lines = [f"range rings every {step:g} m", f"{len(scan.points):,} points in the scan"]
     if not len(stack.zone):
-        _write(panel, "NO SECTOR HOLDS", row + 120, 16)
-        _write(panel, f"MORE THAN {stack.settings.least_points} POINTS", row + 142, 16)
+        lines += ["", "no sector holds", f"more than {stack.settings.least_points} points"]
+    draw.multiline_text((left, row + 36), "\n".join(lines), _INK, _font(_SMALL_PX), spacing=10)
 
 
-def _write(picture: Picture, text: str, row: int, column: int, ink: tuple[int, int, int] = _INK) -> None:
-    """Write a text with its upper left corner there; what does not fit is cut off."""
-    dots = word(text)[: max(SIDE - row, 0), : max(picture.shape[1] - column, 0)]
-    if row >= 0 and dots.size:
-        picture[row : row + dots.shape[0], column : column + dots.shape[1]][dots] = ink
+@lru_cache(maxsize=2)
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    """Return the font that Pillow carries, laid out by Pillow itself: the same pixels on every machine."""
+    font = ImageFont.load_default(size)
+    if not isinstance(font, ImageFont.FreeTypeFont):
+        raise TypeError("this Pillow was built without FreeType")
+    return font.font_variant(layout_engine=ImageFont.Layout.BASIC)

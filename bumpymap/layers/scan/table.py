@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
-from bumpymap.layers._arrow import numbers, texts
 from bumpymap.layers.scan.geometry import sector_bounds
 
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
@@ -93,25 +92,20 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
     """Give the rows of a frame."""
     stack, bounds = classed.sectors, sector_bounds(classed.sectors)
     count = len(stack.zone)
-    unknown = {"class": classed.class_id == NOT_TRAVERSABLE, "label": stack.label < 0}
     columns: dict[str, Any] = {
         "frame": [name] * count,
         "points": stack.count,
-        "class": np.where(unknown["class"], 0, classed.class_id),
+        "class": pa.array(classed.class_id, pa.int8(), mask=classed.class_id == NOT_TRAVERSABLE),
+        "label": pa.array(stack.label, pa.int16(), mask=stack.label < 0),
         "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
     }
     columns |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
     schema = _schema()
-    arrays = []
-    for column in schema:
-        values = columns[column.name] if column.name in columns else getattr(stack, column.name)
-        known = ~unknown[column.name] if column.name in unknown else None
-        arrays.append(_array(values, column.type, known))
-    return pa.table(arrays, schema=schema)
+    columns |= {name: getattr(stack, name) for name in schema.names if name not in columns}
+    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
 
 
-def _array(values: Any, kind: pa.DataType, known: Any) -> pa.Array:
-    if kind == pa.bool_():  # Arrow packs truth into bits
-        return numbers(values, pa.uint8()).cast(kind)
-    return texts(values, kind) if kind == pa.string() else numbers(values, kind, known)
+def _array(values: Any, field: pa.Field) -> pa.Array:
+    """Give an array of the field's type in which NaN is null."""
+    return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)

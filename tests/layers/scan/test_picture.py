@@ -8,12 +8,15 @@ import rasterio
 
 from bumpymap.core import PolarSettings, Scan, point_classes
 from bumpymap.layers import COLOURS, NAMES
-from bumpymap.layers.scan._glyphs import HEIGHT, word
 from bumpymap.layers.scan.geometry import sector_bounds
-from bumpymap.layers.scan.picture import SIDE, paint, reach_of, write_picture
+from bumpymap.layers.scan.picture import SIDE, paint as paint_image, reach_of, write_picture
 from bumpymap.scan import classify_filter, polar_sectors
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+def paint(scan, classed):
+    return np.asarray(paint_image(scan, classed))
 
 
 def pixel(x, y, reach):
@@ -80,22 +83,19 @@ def test_the_legend_has_a_swatch_of_every_look_and_says_when_there_is_nothing(sc
     assert ink[1] > 0
 
 
-def test_every_word_of_the_legend_can_be_written():
-    for text in (
-        *NAMES,
-        "1,234,567,890 points",
-        "rings: 20",
-        "forward",
-        "no sector holds more than 30 points",
-        "sectors",
-    ):
-        for letter in text.upper().replace(" ", ""):
-            assert word(letter, 1).any(), letter
-    assert word("m", 1).any()
-    assert not word(" ?", 1).any()
-    pictures = [word(letter, 1).tobytes() for letter in "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ,.:m"]
-    assert len(set(pictures)) == len(pictures)
-    assert word("AB", 3).shape == (3 * HEIGHT, 3 * 12)
+def test_every_look_has_its_name_and_its_count_beside_its_swatch(scan, classed, nothing):
+    """Other counts are other text; the same names are the same."""
+    full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
+    names = set()
+    for look, colour in enumerate(COLOURS):
+        rows, columns = np.nonzero((full == colour).all(axis=2))
+        top, right = np.bincount(rows).argmax(), columns.max() + 1  # the first of the swatch's longest rows
+        name, count = slice(top - 2, top + 17), slice(top + 20, top + 42)
+        assert (full[name, right:] == 235).all(axis=2).any(), NAMES[look]
+        np.testing.assert_array_equal(full[name, right:], empty[name, right:])
+        assert (full[count, right:] != empty[count, right:]).any(), NAMES[look]
+        names.add(full[name, right:].tobytes())
+    assert len(names) == len(NAMES)
 
 
 def test_far_points_and_strange_grids_are_no_trouble():
