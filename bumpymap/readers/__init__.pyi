@@ -3,6 +3,7 @@ from .decoder import (
 )
 from .detect import (
     open_survey as open_survey,
+    read_columns as read_columns,
     reopen_survey as reopen_survey,
 )
 from .find import (

@@ -8,10 +8,10 @@ from bumpymap.core import PointCloud, UsageError
 from bumpymap.readers.point_stats import PointStats, judge
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyInfo
 
-__all__ = ["Survey"]
+__all__ = ["SurveyBase"]
 
 
-class Survey(ABC):
+class SurveyBase(ABC):
     """A ``SurveyReader``; a format adds how its pieces are cut, read and converted."""
 
     def __init__(self, info: SurveyInfo) -> None:

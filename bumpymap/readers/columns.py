@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Georeference
 from bumpymap.readers.batch import RawPoints
-from bumpymap.readers.source import Location, read_range
+from bumpymap.readers.source import OpenFile
 
 __all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]
 
@@ -42,9 +42,9 @@ def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, p
     return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
 
 
-def read_rows(path: Location, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
+def read_rows(file: OpenFile, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
     """Read rows of a binary table from ``first`` on; fewer than ``count`` where the file ends."""
-    data = read_range(path, data_at + first * dtype.itemsize, count * dtype.itemsize)
+    data = file.read(data_at + first * dtype.itemsize, count * dtype.itemsize)
     return data[: data.size // dtype.itemsize * dtype.itemsize].view(dtype)
 
 

@@ -3,26 +3,26 @@
 Layout as in the COPC 1.0 specification. The octree is walked depth first, a node before its children, and children
 that lie above each other one after the other: once the walk has left a square of ground, that square is complete. Only
 the few nodes above a place in the tree are shared with the rest of the file.
+
+laspy is not used: it follows pages that lead in a circle without end, and builds a Python object for each node.
 """
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.cut import cut_chunks
+from bumpymap.readers.batch import RecordLayout
+from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.las_header import RawHeader
-from bumpymap.readers.las_points import Cubes, Records, RecordSource, decode_chunks
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
-from bumpymap.readers.protocol import Chunk
+from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
-__all__ = ["CopcNodes", "Octree", "read_octree"]
+__all__ = ["count_points_outside_node", "read_octree"]
 
 _ENTRY = np.dtype(
     [("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")]
@@ -35,77 +35,8 @@ _MOST_PAGES = 100_000
 _ANEW = "Build the file anew, such as with: pdal translate IN.laz OUT.copc.laz"
 
 
-@dataclass(frozen=True, slots=True)
-class Octree:
-    """The nodes of a file that hold points, in the order of reading."""
-
-    table: ChunkTable
-    west: NDArray[np.float64]
-    """(n,) western side of the node's cube, in the file's unit."""
-    south: NDArray[np.float64]
-    """(n,) its southern side."""
-    side: NDArray[np.float64]
-    """(n,) its length."""
-
-
-class CopcNodes(RecordSource):
-    """Pieces of whole nodes."""
-
-    def __init__(
-        self, path: Location, header: RawHeader, record: bytes, octree: Octree, metres_per_unit: float | None
-    ) -> None:  # fmt: skip
-        """``metres_per_unit`` is None where the cubes are not to be believed."""
-        self._path, self._header, self._record = path, header, record
-        self._octree, self._metres_per_unit = octree, metres_per_unit
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut the walk through the tree into runs of nodes, each with the box around its cubes."""
-        ends = self._octree.table.ends
-        runs = cut_chunks(ends, points, self._header.point_size)
-        befores = [int(ends[first - 1]) if first else 0 for first, _ in runs]
-        return [
-            Chunk(index, before, int(ends[last - 1]) - before, self._bounds(slice(first, last)))
-            for index, ((first, last), before) in enumerate(zip(runs, befores, strict=True))
-        ]
-
-    def fetch(self, chunk: Chunk) -> Records:
-        """Read the bytes of the nodes, neighbours in the file at once, and decode them."""
-        table, nodes = self._octree.table, self._nodes(chunk)
-        starts, sizes, counts = table.starts[nodes], table.sizes[nodes], table.counts[nodes]
-        gaps = np.flatnonzero(starts[1:] != starts[:-1] + sizes[:-1]) + 1
-        ranges = [
-            (int(starts[near[0]]), int(sizes[near].sum())) for near in np.split(np.arange(nodes.size), gaps)
-        ]  # fmt: skip
-        held = list(zip(counts.tolist(), sizes.tolist(), strict=True))
-        return decode_chunks(self._path, self._header, self._record, ranges, held)
-
-    def cubes(self, chunk: Chunk) -> Cubes | None:
-        """Give the cube of each node: a point in that of another would be missed where it is looked for."""
-        if self._metres_per_unit is None:
-            return None
-        nodes = self._nodes(chunk)
-        return Cubes(self._octree.table.counts[nodes], self._sides(nodes))
-
-    def _nodes(self, chunk: Chunk) -> NDArray[np.int64]:
-        """Nodes of a piece in the order of their bytes."""
-        run = self._octree.table.find(chunk)
-        order: NDArray[np.int64] = run.start + np.argsort(self._octree.table.starts[run], kind="stable")
-        return order
-
-    def _sides(self, nodes: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        octree = self._octree
-        west, south, side = octree.west[nodes], octree.south[nodes], octree.side[nodes]
-        return np.column_stack([west, south, west + side, south + side]) * (self._metres_per_unit or 1.0)
-
-    def _bounds(self, nodes: slice) -> Bounds | None:
-        if self._metres_per_unit is None:
-            return None
-        sides = self._sides(nodes)
-        return Bounds(*sides[:, :2].min(axis=0).tolist(), *sides[:, 2:].max(axis=0).tolist())
-
-
-def read_octree(stream: BinaryIO, path: Location, header: RawHeader) -> Octree:
-    """Read all pages of the hierarchy.
+def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_unit: float | None) -> ChunkTable:
+    """Read all pages of the hierarchy; ``metres_per_unit`` is None where the cubes are not to be believed.
 
     Raises
     ------
@@ -113,7 +44,7 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader) -> Octree:
         Pages or nodes that are not in the file, that overlap or come twice, or whose points are not as many as the
         header promises.
     """
-    info = header.find(b"copc", 1) or b""
+    info = header.records[b"copc", 1]
     if len(info) < 56:
         raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_ANEW}")
     x, y, _, half, _, page_at, page_size = struct.unpack_from("<5d2Q", info)
@@ -128,9 +59,13 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader) -> Octree:
     nodes = nodes[_walk_order(nodes)]
     sizes, counts = nodes["size"].astype(np.int64), nodes["points"].astype(np.int64)
     refuse_density(path, counts, sizes)
+    starts = nodes["offset"].astype(np.int64)
+    if metres_per_unit is None:
+        return ChunkTable(counts, starts, sizes)
     side = 2 * half / np.exp2(nodes["level"])
-    table = ChunkTable(np.cumsum(counts), nodes["offset"].astype(np.int64), sizes)
-    return Octree(table, x - half + nodes["x"] * side, y - half + nodes["y"] * side, side)
+    west, south = x - half + nodes["x"] * side, y - half + nodes["y"] * side
+    boxes = np.column_stack([west, south, west + side, south + side]) * metres_per_unit
+    return ChunkTable(counts, starts, sizes, boxes)
 
 
 def _read_nodes(
@@ -198,3 +133,30 @@ def _walk_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
         keys.append(np.where(inside, 4 * y + 2 * x + z, -1))
     # The last key counts most: the first step from the root.
     return np.lexsort(keys[::-1]) if keys else np.zeros(nodes.size, np.int64).argsort(kind="stable")
+
+
+def count_points_outside_node(
+    records: NDArray[np.uint8], layout: RecordLayout, metres_per_unit: float, box: Bounds, nodes: ChunkTable
+) -> int:
+    """Count points inside the file's box and more than ``OUTSIDE`` outside the cube of their node.
+
+    Node by node, so that the verdict does not depend on how the file is cut. Only nodes whose extremes lie outside are
+    looked at point by point.
+    """
+    scales, offsets = np.array(layout.scales[:2]), np.array(layout.offsets[:2])
+
+    def outside(words: NDArray[np.int32], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+        # The steps of the kernel that converts all points, so the same bits.
+        with np.errstate(over="ignore"):
+            points = np.round(words * scales + offsets, DECIMALS) * metres_per_unit
+        beyond = (points < boxes[:, :2] - OUTSIDE) | (points > boxes[:, 2:] + OUTSIDE)
+        return np.asarray(beyond.any(axis=1))
+
+    boxes = np.empty((0, 4)) if nodes.boxes is None else nodes.boxes
+    words = np.ascontiguousarray(records[:, :8]).view("<i4")
+    starts = np.cumsum(nodes.counts) - nodes.counts
+    suspect = outside(np.minimum.reduceat(words, starts), boxes) | outside(np.maximum.reduceat(words, starts), boxes)
+    points = words[np.repeat(suspect, nodes.counts)]
+    own = np.repeat(boxes[suspect], nodes.counts[suspect], axis=0)
+    whole = np.array([[box.west, box.south, box.east, box.north]])
+    return int(np.count_nonzero(outside(points, own) & ~outside(points, whole)))

@@ -1,12 +1,11 @@
-"""Cutting a file into pieces."""
-
-from collections.abc import Sequence
+"""Cut a file into pieces."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
 from bumpymap.readers.protocol import Chunk
+from bumpytiles import Bounds
 
 __all__ = ["chunk_points", "cut_chunks", "cut_rows"]
 
@@ -27,24 +26,32 @@ def cut_rows(total: int, points: int, point_size: int) -> list[Chunk]:
     return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
-def cut_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> Sequence[tuple[int, int]]:
-    """Cut into runs of whole chunks that hold at most so many points, or one chunk.
+def cut_chunks(
+    ends: NDArray[np.int64], points: int, point_size: int, boxes: NDArray[np.float64] | None = None
+) -> list[Chunk]:
+    """Pieces of whole chunks that hold at most so many points, or one chunk.
 
     Parameters
     ----------
     ends : int64 (n,)
         Points of the file up to the end of each chunk.
-
-    Returns
-    -------
-    sequence of (int, int)
-        First chunk, and the one behind the last.
+    points : int
+    point_size : int
+        Bytes of a point.
+    boxes : float64 (n, 4), optional
+        West, south, east and north of each chunk, m; pieces get the box around those of theirs.
     """
     step = chunk_points(points, point_size)
-    runs: list[tuple[int, int]] = []
+    chunks: list[Chunk] = []
     first, before = 0, 0
     while first < ends.size:
         last = max(int(np.searchsorted(ends, before + step, side="right")), first + 1)
-        runs.append((first, last))
-        first, before = last, int(ends[last - 1])
-    return runs
+        end = int(ends[last - 1])
+        bounds = None if boxes is None else _around(boxes[first:last])
+        chunks.append(Chunk(len(chunks), before, end - before, bounds))
+        first, before = last, end
+    return chunks
+
+
+def _around(boxes: NDArray[np.float64]) -> Bounds:
+    return Bounds(*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())

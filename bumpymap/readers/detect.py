@@ -3,14 +3,21 @@
 import logging
 from codecs import getincrementaldecoder
 from functools import partial
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
-from bumpymap.readers.source import Location, open_source
+from bumpymap.readers.source import Location, OpenFile, open_source
 from bumpymap.readers.watched import WatchedSurvey
 
-__all__ = ["detect_format", "open_survey", "reopen_survey"]
+if TYPE_CHECKING:
+    from bumpymap.readers.point_table import PointTable, Wanted
+
+__all__ = ["detect_format", "open_survey", "read_columns", "reopen_survey"]
 
 _log = logging.getLogger(__name__)
 
@@ -75,13 +82,54 @@ def _reader(path: Location, options: ReadOptions) -> SurveyReader:
         from bumpymap.readers.las import LasSurvey
 
         return LasSurvey(path, options)
+    from bumpymap.readers.point_table import CLASSES, TableSurvey
+
+    file = OpenFile(path)
     if kind == "ply":
-        from bumpymap.readers.ply import PlySurvey
+        from bumpymap.readers.ply import PlyTable
 
-        return PlySurvey(path, options)
-    from bumpymap.readers.pcd import PcdSurvey
+        return TableSurvey(PlyTable(file, CLASSES), options)
+    from bumpymap.readers.pcd import PcdTable
 
-    return PcdSurvey(path, options)
+    return TableSurvey(PcdTable(file, CLASSES, options.memory), options)
+
+
+def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
+    """Read the points of a PLY or PCD file whole, opening it once.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : dict of str to tuple of str
+        What is wanted beside x, y and z, where it is there, and the columns that may hold it, in lower case.
+
+    Returns
+    -------
+    dict of str to array (n,)
+        By the names that ``wanted`` gives; x, y and z too.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, is neither PLY nor PCD, promises more than it holds, or is damaged.
+    """
+    with open_source(path) as stream:
+        kind, file = _format_of(path, stream.read(_HEAD)), OpenFile(path, stream)
+        if kind == "las":
+            raise BadInputError(
+                f"{path} is a survey (LAS), no scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
+                "survey with: bumpymap map"
+            )
+        if kind == "ply":
+            from bumpymap.readers.ply import PlyTable
+
+            table: PointTable = PlyTable(file, wanted)
+        else:
+            from bumpymap.readers.pcd import PcdTable
+
+            table = PcdTable(file, wanted, ReadOptions().memory, np.float64)
+        rows = table.whole()
+    return {what: rows[name] for what, name in table.info.find(wanted).items()}
 
 
 def detect_format(path: Location) -> Kind:
@@ -93,7 +141,10 @@ def detect_format(path: Location) -> Kind:
         The file cannot be read, is empty, or is something else; says what it looks like.
     """
     with open_source(path) as stream:
-        head = stream.read(_HEAD)
+        return _format_of(path, stream.read(_HEAD))
+
+
+def _format_of(path: Location, head: bytes) -> Kind:
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
     if head.startswith(b"LASF"):

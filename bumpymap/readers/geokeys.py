@@ -6,6 +6,7 @@ projected CRS, 3076 unit of easting and northing, 4096 vertical CRS, 4099 unit o
 
 from dataclasses import replace
 
+import numpy as np
 from pyproj import CRS
 
 from bumpymap.core import (
@@ -19,54 +20,53 @@ from bumpymap.core import (
     vertical_of,
     with_vertical,
 )
+from bumpymap.readers.las_header import RawHeader
 
-__all__ = ["statement_from_geokeys", "statement_of_las"]
+__all__ = ["statement_of_las"]
 
+_PROJECTION = b"LASF_Projection"
 _MODEL, _GEODETIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
 _USER_DEFINED = 32767
 _SAME_FOOT = 1e-5
 """Relative; the two feet differ by 2e-6, and files mix them up without harm."""
 
 
-def statement_of_las(wkt: str | None, geokeys: dict[int, int] | None, citation: str, *, wkt_bit: bool) -> CrsStatement:
+def statement_of_las(header: RawHeader) -> CrsStatement:
     """Choose between the two records that a LAS header may hold.
 
-    Parameters
-    ----------
-    wkt : str or None
-        Text of the OGC WKT record.
-    geokeys : dict of int to int or None
-        GeoTIFF keys whose value stands in the directory itself.
-    citation : str
-        Text that goes with the keys, for messages.
-    wkt_bit : bool
-        Bit 4 of the global encoding. LAS 1.4 R15, 2.6.1: set, the WKT record counts; not set, the GeoTIFF keys.
-
-    Returns
-    -------
-    CrsStatement
-        Where only one record is there it counts, whatever the bit; where the keys count but cannot be worked out and
-        the WKT can, the WKT counts, with a note.
+    LAS 1.4 R15, 2.6.1: where bit 4 of the global encoding is set, the WKT record counts, otherwise the GeoTIFF keys.
+    Where only one record is there it counts, whatever the bit; where the keys count but cannot be worked out and the
+    WKT can, the WKT counts, with a note.
     """
-    from_wkt = statement_from_wkt(wkt) if wkt else None
-    from_keys = statement_from_geokeys(geokeys, citation) if geokeys else None
+    wkt, directory, citation = (header.records.get((_PROJECTION, number), b"") for number in (2112, 34735, 34737))
+    from_wkt = statement_from_wkt(_text(wkt)) if _text(wkt) else None
+    from_keys = _statement_from_keys(_keys(directory), _text(citation).split("|")[0])
     if from_wkt is None or from_keys is None:
         return from_wkt or from_keys or CrsStatement()
-    if not wkt_bit and from_keys.crs is None and from_wkt.crs is not None:
+    if not header.wkt_bit and from_keys.crs is None and from_wkt.crs is not None:
         note = "its GeoTIFF keys cannot be worked out; the CRS was taken from its WKT record"
         return CrsStatement(from_wkt.crs, notes=(note,))
-    chosen, other = (from_wkt, from_keys) if wkt_bit else (from_keys, from_wkt)
+    chosen, other = (from_wkt, from_keys) if header.wkt_bit else (from_keys, from_wkt)
     chosen = _with_height_unit(chosen, other)
     if chosen.crs is None or other.crs is None:
         return chosen
     ours, theirs = (horizontal_of(crs) or crs for crs in (chosen.crs, other.crs))
     if same_crs(ours, theirs):
         return _with_vertical_crs(chosen, ours, other.crs)
-    names = ("WKT record", "GeoTIFF keys") if wkt_bit else ("GeoTIFF keys", "WKT record")
+    names = ("WKT record", "GeoTIFF keys") if header.wkt_bit else ("GeoTIFF keys", "WKT record")
     note = f"its {names[0]} ({chosen.crs.name}) counts; its {names[1]} ({other.crs.name}) is spelled differently"
-    return CrsStatement(
-        chosen.crs, chosen.metres_per_unit, chosen.metres_per_unit_z, chosen.trouble, (*chosen.notes, note)
-    )
+    return replace(chosen, notes=(*chosen.notes, note))
+
+
+def _text(data: bytes) -> str:
+    """Decode a text record: zero bytes end it."""
+    return data.split(b"\0")[0].decode("utf-8", "replace").strip()
+
+
+def _keys(data: bytes) -> dict[int, int]:
+    """Read the GeoTIFF key directory (16-bit words, four a key); keeps the keys whose value stands in it."""
+    head, *entries = np.frombuffer(data[: len(data) // 8 * 8] or bytes(8), "<u2").reshape(-1, 4).tolist()
+    return {key: value for key, place, _, value in entries[: head[3]] if place == 0 and key}
 
 
 def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> CrsStatement:
@@ -80,10 +80,11 @@ def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> Crs
 
 def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
     """Take the unit of height from the record that does not count, where only that one states it."""
-    if _height_unit(chosen) is not None or _height_unit(other) is None:
+    unit = _height_unit(other)
+    if unit is None or _height_unit(chosen) is not None:
         return chosen
-    note = f"only one of its two CRS records states a unit of height ({_height_unit(other):g} m); it is believed"
-    return replace(chosen, metres_per_unit_z=_height_unit(other), notes=(*chosen.notes, note))
+    note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is believed"
+    return replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
 
 
 def _height_unit(statement: CrsStatement) -> float | None:
@@ -92,51 +93,45 @@ def _height_unit(statement: CrsStatement) -> float | None:
     return statement.metres_per_unit_z or own
 
 
-def statement_from_geokeys(keys: dict[int, int], citation: str) -> CrsStatement:
+def _statement_from_keys(keys: dict[int, int], citation: str) -> CrsStatement | None:
     """Work GeoTIFF keys out: coded CRS and units; a user-defined projection gives its units and a note."""
-    unit, trouble = _unit(keys, _LINEAR, "easting and northing")
-    vertical = _vertical_crs(keys)
+    if not keys:
+        return None
+    unit_code = keys.get(_LINEAR, 0)
+    unit = linear_unit(unit_code)
+    if unit is None and unit_code not in {0, _USER_DEFINED}:
+        trouble = f"its GeoTIFF keys give {unit_code} as the unit of easting and northing, which is no unit of length"
+        return CrsStatement(trouble=trouble)
+    vertical = _coded(keys, _VERTICAL)
+    if vertical is not None and not vertical.is_vertical:
+        vertical = None
     own = None if vertical is None else vertical.axis_info[0].unit_conversion_factor
     unit_z = linear_unit(keys.get(_VERTICAL_UNIT, 0)) or own
-    if trouble:
-        return CrsStatement(trouble=trouble)
-    code = keys.get(_PROJECTED, 0)
-    if 0 < code < _USER_DEFINED:
-        return _coded(code, unit, unit_z, vertical)
+    if 0 < keys.get(_PROJECTED, 0) < _USER_DEFINED:
+        return _projected(keys, unit, unit_z, vertical)
     if keys.get(_MODEL) in {2, 3}:
-        coded = keys.get(_GEODETIC, 0)
-        known = crs_from_epsg(coded) if 0 < coded < _USER_DEFINED else None
-        return CrsStatement(known or crs_from_epsg(4326 if keys[_MODEL] == 2 else 4978))
+        return CrsStatement(_coded(keys, _GEODETIC) or crs_from_epsg(4326 if keys[_MODEL] == 2 else 4978))
     notes: tuple[str, ...] = ()
-    if keys.get(_MODEL) == 1 or code == _USER_DEFINED:
+    if keys.get(_MODEL) == 1 or keys.get(_PROJECTED) == _USER_DEFINED:
         named = f" ('{citation}')" if citation else ""
         notes = (f"its GeoTIFF keys describe a CRS without a code{named}; pass --crs to place it on Earth",)
     return CrsStatement(None, unit, unit_z, notes=notes)
 
 
-def _coded(code: int, unit: float | None, unit_z: float | None, vertical: CRS | None) -> CrsStatement:
-    crs = crs_from_epsg(code)
+def _projected(keys: dict[int, int], unit: float | None, unit_z: float | None, vertical: CRS | None) -> CrsStatement:
+    code, crs = keys[_PROJECTED], _coded(keys, _PROJECTED)
     if crs is None:
         return CrsStatement(trouble=f"its GeoTIFF keys name EPSG:{code}, which PROJ does not know")
     own = crs.axis_info[0].unit_conversion_factor
     if unit is not None and crs.is_projected and abs(unit / own - 1) > _SAME_FOOT:
-        return CrsStatement(
-            trouble=f"its GeoTIFF keys name EPSG:{code}, whose unit is {own:g} m, and a unit of {unit:g} m"
-        )
+        trouble = f"its GeoTIFF keys name EPSG:{code}, whose unit is {own:g} m, and a unit of {unit:g} m"
+        return CrsStatement(trouble=trouble)
     if vertical is not None and crs.is_projected:
         crs = with_vertical(crs, vertical)
     return CrsStatement(crs, metres_per_unit_z=unit_z)
 
 
-def _unit(keys: dict[int, int], key: int, what: str) -> tuple[float | None, str]:
+def _coded(keys: dict[int, int], key: int) -> CRS | None:
+    """CRS whose EPSG code a key gives; None where it gives none that PROJ knows."""
     code = keys.get(key, 0)
-    if code in {0, _USER_DEFINED}:
-        return None, ""
-    unit = linear_unit(code)
-    return unit, "" if unit else f"its GeoTIFF keys give {code} as the unit of {what}, which is no unit of length"
-
-
-def _vertical_crs(keys: dict[int, int]) -> CRS | None:
-    code = keys.get(_VERTICAL, 0)
-    crs = crs_from_epsg(code) if 0 < code < _USER_DEFINED else None
-    return crs if crs is not None and crs.is_vertical else None
+    return crs_from_epsg(code) if 0 < code < _USER_DEFINED else None

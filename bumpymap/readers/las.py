@@ -6,26 +6,24 @@ from typing import BinaryIO
 
 import numpy as np
 
-from bumpymap.core import BadInputError, CrsStatement, Georeference, georeference
-from bumpymap.readers.base import Survey
+from bumpymap.core import BadInputError, Georeference, georeference
+from bumpymap.readers.base import SurveyBase
 from bumpymap.readers.batch import NO_POINTS, RecordLayout, Watch, batch_of_records
 from bumpymap.readers.checks import decoding, refuse_header_bounds
 from bumpymap.readers.columns import DECIMALS
+from bumpymap.readers.copc import count_points_outside_node, read_octree
 from bumpymap.readers.geokeys import statement_of_las
-from bumpymap.readers.las_header import Numbers, RawHeader, geokeys_of, read_raw_header, text_of
+from bumpymap.readers.las_header import RawHeader, read_raw_header
 from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
 from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
-from bumpymap.readers.points_outside_node import count_points_outside_node
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, open_source, place_of
 from bumpytiles import Bounds
 
 __all__ = ["LasSurvey"]
 
-_PROJECTION = b"LASF_Projection"
 
-
-class LasSurvey(Survey):
+class LasSurvey(SurveyBase):
     """One LAS, LAZ or COPC file.
 
     A coordinate is ``integer * scale + offset``, rounded to 1e-8 of the file's unit, then turned into metres. The
@@ -37,27 +35,19 @@ class LasSurvey(Survey):
     def __init__(self, path: Location, options: ReadOptions) -> None:
         with decoding(path, "the header"), open_source(path) as stream:
             raw = read_raw_header(stream, path)
-            _refuse_scales(path, raw.scales, raw.offsets)
-            middle = _middle(raw.mins, raw.maxs)
-            place, notes = georeference(place_of(path, middle), _statement(raw), options.crs, options.z_unit)
-            bounds = None if options.trust_points else _bounds(raw.mins, raw.maxs, place)
+            _refuse_scales(path, raw)
+            place, notes = georeference(
+                place_of(path, _middle(raw)), statement_of_las(raw), options.crs, options.z_unit
+            )
+            bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
             self._source = _source(stream, path, raw, None if bounds is None else place.metres_per_unit)
         self._layout = _layout(raw)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
-        super().__init__(
-            SurveyInfo(
-                path,
-                f"COPC ({kind})" if raw.is_copc else kind,
-                raw.size,
-                raw.point_count,
-                place,
-                bounds,
-                has_classes=None,
-                notes=notes + _degrees_note(place, raw),
-            )
-        )
+        kind = f"COPC ({kind})" if raw.is_copc else kind
+        notes += _degrees_note(place, raw)
+        super().__init__(SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes))
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file: between points, LAZ chunks, or nodes of the octree."""
@@ -71,11 +61,11 @@ class LasSurvey(Survey):
         """Points of a piece that count, in metres."""
         info = self.info
         batch = batch_of_records(fetched, self._layout, info.georeference, Watch(chunk.first, info.bounds))
-        cubes = self._source.cubes(chunk)
-        if cubes is None or info.bounds is None:
+        nodes = self._source.nodes(chunk)
+        if nodes is None or info.bounds is None:
             return batch
         points_outside_node = count_points_outside_node(
-            fetched, self._layout, info.georeference.metres_per_unit, info.bounds, cubes
+            fetched, self._layout, info.georeference.metres_per_unit, info.bounds, nodes
         )
         return (
             batch
@@ -92,11 +82,9 @@ def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: f
     if not is_chunked(record):
         return LazStream(path, raw, record, None)
     if raw.is_copc:
-        from bumpymap.readers.copc import CopcNodes, read_octree
-
-        octree = read_octree(stream, path, raw)
-        if not has_huge_chunks(octree.table, raw):
-            return CopcNodes(path, raw, record, octree, metres_per_unit)
+        nodes = read_octree(stream, path, raw, metres_per_unit)
+        if not has_huge_chunks(nodes, raw):
+            return LazChunks(path, raw, record, nodes)
     table = read_table(stream, path, raw, record)
     source = LazStream if has_huge_chunks(table, raw) else LazChunks
     return source(path, raw, record, table)
@@ -109,15 +97,8 @@ def _layout(raw: RawHeader) -> RecordLayout:
     return RecordLayout(raw.scales, raw.offsets, class_byte=16, class_mask=255, withheld_byte=15, withheld_mask=4)
 
 
-def _statement(header: RawHeader) -> CrsStatement:
-    wkt = text_of(header.find(_PROJECTION, 2112))
-    keys = geokeys_of(header.find(_PROJECTION, 34735))
-    citation = text_of(header.find(_PROJECTION, 34737)).split("|")[0]
-    return statement_of_las(wkt or None, keys, citation, wkt_bit=header.wkt_bit)
-
-
-def _refuse_scales(path: Location, scales: Numbers, offsets: Numbers) -> None:
-    for name, values in (("scale", scales), ("offset", offsets)):
+def _refuse_scales(path: Location, raw: RawHeader) -> None:
+    for name, values in (("scale", raw.scales), ("offset", raw.offsets)):
         if not np.isfinite(values).all() or (name == "scale" and 0 in values):
             shown = ", ".join(f"{value:g}" for value in values)
             raise BadInputError(
@@ -126,15 +107,15 @@ def _refuse_scales(path: Location, scales: Numbers, offsets: Numbers) -> None:
             )
 
 
-def _middle(low: Numbers, high: Numbers) -> Numbers | None:
-    x, y, z = (first / 2 + last / 2 for first, last in zip(low, high, strict=True))
+def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
+    x, y, z = (first / 2 + last / 2 for first, last in zip(raw.mins, raw.maxs, strict=True))
     return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
-def _bounds(low: Numbers, high: Numbers, place: Georeference) -> Bounds:
+def _bounds(raw: RawHeader, place: Georeference) -> Bounds:
     # What overflows becomes infinite, and is refused for it, as is NaN of any kind.
     with np.errstate(over="ignore", invalid="ignore"):
-        sides = np.round(np.array([low[0], low[1], high[0], high[1]]), DECIMALS) * place.metres_per_unit
+        sides = np.round(np.array([*raw.mins[:2], *raw.maxs[:2]]), DECIMALS) * place.metres_per_unit
     return Bounds(*sides.tolist())
 
 

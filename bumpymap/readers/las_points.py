@@ -1,9 +1,8 @@
 """The bytes of LAS points, piece by piece: as they are, from LAZ chunks, or from LAZ that must be read in order."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
 from bumpymap.readers.protocol import Chunk
 from bumpymap.readers.source import Location, read_into, read_range
 
-__all__ = ["Cubes", "LazChunks", "LazStream", "PlainPoints", "RecordSource", "decode_chunks", "has_huge_chunks"]
+__all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "Records", "has_huge_chunks"]
 
 Records = NDArray[np.uint8]
 """(n, bytes of a point)."""
@@ -28,32 +27,8 @@ _SKIPPED = 100_000
 """Points that are decoded at once to get past them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cubes:
-    """Where the points of a piece must lie, run by run, in the order in which they are fetched."""
-
-    counts: NDArray[np.int64]
-    """(n,) points of each run."""
-    sides: NDArray[np.float64]
-    """(n, 4) west, south, east, north, m."""
-
-
-class RecordSource(Protocol):
+class RecordSource(ABC):
     """How the points of a file are cut and read."""
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut the file."""
-
-    def fetch(self, chunk: Chunk) -> Records:
-        """Read and decode a piece."""
-
-    def cubes(self, chunk: Chunk) -> Cubes | None:
-        """Where its points must lie; None where only the file as a whole has a box."""
-        return None
-
-
-class PlainPoints(RecordSource):
-    """Points that are not compressed."""
 
     def __init__(self, path: Location, header: RawHeader) -> None:
         self._path, self._header = path, header
@@ -61,6 +36,18 @@ class PlainPoints(RecordSource):
     def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut anywhere."""
         return cut_rows(self._header.point_count, points, self._header.point_size)
+
+    @abstractmethod
+    def fetch(self, chunk: Chunk) -> Records:
+        """Read and decode a piece."""
+
+    def nodes(self, chunk: Chunk) -> ChunkTable | None:
+        """Give the nodes of an octree that hold the points, in the order of `fetch`; None where there is no octree."""
+        return None
+
+
+class PlainPoints(RecordSource):
+    """Points that are not compressed."""
 
     def fetch(self, chunk: Chunk) -> Records:
         """Read a range of bytes."""
@@ -74,46 +61,58 @@ class PlainPoints(RecordSource):
 
 
 class LazChunks(RecordSource):
-    """LAZ with a table: any run of chunks can be decoded by itself, on all cores."""
+    """LAZ with a table: any run of chunks can be decoded by itself, on all cores. Nodes of an octree are chunks too."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
-        self._path, self._header, self._record, self._table = path, header, record, table
+        super().__init__(path, header)
+        self._record, self._table, self._ends = record, table, np.cumsum(table.counts)
 
     def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut between chunks."""
-        ends = self._table.ends
-        runs = cut_chunks(ends, points, self._header.point_size)
-        befores = [int(ends[first - 1]) if first else 0 for first, _ in runs]
-        return [
-            Chunk(index, before, int(ends[last - 1]) - before)
-            for index, ((_, last), before) in enumerate(zip(runs, befores, strict=True))
-        ]
+        """Cut between chunks; around nodes of an octree goes a box."""
+        return cut_chunks(self._ends, points, self._header.point_size, self._table.boxes)
 
     def fetch(self, chunk: Chunk) -> Records:
-        """Read the bytes of some chunks and decode them."""
-        chunks = self._table.find(chunk)
-        counts, sizes = self._table.counts[chunks].tolist(), self._table.sizes[chunks].tolist()
-        ranges = [(int(self._table.starts[chunks.start]), sum(sizes))]
-        return decode_chunks(self._path, self._header, self._record, ranges, list(zip(counts, sizes, strict=True)))
+        """Read the bytes of the chunks, neighbours in the file at once, and decode them."""
+        part = self._part(chunk)
+        block = decoder().take(int(part.sizes.sum()))
+        held = 0
+        gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
+        for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
+            held += read_into(self._path, int(starts[0]), block.data[held : held + int(sizes.sum())])
+        refuse_count(self._path, block.data.size, held, "bytes of LAZ chunks")
+        table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
+        at = 0
+        for points, size in table:
+            check_layers(self._path, self._header, block.data[at : at + size], size, points)
+            at += size
+        with decoding(self._path, "LAZ chunks"):
+            records = decoder().chunks(self._record, table, block, chunk.points * self._header.point_size)
+        return records.reshape(chunk.points, self._header.point_size)
+
+    def nodes(self, chunk: Chunk) -> ChunkTable | None:
+        """See ``RecordSource.nodes``."""
+        return None if self._table.boxes is None else self._part(chunk)
+
+    def _part(self, chunk: Chunk) -> ChunkTable:
+        """Chunks of a piece, in the order of their bytes."""
+        last = chunk.first + chunk.points - 1
+        first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
+        return self._table.rows(first + np.argsort(self._table.starts[first : end + 1], kind="stable"))
 
 
 class LazStream(RecordSource):
     """LAZ in one stream, or in chunks too large to be decoded at once: read in order; to go back is to start again."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
-        self._path, self._header, self._record = path, header, record
+        super().__init__(path, header)
+        self._record, self._next = record, 0
         self._stream: Stream | None = None
-        self._next = 0
         if table is None:
             size = header.size - header.offset_to_points
             refuse_density(path, np.array([header.point_count]), np.array([size]))
             return
         for points, start, size in zip(table.counts.tolist(), table.starts.tolist(), table.sizes.tolist(), strict=True):
             check_layers(path, header, read_range(path, start, min(size, _CHUNK_HEAD)), size, points)
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut anywhere."""
-        return cut_rows(self._header.point_count, points, self._header.point_size)
 
     def fetch(self, chunk: Chunk) -> Records:
         """Decode the points that come next, or those before them first."""
@@ -159,43 +158,3 @@ class LazStream(RecordSource):
 def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
     """Whether a chunk takes more memory than a piece may."""
     return bool((table.counts * header.point_size > _HUGE_CHUNK).any())
-
-
-def decode_chunks(
-    path: Location,
-    header: RawHeader,
-    record: bytes,
-    ranges: Sequence[tuple[int, int]],
-    table: Sequence[tuple[int, int]],
-) -> Records:
-    """Read and decode whole LAZ chunks.
-
-    Parameters
-    ----------
-    path : Path or str
-    header : RawHeader
-    record : bytes
-        The LASzip record.
-    ranges : sequence of (int, int)
-        Where the chunks lie in the file: first byte, bytes.
-    table : sequence of (int, int)
-        Points and bytes of each chunk.
-
-    Raises
-    ------
-    BadInputError
-        The file ends early, the chunks hold fewer points than ``table``, or are damaged.
-    """
-    block = decoder().take(sum(size for _, size in ranges))
-    held = 0
-    for start, size in ranges:
-        held += read_into(path, start, block.data[held : held + size])
-    refuse_count(path, block.data.size, held, "bytes of LAZ chunks")
-    at = 0
-    for points, size in table:
-        check_layers(path, header, block.data[at : at + size], size, points)
-        at += size
-    points = sum(points for points, _ in table)
-    with decoding(path, "LAZ chunks"):
-        records = decoder().chunks(record, table, block, points * header.point_size)
-    return records.reshape(points, header.point_size)

@@ -6,7 +6,7 @@ against the size of the file first.
 
 import struct
 from dataclasses import dataclass
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,33 +14,25 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.decoder import DecoderError, decoder
-from bumpymap.readers.las_header import RawHeader
-from bumpymap.readers.protocol import Chunk
+from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.source import Location
 
 __all__ = ["ChunkTable", "check_layers", "is_chunked", "laz_record", "read_table", "refuse_density"]
 
 _NOT_CHUNKED = 1
 """Value of the "compressor" word of the LASzip record for one stream without a chunk table."""
-_POINT10, _TIME, _RGB12, _WAVE13 = (6, 20), (7, 8), (8, 6), (9, 29)
-_POINT14, _RGB14, _NIR14, _WAVE14 = (10, 30), (11, 6), (12, 8), (13, 29)
 _ITEMS = (
-    (_POINT10,),
-    (_POINT10, _TIME),
-    (_POINT10, _RGB12),
-    (_POINT10, _TIME, _RGB12),
-    (_POINT10, _TIME, _WAVE13),
-    (_POINT10, _TIME, _RGB12, _WAVE13),
-    (_POINT14,),
-    (_POINT14, _RGB14),
-    (_POINT14, _NIR14),
-    (_POINT14, _WAVE14),
-    (_POINT14, _NIR14, _WAVE14),
+    (6, 20, 0, range(6)),
+    (7, 8, 0, (1, 3, 4, 5)),
+    (8, 6, 0, (2, 3, 5)),
+    (9, 29, 0, (4, 5)),
+    (10, 30, 9, range(6, 11)),
+    (11, 6, 1, (7,)),
+    (12, 8, 2, (8, 10)),
+    (13, 29, 1, (9, 10)),
 )
-"""Type and bytes of the items that a point of each format is made of; extra bytes are one more."""
-_EXTRA, _EXTRA14 = 0, 14
-_LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
-"""Layers of a chunk by point format; every extra byte adds one. Earlier formats have none."""
+"""What points are made of: type, bytes, layers in a chunk, point formats. Extra bytes are one more item."""
+_EXTRA, _EXTRA_LAYERED = 0, 14
 _DENSEST = 4096
 """Points in a byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and a point has one at least."""
 _ANY_SIZE = 0xFFFFFFFF
@@ -52,46 +44,34 @@ _CUT = "truncated? Copy or download it again"
 
 @dataclass(frozen=True, slots=True)
 class ChunkTable:
-    """The chunks of a LAZ file, those without points left out."""
+    """The chunks of a LAZ file in the order of reading, those without points left out."""
 
-    ends: NDArray[np.int64]
-    """(n,) points of the file up to the end of each chunk."""
+    counts: NDArray[np.int64]
+    """(n,) points of each."""
     starts: NDArray[np.int64]
     """(n,) byte of the file where each begins."""
     sizes: NDArray[np.int64]
     """(n,) bytes."""
+    boxes: NDArray[np.float64] | None = None
+    """(n, 4) west, south, east and north of the cubes of an octree, m; None: no such cubes, or not to be believed."""
 
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """(n,) points of each chunk."""
-        return np.diff(self.ends, prepend=0)
-
-    def find(self, chunk: Chunk) -> slice:
-        """Chunks of a piece."""
-        last = chunk.first + chunk.points - 1
-        first, end = np.searchsorted(self.ends, (chunk.first, last), side="right").tolist()
-        return slice(first, end + 1)
+    def rows(self, chosen: NDArray[Any]) -> "ChunkTable":
+        """Give some of the chunks."""
+        boxes = None if self.boxes is None else self.boxes[chosen]
+        return ChunkTable(self.counts[chosen], self.starts[chosen], self.sizes[chosen], boxes)
 
 
 def laz_record(path: Location, header: RawHeader) -> bytes:
-    """Give the LASzip record, once it is known that lazrs can decode by it.
-
-    Raises
-    ------
-    BadInputError
-        No LASzip record, one of other points, a codec that lazrs does not know.
-    """
-    record = header.find(b"laszip encoded", 22204)
-    if record is None or len(record) < 34:
+    """Give the LASzip record, once it is known to go with the points, and lazrs to decode by it."""
+    record = header.records.get((b"laszip encoded", 22204), b"")
+    if len(record) < 34:
         raise BadInputError(f"{path} is compressed and has no LASzip record to decode it by. Copy or download it again")
     (count,) = struct.unpack_from("<H", record, 32)
     items = [struct.unpack_from("<HH", record, at) for at in range(34, len(record) - 5, 6)][:count]
-    extra = header.point_size - header.base_size
-    wanted = [
-        *_ITEMS[header.point_format],
-        *([(_EXTRA14 if header.point_format in _LAYERS else _EXTRA, extra)] * (extra > 0)),
-    ]
-    if items != wanted or (not is_chunked(record) and header.point_format in _LAYERS):
+    layered, extra = header.point_format >= LAYERED, header.extra_bytes
+    wanted = [(kind, size) for kind, size, _, formats in _ITEMS if header.point_format in formats]
+    wanted += [(_EXTRA_LAYERED if layered else _EXTRA, extra)] * (extra > 0)
+    if items != wanted or (layered and not is_chunked(record)):
         raise BadInputError(
             f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
             f"{header.point_size} bytes: the file is damaged. Copy or download it again"
@@ -131,18 +111,15 @@ def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: byte
             f"the LAZ chunks of {path} need {data_bytes:,} bytes, more than lie before their table: {_CUT}"
         )
     (chunk,) = struct.unpack_from("<I", record, 12)
-    held = sum(points for points, _ in table) if chunk == _ANY_SIZE else len(table) * chunk
-    refuse_count(path, header.point_count, held)
     # The table of chunks of one size does not repeat it.
-    counts = np.array(
-        [min(points if chunk == _ANY_SIZE else chunk, header.point_count) for points, _ in table], np.int64
-    )
+    counts = [points if chunk == _ANY_SIZE else chunk for points, _ in table]
+    refuse_count(path, header.point_count, sum(counts))
     sizes = np.array([size for _, size in table], np.int64)
     starts = header.offset_to_points + 8 + np.cumsum(sizes) - sizes
     # The last chunk is shorter than the others; behind the last point of the header there is nothing to read.
-    ends = np.minimum(np.cumsum(counts), header.point_count)
-    full = np.diff(ends, prepend=0) > 0
-    found = ChunkTable(ends[full], starts[full], sizes[full])
+    ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
+    held = np.diff(np.minimum(ends, header.point_count), prepend=0)
+    found = ChunkTable(held, starts, sizes).rows(held > 0)
     refuse_density(path, found.counts, found.sizes)
     return found
 
@@ -158,25 +135,15 @@ def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.
 
 
 def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], size: int, points: int) -> None:
-    """Hold what a chunk of layers says of itself to its size and to the points that the table promises.
+    """Hold what a chunk of layers says of itself to its size in bytes and to the points that the table promises.
 
     It starts with its first point, the number of its points and the sizes of its layers, which fill the rest: a layer
-    whose size is a lie would be left out, or take bytes of the next. Chunks of the point formats 0 to 5 say nothing of
-    themselves.
-
-    Parameters
-    ----------
-    path : Path or str
-    header : RawHeader
-    chunk : uint8 array
-        The start of the chunk, or all of it.
-    size : int
-        Bytes of the chunk.
-    points : int
+    whose size is a lie would be left out, or take bytes of the next. Chunks of earlier point formats say nothing of
+    themselves. ``chunk`` is the start of the chunk, or all of it.
     """
-    if header.point_format not in _LAYERS:
+    if header.point_format < LAYERED:
         return
-    layers = _LAYERS[header.point_format] + header.point_size - header.base_size
+    layers = header.extra_bytes + sum(count for *_, count, formats in _ITEMS if header.point_format in formats)
     head = header.point_size + 4 * (layers + 1)
     if min(size, chunk.size) < head:
         raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take {head:,} at least: {_CUT}")
@@ -191,12 +158,13 @@ def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], si
 
 def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[int, int]:
     """Where the chunk table is and how many chunks it has, once both are known to fit."""
-    size = header.size
-    place = _word(stream, header.offset_to_points, size)
-    if place == -1:
-        # A writer that could not seek back leaves the place in the last eight bytes.
-        place = _word(stream, size - 8, size)
-    if place is None or not header.offset_to_points + 8 <= place <= size - 8:
+    size, place = header.size, -1
+    # A writer that could not seek back leaves -1 there, and the place in the last eight bytes.
+    for at in (header.offset_to_points, size - 8):
+        if place == -1 and header.offset_to_points <= at <= size - 8:
+            stream.seek(at)
+            (place,) = struct.unpack("<q", stream.read(8))
+    if not header.offset_to_points + 8 <= place <= size - 8:
         raise BadInputError(f"{path} has no LAZ chunk table where its header says (byte {place} of {size:,}): {_CUT}")
     stream.seek(place + 4)
     (chunks,) = struct.unpack("<I", stream.read(4))
@@ -205,11 +173,3 @@ def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[i
     if chunks > room or (chunks == 0 and header.point_count):
         raise BadInputError(f"{path} promises {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
     return place, chunks
-
-
-def _word(stream: BinaryIO, place: int, size: int) -> int | None:
-    if place + 8 > size:
-        return None
-    stream.seek(place)
-    word: int = struct.unpack("<q", stream.read(8))[0]
-    return word

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bumpymap.readers.checks import decoding, refuse_count
 from bumpymap.readers.ply_header import PlyElement, PlyHeader
 from bumpymap.readers.serial_rows import SerialRows
-from bumpymap.readers.source import Location, open_source, size_of
+from bumpymap.readers.source import OpenFile
 
 __all__ = ["ListedRows", "data_start"]
 
@@ -31,12 +31,14 @@ class ListedRows(SerialRows):
 
     element: PlyElement
     byte_order: str
+    size: int
+    """Bytes of the file."""
     _walk: Any = field(init=False, default=None)
 
     def _open(self) -> None:
-        self._stream = open_source(self.path)
+        self._stream = self.file.open()
         self._stream.seek(self.data_at)
-        self._walk = _rows(self._stream, self.element, self.byte_order, size_of(self.path))
+        self._walk = _rows(self._stream, self.element, self.byte_order, self.size)
 
     def _load(self, count: int) -> NDArray[np.void]:
         dtype = self.element.dtype(self.byte_order)
@@ -50,7 +52,7 @@ class ListedRows(SerialRows):
         return np.concatenate(blocks)
 
 
-def data_start(path: Location, header: PlyHeader) -> int:
+def data_start(file: OpenFile, header: PlyHeader, size: int) -> int:
     """Find the byte where the vertices of a binary file start: elements with lists before them are walked.
 
     Raises
@@ -58,12 +60,12 @@ def data_start(path: Location, header: PlyHeader) -> int:
     BadInputError
         The file ends before.
     """
-    at = header.data_at
+    path, at = file.path, header.data_at
     for element in header.before:
         if element.has_lists:
-            with decoding(path, f"the element '{element.name}'"), open_source(path) as stream:
+            with decoding(path, f"the element '{element.name}'"), file.open() as stream:
                 stream.seek(at)
-                walked = sum(1 for _ in _rows(stream, element, header.byte_order, size_of(path)))
+                walked = sum(1 for _ in _rows(stream, element, header.byte_order, size))
                 refuse_count(path, element.count, walked, f"'{element.name}'")
                 at = stream.tell()
         else:

@@ -2,7 +2,6 @@
 
 import io
 import struct
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, BinaryIO
 
@@ -10,17 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
-from bumpymap.core import BadInputError, CrsStatement, georeference
-from bumpymap.readers.base import Survey
-from bumpymap.readers.batch import Watch, batch_of_points
+from bumpymap.core import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note, read_rows
-from bumpymap.readers.cut import cut_rows
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
-from bumpymap.readers.source import Location, open_source, place_of, size_of
+from bumpymap.readers.columns import read_rows
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
+from bumpymap.readers.source import Location, OpenFile
 from bumpymap.readers.text_rows import TextRows
 
-__all__ = ["PcdSurvey"]
+__all__ = ["PcdTable"]
 
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _AT_REST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -30,88 +26,72 @@ _MOST_VALUES = 10_000
 """No descriptor of a point is longer."""
 _UNPACKED_COPIES, _PACKED_COPIES = 2, 3
 """How often a compressed file is held while it is unpacked."""
-_LOOKED_AT = 100_000
-"""Rows that are searched for a first point."""
 
 
-class PcdSurvey(Survey):
-    """One PCD file. Metres; a row with NaN is a beam without return, and does not count."""
+class PcdTable(PointTable):
+    """One PCD file. Metres; a row with NaN is a beam without return, and does not count.
 
-    def __init__(self, path: Location, options: ReadOptions) -> None:
-        self._path = path
-        size = size_of(path)
-        with decoding(path, "the header"), open_source(path) as stream:
+    Parameters
+    ----------
+    file : OpenFile
+    wanted : dict of str to tuple of str
+        See `Wanted`.
+    memory : int
+        What unpacking may take, bytes.
+    text_type : numpy type, optional
+        Of the numbers of a text; None: as the header declares them.
+    """
+
+    nan_is_no_return, searched = True, 100_000
+
+    def __init__(
+        self, file: OpenFile, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
+    ) -> None:  # fmt: skip
+        path, self._file = file.path, file
+        with decoding(path, "the header"), file.open() as stream:
+            size = stream.seek(0, io.SEEK_END)
+            stream.seek(0)
             self._head = head = _read_header(stream, path)
             self._data_at = stream.tell()
-            self._columns = _columns(head, path)
+            self._dtype: np.dtype[np.void] = head.build_dtype()
+            _refuse_columns(head, self._dtype, path)
             _refuse_size(stream, path, head, size - self._data_at)
-            _refuse_unpacking(stream, path, self._data_at, head, options.memory)
-        names = {name.lower(): name for name in reversed(self._dtype.names or ())}
-        self._class_column = next((names[name] for name in CLASS_COLUMNS if name in names), None)
-        self._text = self._text_rows() if head.data is Encoding.ASCII else None
-        first = self._first()
-        place, notes = georeference(place_of(path, first), CrsStatement(), options.crs, options.z_unit)
-        if head.data is not Encoding.ASCII:
-            notes += precision_note(first, [self._dtype[name] for name in self._columns])
-        if head.viewpoint != _AT_REST:
-            notes += ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
+            _refuse_unpacking(stream, path, self._data_at, head, memory)
+        types = {name: self._dtype[name] for name in self._dtype.names or ()}
+        is_text = head.data is Encoding.ASCII
+        posed = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
+        notes = posed if head.viewpoint != _AT_REST else ()
         kind = f"PCD {head.version}, {head.data.value}"
-        has_classes = self._class_column is not None
-        super().__init__(SurveyInfo(path, kind, size, head.points, place, None, has_classes, notes))
+        super().__init__(path, TableInfo(kind, size, head.points, self._dtype.itemsize, types, is_text, notes))
+        self._text = self._text_rows(wanted, text_type) if is_text else None
 
-    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut anywhere."""
-        return cut_rows(self._head.points, points, self._dtype.itemsize)
-
-    def fetch(self, chunk: Chunk) -> Any:
-        """Rows of a piece: a structured array with at least the columns that are needed."""
-        return self._rows(chunk.first, chunk.points)
-
-    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Points of a piece that count, in metres."""
-        raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(chunk.first, self.info.bounds, nan_is_no_return=True))
-
-    @property
-    def _dtype(self) -> np.dtype[np.void]:
-        dtype: np.dtype[np.void] = self._head.build_dtype()
-        return dtype
-
-    def _rows(self, first: int, count: int) -> Any:
+    def rows(self, first: int, count: int) -> Any:
+        """See ``PointTable.rows``."""
         if self._text is not None:
             return self._text.read(first, count)
         if self._head.data is Encoding.BINARY:
-            return read_rows(self._path, self._data_at, self._dtype, first, count)
+            return read_rows(self._file, self._data_at, self._dtype, first, count)
         return self._unpacked[first : first + count]
+
+    def close(self) -> None:
+        """See ``PointTable.close``."""
+        if self._text is not None:
+            self._text.close()
 
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
         """All rows; kept, since they are packed column by column."""
-        with decoding(self._path, "the points"), open_source(self._path) as stream:
+        with decoding(self.path, "the points"), self._file.open() as stream:
             stream.seek(self._data_at)
             # The header that was checked, not the one that another parser would find in the file.
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
             rows: NDArray[np.void] = PointCloud.from_fileobj(whole).pc_data
             return rows
 
-    def _text_rows(self) -> TextRows:
-        names = list(self._dtype.names or ())
-        wanted = [*self._columns, *([self._class_column] if self._class_column else [])]
-        dtype = np.dtype([(name, self._dtype[name]) for name in wanted])
-        return TextRows(self._path, self._data_at, 0, dtype, [names.index(name) for name in wanted])
-
-    def _first(self) -> tuple[float, float, float] | None:
-        """Give the first point that is one, looking at the first block alone."""
-        rows = self._rows(0, min(_LOOKED_AT, self._head.points))
-        if self._text is not None:
-            self._text.close()
-        with np.errstate(invalid="ignore"):  # NaN of any kind are beams without return
-            table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in self._columns])
-        good = np.isfinite(table).all(axis=1)
-        if not good.any():
-            return None
-        x, y, z = table[int(good.argmax())].tolist()
-        return x, y, z
+    def _text_rows(self, wanted: Wanted, text_type: type[np.float64] | None) -> TextRows:
+        names, places = list(self.info.find(wanted).values()), list(self.info.types)
+        dtype = np.dtype([(name, text_type or self._dtype[name]) for name in names])
+        return TextRows(self._file, self._data_at, 0, dtype, [places.index(name) for name in names])
 
 
 def _read_header(stream: BinaryIO, path: Location) -> Any:
@@ -140,16 +120,14 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
     return head
 
 
-def _columns(head: Any, path: Location) -> tuple[str, str, str]:
-    dtype = head.build_dtype()
-    names = {name.lower(): name for name in reversed(dtype.names)}
+def _refuse_columns(head: Any, dtype: np.dtype[np.void], path: Location) -> None:
+    names = {name.lower() for name in dtype.names or ()}
     missing = [axis for axis in "xyz" if axis not in names]
     if missing:
         raise BadInputError(
             f"the points of {path} have no {', '.join(missing)}; they have {', '.join(head.fields)}. bumpymap needs "
             "the fields x, y and z"
         )
-    return names["x"], names["y"], names["z"]
 
 
 def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None:

@@ -1,111 +1,86 @@
 """PLY: text, binary, and rows with lists, all read piece by piece."""
 
-from collections.abc import Sequence
+import io
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from bumpymap.core import CrsStatement, georeference
-from bumpymap.readers.base import Survey
-from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.columns import metres, precision_note, read_rows
-from bumpymap.readers.cut import cut_rows
+from bumpymap.readers.columns import read_rows
 from bumpymap.readers.listed_rows import ListedRows, data_start
 from bumpymap.readers.ply_header import PlyHeader, read_ply_header
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
 from bumpymap.readers.serial_rows import SerialRows
-from bumpymap.readers.source import Location, place_of, size_of
+from bumpymap.readers.source import Location, OpenFile
 from bumpymap.readers.text_rows import TextRows
 
-__all__ = ["PlySurvey"]
+__all__ = ["PlyTable"]
 
 _ENDIAN = {"<": "binary little endian", ">": "binary big endian", "=": "ascii"}
 
 
-class PlySurvey(Survey):
-    """One PLY file. Its format knows neither CRS nor units: metres, unless ``--crs`` says otherwise.
+class PlyTable(PointTable):
+    """One PLY file. Text is read as float64 whatever the header declares, since its digits may hold more than a float.
 
-    Text is read as float64 whatever the header declares, since its digits may hold more than a float.
+    Parameters
+    ----------
+    file : OpenFile
+    wanted : dict of str to tuple of str
+        See `Wanted`.
     """
 
-    def __init__(self, path: Location, options: ReadOptions) -> None:
-        self._path = path
-        with decoding(path, "the header"):
-            self._header = header = read_ply_header(path)
-        size = size_of(path)
-        self._refuse_size(size)
-        self._serial = _serial_rows(path, header)
-        first = self._first()
-        place, notes = georeference(place_of(path, first), CrsStatement(), options.crs, options.z_unit)
-        codes = {prop.name: prop.code for prop in header.vertex.properties}
-        types = [codes[name] for name in header.columns]
-        if not header.text:
-            notes += precision_note(first, types)
-        kind = f"PLY, {_ENDIAN[header.byte_order]}, {' '.join(dict.fromkeys(np.dtype(t).name for t in types))}"
-        has_classes = header.class_column is not None
-        super().__init__(SurveyInfo(path, kind, size, header.vertex.count, place, None, has_classes, notes))
+    nan_is_no_return, searched = False, 1
 
-    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut anywhere."""
-        vertex = self._header.vertex
-        row_bytes = 8 * len(self._header.columns) if self._header.text else self._dtype.itemsize
-        return cut_rows(vertex.count, points, row_bytes)
+    def __init__(self, file: OpenFile, wanted: Wanted) -> None:
+        path, self._file = file.path, file
+        with file.open() as stream:
+            with decoding(path, "the header"):
+                self._header = header = read_ply_header(stream, path)
+            size = stream.seek(0, io.SEEK_END)
+        self._dtype = header.vertex.dtype(header.byte_order)
+        types = {name: self._dtype[name] for name in header.vertex.scalars}
+        _refuse_size(header, path, size)
+        shown = " ".join(dict.fromkeys(types[name].name for name in header.columns))
+        row_bytes = 8 * len(header.columns) if header.text else self._dtype.itemsize
+        kind = f"PLY, {_ENDIAN[header.byte_order]}, {shown}"
+        super().__init__(path, TableInfo(kind, size, header.vertex.count, row_bytes, types, header.text))
+        self._serial = self._serial_rows(wanted)
 
-    def fetch(self, chunk: Chunk) -> Any:
-        """Rows of a piece: a structured array with at least the columns that are needed."""
-        return self._rows(chunk.first, chunk.points)
-
-    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Points of a piece that count, in metres."""
-        raw = metres(fetched, self._header.columns, self._header.class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(chunk.first, self.info.bounds))
-
-    def _rows(self, first: int, count: int) -> Any:
+    def rows(self, first: int, count: int) -> Any:
+        """See ``PointTable.rows``."""
         if self._serial is not None:
             return self._serial.read(first, count)
-        return read_rows(self._path, self._vertices_at, self._dtype, first, count)
+        return read_rows(self._file, self._vertices_at, self._dtype, first, count)
 
-    @property
-    def _dtype(self) -> np.dtype[np.void]:
-        return self._header.vertex.dtype(self._header.byte_order)
+    def close(self) -> None:
+        """See ``PointTable.close``."""
+        if self._serial is not None:
+            self._serial.close()
 
     @cached_property
     def _vertices_at(self) -> int:
-        return data_start(self._path, self._header)
+        return data_start(self._file, self._header, self.info.size)
 
-    def _first(self) -> tuple[float, float, float] | None:
-        rows = self._rows(0, 1)
-        if self._serial is not None:
-            self._serial.close()
-        if len(rows) == 0:
-            return None
-        x, y, z = (float(rows[name][0]) for name in self._header.columns)
-        return (x, y, z) if np.isfinite([x, y, z]).all() else None
-
-    def _refuse_size(self, size: int) -> None:
-        """Hold the promised counts against the bytes that are there, before anything is reserved for them."""
+    def _serial_rows(self, wanted: Wanted) -> SerialRows | None:
+        """Rows that can be read in order alone: text, and those with lists; None where each has its place."""
         header = self._header
-        room = size - header.data_at
-        for head in (*header.before, header.vertex):
-            least = head.least_bytes(text=header.text)
-            held = room // least
-            if held < head.count:
-                refuse_count(
-                    self._path, head.count, max(held, 0), "points" if head is header.vertex else f"'{head.name}'"
-                )
-            room -= head.count * least
+        if header.text:
+            names = list(self.info.find(wanted).values())
+            dtype = np.dtype([(name, np.float64) for name in names])
+            places = [header.vertex.scalars.index(name) for name in names]
+            return TextRows(self._file, header.data_at, header.lines_before, dtype, places, header.vertex.lists)
+        if header.vertex.has_lists:
+            return ListedRows(self._file, self._vertices_at, header.vertex, header.byte_order, self.info.size)
+        return None
 
 
-def _serial_rows(path: Location, header: PlyHeader) -> SerialRows | None:
-    """Rows that can be read in order alone: text, and those with lists; None where each has its place."""
-    if header.text:
-        names = header.vertex.scalars
-        wanted = [*header.columns, *([header.class_column] if header.class_column else [])]
-        dtype = np.dtype([(name, np.float64) for name in wanted])
-        places = [names.index(name) for name in wanted]
-        return TextRows(path, header.data_at, header.lines_before, dtype, places, header.vertex.lists)
-    if header.vertex.has_lists:
-        return ListedRows(path, data_start(path, header), header.vertex, header.byte_order)
-    return None
+def _refuse_size(header: PlyHeader, path: Location, size: int) -> None:
+    """Hold the promised counts against the bytes that are there, before anything is reserved for them."""
+    room = size - header.data_at
+    for head in (*header.before, header.vertex):
+        least = head.least_bytes(text=header.text)
+        held = room // least
+        if held < head.count:
+            refuse_count(path, head.count, max(held, 0), "points" if head is header.vertex else f"'{head.name}'")
+        room -= head.count * least

@@ -1,13 +1,13 @@
 """The header of a PLY file: its elements, where its data starts, which columns are coordinates."""
 
 from dataclasses import dataclass, field
+from typing import BinaryIO
 
 import numpy as np
 
 from bumpymap.core import PLY_TYPES, BadInputError
 from bumpymap.readers.checks import decoding
-from bumpymap.readers.columns import CLASS_COLUMNS
-from bumpymap.readers.source import Location, open_source
+from bumpymap.readers.source import Location
 
 __all__ = ["PlyElement", "PlyHeader", "PlyProperty", "read_ply_header"]
 
@@ -73,7 +73,6 @@ class PlyHeader:
     """Elements whose data comes first."""
     columns: tuple[str, str, str]
     """Names of the x, y and z properties."""
-    class_column: str | None
 
     @property
     def text(self) -> bool:
@@ -86,15 +85,15 @@ class PlyHeader:
         return sum(element.count for element in self.before)
 
 
-def read_ply_header(path: Location) -> PlyHeader:
-    """Read the header of a PLY file.
+def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
+    """Read the header of a PLY file from its start.
 
     Raises
     ------
     BadInputError
         Not a PLY header, no vertex element, no x, y and z.
     """
-    lines, data_at = _lines(path)
+    lines, data_at = _lines(stream, path)
     with decoding(path, "the header"):
         byte_order, elements = _parse([line.decode("ascii") for line in lines])
     place = next((i for i, head in enumerate(elements) if head.name.lower() in {"vertex", "vertices"}), None)
@@ -112,25 +111,22 @@ def read_ply_header(path: Location) -> PlyHeader:
         )
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
-    classes = (names[name] for name in CLASS_COLUMNS if name in names)
-    class_id = next((prop.name for prop in classes if prop.length_code is None), None)
     columns = (names["x"].name, names["y"].name, names["z"].name)
-    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns, class_id)
+    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns)
 
 
-def _lines(path: Location) -> tuple[list[bytes], int]:
+def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
     """Lines of the header that say something, and the byte where it ends."""
     lines: list[bytes] = []
-    with open_source(path) as stream:
-        while len(lines) < _HEADER_LIMIT:
-            line = stream.readline(_LINE_LIMIT)
-            if not line:
-                break
-            line = line.strip()
-            if line and not line.startswith((b"comment", b"obj_info")):
-                lines.append(line)
-            if line == b"end_header":
-                return lines, stream.tell()
+    while len(lines) < _HEADER_LIMIT:
+        line = stream.readline(_LINE_LIMIT)
+        if not line:
+            break
+        line = line.strip()
+        if line and not line.startswith((b"comment", b"obj_info")):
+            lines.append(line)
+        if line == b"end_header":
+            return lines, stream.tell()
     raise BadInputError(f"the header of {path} has no end (no line 'end_header'): truncated? Copy or download it again")
 
 

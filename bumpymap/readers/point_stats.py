@@ -11,11 +11,13 @@ from typing import Any, Self
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import TRUST, box_text, refuse_count
-from bumpymap.readers.protocol import DROPPED
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
 __all__ = ["NOWHERE", "OUTSIDE", "PointStats", "judge"]
+
+_DROPPED = ("withheld", "noise", "not_a_number")
+"""Reasons for which a point does not count: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
 
 OUTSIDE = 1.0
 """How far a point may lie outside the box of its file or its piece, m: headers are rounded."""
@@ -74,7 +76,7 @@ class PointStats:
     @property
     def dropped(self) -> dict[str, int]:
         """Points that do not count, by reason."""
-        return {reason: getattr(self, reason) for reason in DROPPED}
+        return {reason: getattr(self, reason) for reason in _DROPPED}
 
     @property
     def bad(self) -> bool:

@@ -2,19 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from bumpymap.core import Georeference, PointCloud, ZUnit
+from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.source import Location, Version
 from bumpytiles import Bounds
 
-if TYPE_CHECKING:  # it needs the names here
-    from bumpymap.readers.point_stats import PointStats
-
-__all__ = ["CHUNK_POINTS", "DROPPED", "Chunk", "ChunkPoints", "ReadOptions", "SurveyInfo", "SurveyReader"]
-
-DROPPED = ("withheld", "noise", "not_a_number")
-"""Keys of ``SurveyReader.dropped``: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
+__all__ = ["CHUNK_POINTS", "Chunk", "ChunkPoints", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
 CHUNK_POINTS = 500_000
 """Points of a piece: enough to keep a decoder busy, few enough to be held by the dozen."""
@@ -77,7 +72,7 @@ class ChunkPoints:
 
     cloud: PointCloud
     """Those that count, in metres; none where ``tally.bad``."""
-    tally: "PointStats"
+    tally: PointStats
     """Of all of them."""
 
 
@@ -113,7 +108,7 @@ class SurveyReader(Protocol):
         ``fetched`` is used up.
         """
 
-    def judge(self, tally: "PointStats") -> None:
+    def judge(self, tally: PointStats) -> None:
         """Hold the points of all pieces to what the header said.
 
         Raises

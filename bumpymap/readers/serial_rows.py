@@ -1,4 +1,4 @@
-"""Rows of a table that can be read in order alone, in constant memory; a place further back starts again."""
+"""Rows of a table that can only be read in order, in constant memory; to go back is to start again."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.readers.checks import decoding
-from bumpymap.readers.source import Location
+from bumpymap.readers.source import OpenFile
 
 __all__ = ["SerialRows"]
 
@@ -17,9 +17,9 @@ _BLOCK = 100_000
 
 @dataclass(slots=True)
 class SerialRows(ABC):
-    """Where reading stands; a kind of table adds how its rows are found."""
+    """Rows read in order; a kind of table adds how they are found."""
 
-    path: Location
+    file: OpenFile
     data_at: int
     """Byte where the data starts."""
     _stream: Any = field(init=False, default=None)
@@ -27,7 +27,7 @@ class SerialRows(ABC):
 
     def read(self, first: int, count: int) -> NDArray[np.void]:
         """Rows from ``first`` on; fewer than ``count`` where the file ends."""
-        with decoding(self.path, f"the points from {first:,} on"):
+        with decoding(self.file.path, f"the points from {first:,} on"):
             if self._stream is None or first < self._next:
                 self.close()
                 self._open()

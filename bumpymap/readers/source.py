@@ -24,6 +24,7 @@ from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
     "Location",
+    "OpenFile",
     "Version",
     "changed",
     "held_to",
@@ -84,6 +85,37 @@ def open_source(location: Location) -> BinaryIO:
             _refuse_special(location)
             stream = location.open("rb")
     return stream
+
+
+class OpenFile:
+    """The bytes of a file for its readers: anew by path or URL each time, or from a stream that is open already.
+
+    Parameters
+    ----------
+    path : Path or str
+    stream : binary file, optional
+        The file, opened. One reader at a time then.
+    """
+
+    def __init__(self, path: Location, stream: BinaryIO | None = None) -> None:
+        self.path, self._stream = path, stream
+
+    def open(self) -> BinaryIO:
+        """Give a stream at the start of the file, to be closed after use. Raises as `open_source`."""
+        if self._stream is None:
+            return open_source(self.path)
+        stream = os.fdopen(os.dup(self._stream.fileno()), "rb")
+        stream.seek(0)
+        return stream
+
+    def read(self, start: int, size: int) -> NDArray[np.uint8]:
+        """Read ``size`` bytes from ``start`` on; fewer where the file ends."""
+        if self._stream is None:
+            return read_range(self.path, start, size)
+        data = np.empty(size, np.uint8)
+        with _reading(self.path), self.open() as stream:
+            stream.seek(start)
+            return data[: _fill(stream, data)]
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.readers.serial_rows import SerialRows
-from bumpymap.readers.source import open_source
 
 __all__ = ["TextRows"]
 
 
 @dataclass(slots=True)
 class TextRows(SerialRows):
-    """Lines of numbers, apart by blanks; empty lines do not count."""
+    """Lines of numbers separated by blanks; empty lines do not count."""
 
     skipped: int
     """Lines that come before the rows."""
@@ -32,7 +31,7 @@ class TextRows(SerialRows):
     _lines: Any = field(init=False, default=None)
 
     def _open(self) -> None:
-        binary: Any = open_source(self.path)
+        binary: Any = self.file.open()
         binary.seek(self.data_at)
         self._stream = io.TextIOWrapper(binary, "ascii", errors="replace")
         deque(islice(self._stream, self.skipped), maxlen=0)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from bumpymap.readers.base import Survey
+from bumpymap.readers.base import SurveyBase
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyReader
 from bumpymap.readers.source import Location, held_to, is_url, require_same, version_of
@@ -16,7 +16,7 @@ from bumpymap.readers.source import Location, held_to, is_url, require_same, ver
 __all__ = ["WatchedSurvey"]
 
 
-class WatchedSurvey(Survey):
+class WatchedSurvey(SurveyBase):
     """A ``SurveyReader`` around another one.
 
     Parameters

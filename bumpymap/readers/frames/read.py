@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import BadInputError, Dropped, Scan, UsageError
-from bumpymap.readers.detect import detect_format
+from bumpymap.core import Dropped, Scan, UsageError
 from bumpymap.readers.frames.raw import RawScan
 from bumpymap.readers.source import held_to, require_same, version_of
 
@@ -64,15 +63,9 @@ def _read(path: Path) -> RawScan:
         from bumpymap.readers.frames.kitti import read_kitti
 
         return read_kitti(path)
-    kind = detect_format(path)
-    if kind == "las":
-        raise BadInputError(
-            f"{path} is a survey (LAS), no scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
-            "survey with: bumpymap map"
-        )
-    from bumpymap.readers.frames.table import read_pcd, read_ply
+    from bumpymap.readers.frames.table import read_table
 
-    return read_ply(path) if kind == "ply" else read_pcd(path)
+    return read_table(path)
 
 
 def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
