@@ -9,7 +9,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 VOCABULARY = {
-    *("types", "config", "errors", "progress", "atomic", "interrupts", "json_text", "lock", "asked", "run_folder")
+    *("types", "config", "errors", "progress", "atomic", "interrupts", "json_text", "lock", "asked", "run_folder"),
+    *("processes", "shared_memory"),
 }
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
@@ -19,6 +20,9 @@ ROOMS = {
     "atomic": (set(), set()),
     "interrupts": (set(), set()),
     "progress": (set(), set()),
+    "processes": (set(), {"bumpytiles"}),
+    "shared_memory": (set(), {"numpy"}),
+    "_child": (set(), set()),
     "json_text": (set(), set()),
     "lock": (set(), set()),
     "asked": (set(), set()),
