@@ -71,6 +71,15 @@ from .ply_file import (
     PLY_TYPES as PLY_TYPES,
     write_vertices as write_vertices,
 )
+from .processes import (
+    Child as Child,
+    ChildDiedError as ChildDiedError,
+    ChildError as ChildError,
+    can_start as can_start,
+    folder_of as folder_of,
+    free_memory as free_memory,
+    take_memory as take_memory,
+)
 from .progress import (
     Progress as Progress,
     SilentProgress as SilentProgress,
@@ -108,6 +117,9 @@ from .scan_types import (
 from .settings_file import (
     read_settings_file as read_settings_file,
     why_no_path as why_no_path,
+)
+from .shared_memory import (
+    SharedBytes as SharedBytes,
 )
 from .toml_file import (
     read_toml as read_toml,

@@ -1,5 +1,5 @@
 from .decoder import (
-    rest as rest,
+    close as close,
 )
 from .detect import (
     open_survey as open_survey,

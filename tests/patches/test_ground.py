@@ -173,9 +173,9 @@ def test_a_block_may_hold_next_to_nothing(points):
 def test_a_filter_that_died_is_told_and_replaced(wood):
     block = blocks(wood[0])[0]
     marks = mark_ground(block, CsfSettings())
-    (child,) = cloth._IDLE
-    child.kill()
-    child.wait()
+    (child,) = cloth._idle
+    child.process.kill()
+    child.process.wait()
     with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower --memory"):
         mark_ground(block, CsfSettings())
     np.testing.assert_array_equal(mark_ground(block, CsfSettings()), marks)

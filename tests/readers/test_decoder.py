@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import decoder, decoder_process, open_survey
-from bumpymap.readers.decoder import DecoderError, LocalDecoder
-from bumpymap.readers.decoder_process import ChildDecoder
+from bumpymap.core.processes import Child
+from bumpymap.readers import decoder, open_survey
+from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 
@@ -25,10 +26,10 @@ CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
 @pytest.fixture
 def child(monkeypatch):
     """A decoder of this test alone."""
-    made = ChildDecoder()
+    made = Decoder()
     monkeypatch.setattr(decoder, "_current", made)
     yield made
-    made.rest()
+    made.close()
 
 
 @pytest.fixture
@@ -50,12 +51,12 @@ def records(reader, points=700):
 
 
 def pid_of(child):
-    return child._child.pid
+    return child._child.process.pid
 
 
 def kill(child):
     os.kill(pid_of(child), signal.SIGKILL)
-    child._child.wait()
+    child._child.process.wait()
 
 
 @pytest.mark.parametrize("kind", ["chunks", "variable", "stream"])
@@ -74,7 +75,7 @@ def test_a_child_loads_none_of_our_libraries():
         "import sys; sys.path += sys.argv[1:]; import _decoder_child as d; d._fields(); "
         "print({'numpy', 'bumpymap', 'site'} & set(sys.modules))"
     )
-    places = [Path(decoder_process.__file__).parent, Path(pytest.importorskip("lazrs").__file__).parents[1]]
+    places = [Path(decoder.__file__).parent, Path(pytest.importorskip("lazrs").__file__).parents[1]]
     ran = subprocess.run([sys.executable, "-I", "-S", "-c", code, *places], capture_output=True, text=True, check=True)
     assert ran.stdout == "set()\n"
 
@@ -90,7 +91,7 @@ def test_a_child_that_is_gone_between_pieces_is_replaced(survey, child, kind):
         found.append(reader.fetch(chunk).copy())
         kill(child)
     assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
-    assert first not in {None, child._child.pid}
+    assert first != pid_of(child)
 
 
 def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, child, monkeypatch):
@@ -125,8 +126,8 @@ def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
     points = np.random.default_rng(0).uniform(0, 100, (200_000, 3))
     reader = open_survey(las.write("a.laz", points + CORNER, version="1.4", fmt=7))
     (chunk,) = reader.chunks()
-    monkeypatch.setattr(decoder_process, "_SECONDS", 1e-6)
-    monkeypatch.setattr(decoder_process, "_SECONDS_PER_BYTE", 0.0)
+    monkeypatch.setattr(decoder, "_SECONDS", 1e-6)
+    monkeypatch.setattr(decoder, "_SECONDS_PER_BYTE", 0.0)
     with pytest.raises(BadInputError, match=r"a\.laz: the decoder comes to no end"):
         reader.fetch(chunk)
     monkeypatch.undo()
@@ -156,7 +157,7 @@ def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child,
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(child, "_answer", interrupted)
+    monkeypatch.setattr(Child, "finish", interrupted)
     with pytest.raises(KeyboardInterrupt):
         reader.fetch(reader.chunks(700)[1])
     monkeypatch.undo()
@@ -188,26 +189,26 @@ def test_a_fork_has_a_child_of_its_own(survey, child):
     forked = os.fork()
     if forked == 0:
         same = np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
-        other = decoder.decoder()._child.pid != mine
-        decoder.rest()
+        other = pid_of(decoder.decoder()) != mine
+        decoder.close()
         os._exit(0 if same and other else 1)
     assert os.waitpid(forked, 0)[1] == 0
     assert np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
     assert pid_of(child) == mine
 
 
-def test_rest_gives_everything_back_and_costs_nothing_but_time(survey, child):
+def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child):
     reader = open_survey(survey("chunks"))
     held = reader.fetch(reader.chunks(700)[0])
     expected = held.copy()
-    process = child._child
-    decoder.rest()
+    process = child._child.process
+    decoder.close()
     assert process.poll() is not None
-    assert child._memory.size > 0, "an array is still in use"
+    assert processes._memory.size > 0, "an array is still in use"
     assert np.array_equal(held, expected)
     del held
-    decoder.rest()
-    assert child._memory.size == 0
+    decoder.close()
+    assert processes._memory.size == 0
     assert np.array_equal(reader.fetch(reader.chunks(700)[0]), expected)
 
 
@@ -228,7 +229,7 @@ def test_no_child_outlives_its_parent(survey, how):
         from pathlib import Path
         from bumpymap.readers import decoder, open_survey
         open_survey(Path(sys.argv[1]))
-        print(decoder.decoder()._child.pid, flush=True)
+        print(decoder.decoder()._child.process.pid, flush=True)
         {f"os.kill(os.getpid(), {how})" if how else ""}
     """
     command = [sys.executable, "-c", textwrap.dedent(code), str(survey("chunks"))]

@@ -1,14 +1,14 @@
 """Is the simulation right? Drives whose answer is known beforehand: planes, sine waves, a halved step, a repeat."""
 
 import math
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Start, drive, drive_from
+from bumpymap.lab.simulate.pool import run_in_processes
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround
 from bumpymap.rating import VehicleProfile, make_textures
 
@@ -101,14 +101,13 @@ def check_step(
 def check_repeat(profile: VehicleProfile, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
     """Demand the same bits of one seed here, here again, and in another process."""
     settings = settings or DriveSettings()
-    results = [_rough_drive(profile, seed, settings) for _ in range(2)]
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        results.append(pool.submit(_rough_drive, profile, seed, settings).result())
+    again = partial(_rough_drive, profile, settings=settings)
+    results = [again(seed), again(seed), *run_in_processes(again, [seed], 1)]
     spread = max(d.c_r for d in results) - min(d.c_r for d in results)
     same = results[0] == results[1] == results[2]
     return CheckResult("same seed, again and in another process: change", spread, "0", same)
 
 
-def _rough_drive(profile: VehicleProfile, seed: int, settings: DriveSettings) -> Drive:
+def _rough_drive(profile: VehicleProfile, seed: int, *, settings: DriveSettings) -> Drive:
     patch = make_textures("high_noise", 1, np.random.default_rng(seed))[0].astype(np.float64)
     return drive(profile, PatchGround.from_heights(patch * _ROUGH_Z_RANGE_M, 3.0), seed, settings)

@@ -4,23 +4,16 @@ The physics engine holds the interpreter lock, so jobs go to processes. A job ha
 number of workers nor an interruption changes a bit of the results.
 """
 
-import multiprocessing
-import os
-import threading
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing, suppress
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
-from multiprocessing.util import Finalize
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from multiprocessing.connection import wait
+from typing import Any, Protocol, TypeVar
 
-from bumpymap.core import BumpymapError, shielded
+from bumpymap.core import BumpymapError, Child, ChildDiedError, shielded
 from bumpymap.lab.simulate.journal import Journal, Key
 from bumpymap.lab.simulate.patch import PatchDrives
-from bumpytiles import blocked_signals
 
-__all__ = ["Job", "Progress", "drive_jobs"]
+__all__ = ["Job", "Progress", "attempt", "drive_jobs", "run_in_processes"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished drives and the number of all drives."""
@@ -39,6 +32,8 @@ class Job(Protocol):
 
 
 AnyJob = TypeVar("AnyJob", bound=Job)
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 
 def drive_jobs(
@@ -78,7 +73,7 @@ def drive_jobs(
     done = total - sum(job.starts for job in left)
     report = progress or (lambda _done, _total: None)
     report(done, total)
-    with closing(_run(task, left, min(workers, len(left)))) as results:
+    with _results(task, left, min(workers, len(left))) as results:
         for job, drives in zip(left, results, strict=True):
             driven[job.key] = drives
             if journal:
@@ -88,92 +83,87 @@ def drive_jobs(
     return {job.key: driven[job.key] for job in jobs}
 
 
-def _run(
+def _results(
     task: Callable[[AnyJob], PatchDrives], jobs: Sequence[AnyJob], workers: int
-) -> Generator[PatchDrives, None, None]:
+) -> AbstractContextManager[Iterator[PatchDrives]]:
     """Run jobs, in this process or in others, and give their results in order."""
     if workers <= 1:
-        yield from map(task, jobs)
-        return
-    started: list[SpawnProcess] = []
+        return nullcontext(map(task, jobs))
+    return closing(run_in_processes(task, jobs, workers))
+
+
+def run_in_processes(
+    task: Callable[[Task], Result], jobs: Sequence[Task], workers: int
+) -> Generator[Result, None, None]:
+    """Run jobs in child processes and give their results in order; a worker takes the next job when it is idle.
+
+    This process hands the jobs out without threads of its own: one would outlive an interruption, and tell the user
+    about it. To close the generator is to end the workers.
+
+    Parameters
+    ----------
+    task : callable
+        Does one job; it, the jobs and the results must be picklable.
+    jobs : sequence
+    workers : int
+
+    Raises
+    ------
+    BumpymapError
+        A worker died.
+    Exception
+        Whatever ``task`` raises.
+    """
+    children: list[Child] = []
     try:
-        results: dict[int, PatchDrives] = {}
+        for _ in range(workers):
+            with shielded():
+                children.append(Child("for the simulation", __name__))
+        finished: dict[int, Result] = {}
         wanted = 0
-        for number, result in _results(jobs, [_start(task, started) for _ in range(workers)]):
-            results[number] = result
-            while wanted in results:
-                yield results.pop(wanted)
+        for number, result in _finished(task, jobs, children):
+            finished[number] = result
+            while wanted in finished:
+                yield finished.pop(wanted)
                 wanted += 1
+    except ChildDiedError as error:
+        raise BumpymapError(
+            f"a simulation process {error}, perhaps for want of memory; run the same command again to go on, "
+            "with fewer --workers if it happens again"
+        ) from error
     finally:
         # Whatever the reason, nobody wants what they are at any more, and they would be at it for many seconds.
         with shielded():
-            for worker in started:
-                worker.kill()
-            for worker in started:
-                worker.join()
+            for child in children:
+                child.close()
 
 
-def _start(task: Callable[[AnyJob], PatchDrives], started: list[SpawnProcess]) -> Connection:
-    # Spawned, not forked: a fork of a process with threads (progress bars, numerical libraries) can hang.
-    context = multiprocessing.get_context("spawn")
-    resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
-    ours, theirs = context.Pipe()
-    with shielded(), theirs, blocked_signals():
-        worker = context.Process(target=_work, args=(task, theirs), daemon=True)
-        worker.start()
-        started.append(worker)
-        # At its end the interpreter asks what is left of its children to go, to which these are deaf, and waits: so a
-        # signal just before the clearing up in `_run` would leave it waiting for ever.
-        Finalize(None, worker.kill, exitpriority=0)
-    return ours
-
-
-def _results(jobs: Sequence[AnyJob], idle: list[Connection]) -> Generator[tuple[int, PatchDrives], None, None]:
-    """Hand jobs out one by one; give number and result of each as they come.
-
-    This process does that without threads of its own: one would outlive an interruption, and tell the user about it.
-    """
+def _finished(
+    task: Callable[[Task], Result], jobs: Sequence[Task], children: Sequence[Child]
+) -> Generator[tuple[int, Result], None, None]:
+    """Give number and result of each job as they come."""
     waiting = iter(enumerate(jobs))
-    busy: list[Connection] = []
+    idle = list(children)
+    busy: dict[Any, tuple[Child, int]] = {}
+    while True:
+        for child, (number, job) in zip(idle.copy(), waiting, strict=False):
+            child.begin("attempt", task, job)
+            idle.remove(child)
+            busy[child.link] = child, number
+        if not busy:
+            return
+        for link in wait(list(busy)):
+            child, number = busy.pop(link)
+            result, error = child.finish()
+            if error is not None:
+                raise error
+            idle.append(child)
+            yield number, result
+
+
+def attempt(task: Callable[[Task], Result], job: Task) -> tuple[Result | None, Exception | None]:
+    """In a worker: do a job; give its result, or what it raised, for the parent to raise."""
     try:
-        while True:
-            for link, (number, job) in zip(idle.copy(), waiting, strict=False):
-                link.send((number, job))
-                idle.remove(link)
-                busy.append(link)
-            if not busy:
-                return
-            ready = wait(busy)
-            for link in [link for link in busy if link in ready]:
-                number, result, error = link.recv()
-                if error is not None:
-                    raise error
-                busy.remove(link)
-                idle.append(link)
-                yield number, result
-    except (EOFError, ConnectionError) as error:
-        raise BumpymapError(
-            "a simulation process died, perhaps for want of memory; run the same command again to go on, "
-            "with fewer --workers if it happens again"
-        ) from error
-
-
-def _work(task: Callable[[AnyJob], PatchDrives], link: Connection) -> None:
-    """Do jobs until the other end closes; end with the main process even in the middle of one."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-    with suppress(EOFError, ConnectionError):
-        while True:
-            number, job = link.recv()
-            answer: list[object] = [number, None, None]
-            try:
-                answer[1] = task(job)
-            except Exception as error:  # noqa: BLE001 (whatever it is, the main process raises it)
-                answer[2] = error
-            link.send(answer)
-
-
-def _end_with(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)
+        return task(job), None
+    except Exception as error:  # noqa: BLE001 (whatever it is)
+        return None, error

@@ -8,19 +8,14 @@ It writes to standard output, where the summary of a run belongs. And it holds t
 
 import importlib.util
 import os
-import signal
-import subprocess
 import sys
-import threading
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CsfSettings, UsageError
-from bumpymap.patches.ground._cloth_child import REQUEST
+from bumpymap.core import Child, ChildDiedError, CsfSettings, UsageError, folder_of, free_memory, take_memory
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 __all__ = ["close_filter", "filter_version", "mark_ground", "require_filter"]
@@ -30,9 +25,7 @@ _MOST_MESHES = 500
 """Meshes of the cloth along a side of a block: a quarter of a million take 100 MB."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-_Child = subprocess.Popen[bytes]
-_LOCK = threading.Lock()
-_IDLE: list[_Child] = []
+_idle: list[Child] = []
 """Processes that wait for the next block; each thread that works takes one."""
 
 
@@ -85,87 +78,49 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     """
     side = points.grid.tile_size * BLOCK_TILES
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))
+    count = len(points.upward)
+    coordinates, marks = take_memory(24 * count), take_memory(count)
     # From the block's own corner: the filter must not meet coordinates of millions of metres.
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
-    request = REQUEST.pack(
-        len(points.upward),
-        settings.cloth_resolution,
-        settings.class_threshold,
-        settings.rigidness,
-        settings.slope_smooth,
-    )
-    with _LOCK:
-        child = _IDLE.pop() if _IDLE else None
-    child = child or _start()
+    np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
     try:
-        answer = _asked(child, [request, *(column.data for column in columns)])
+        child = _idle.pop()
+    except IndexError:
+        child = _start()
+    try:
+        child.ask(
+            "mark_ground",
+            settings.cloth_resolution,
+            settings.class_threshold,
+            settings.rigidness,
+            settings.slope_smooth,
+            shared=(coordinates, marks),
+        )
+    except ChildDiedError as error:
+        child.close()
+        raise UsageError(
+            f"the process of the cloth simulation filter {error}. For want of memory: lower --memory or --threads. "
+            f"Else see whether it is installed as it should be: {sys.executable} -c 'import CSF'"
+        ) from error
     except BaseException:
-        _end(child)
+        child.close()
         raise
-    with _LOCK:
-        _IDLE.append(child)
-    return np.frombuffer(answer, np.bool_)
+    _idle.append(child)
+    return marks.data.view(np.bool_)
 
 
 def close_filter() -> None:
     """End the processes of the filter; the next block starts another."""
-    with _LOCK:
-        idle = _IDLE.copy()
-        _IDLE.clear()
-    for child in idle:
-        _end(child)
+    while _idle:
+        _idle.pop().close()
+    free_memory()
 
 
-def _asked(child: _Child, request: list[bytes | memoryview]) -> bytes:
-    points = len(request[-1])
-    try:
-        for part in request:
-            child.stdin.write(part)  # type: ignore[union-attr]
-        child.stdin.flush()  # type: ignore[union-attr]
-    except BrokenPipeError:
-        _mourn(child)
-    answer = child.stdout.read(points)  # type: ignore[union-attr]
-    if len(answer) < points:
-        _mourn(child)
-    return answer
-
-
-def _mourn(child: _Child) -> NoReturn:
-    code = child.wait()
-    how = f"ended by itself (code {code})" if code >= 0 else f"was ended by {signal.Signals(-code).name}"
-    raise UsageError(
-        f"the process of the cloth simulation filter {how}. For want of memory: lower --memory or --threads. Else see "
-        f"whether it is installed as it should be: {sys.executable} -c 'import CSF'"
-    )
-
-
-def _start() -> _Child:
-    found = [importlib.util.find_spec(name) for name in ("CSF", "numpy")]
-    places = [str(Path(spec.origin).parents[up]) for up, spec in enumerate(found) if spec and spec.origin]
+def _start() -> Child:
     # Without site-packages as a whole: what people put there is run at every start.
-    places.append(str(Path(__file__).parent))
-    code = f"import sys; sys.path += {places!r}; import _cloth_child; _cloth_child.serve()"
-    try:
-        return subprocess.Popen(  # noqa: S603 (this Python, and a script of this package)
-            [sys.executable, "-I", "-S", "-c", code],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **_ONE_THREAD},
-            start_new_session=True,  # Ctrl-C is for the parent
-        )
-    except OSError as error:
-        raise UsageError(
-            f"cannot start a process for the cloth simulation filter ({error.strerror}). End other programs, and run "
-            "again"
-        ) from error
+    folders = [folder_of("CSF"), folder_of("numpy"), str(Path(__file__).parent)]
+    return Child("for the cloth simulation filter", "_cloth_child", folders, _ONE_THREAD)
 
 
-def _end(child: _Child) -> None:
-    child.kill()  # it keeps nothing
-    for pipe in (child.stdin, child.stdout):
-        try:
-            pipe.close()  # type: ignore[union-attr]
-        except BrokenPipeError:
-            continue  # what it was sent last is of no use any more
-    child.wait()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_idle.clear)

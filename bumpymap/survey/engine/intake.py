@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core import BadInputError, Progress
-from bumpymap.readers import Chunk, PointStats, SurveyReader, rest as close_decoder
+from bumpymap.readers import Chunk, PointStats, SurveyReader, close as close_decoder
 from bumpymap.survey.engine.coming import Coming
 from bumpytiles import Bounds, Grid, Pack, Run, TileBuckets, group_points
 

@@ -25,9 +25,9 @@ from bumpymap.readers import (
     ReadOptions,
     SurveyReader,
     Version,
+    close as close_decoder,
     identity,
     reopen_survey,
-    rest as close_decoder,
 )
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import Group

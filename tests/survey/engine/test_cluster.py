@@ -17,10 +17,11 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.core import processes
 from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.processes import Child
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
-from bumpymap.readers.decoder_process import ChildDecoder
 from bumpymap.survey import Crew, Job
 from bumpymap.survey.engine.catalogue import Catalogue
 from bumpymap.survey.engine.harvest import Adoption
@@ -324,10 +325,9 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
 def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
     """It has read, or opened a file that is another than the client's."""
-    held, started = ChildDecoder(), []
-    start = held._start
-    monkeypatch.setattr(held, "_start", lambda: started.append(start()) or started[-1])
-    monkeypatch.setattr(decoder, "_current", held)
+    started = []
+    monkeypatch.setattr(decoder, "_current", None)
+    monkeypatch.setattr(decoder, "Child", lambda *arguments: started.append(Child(*arguments)) or started[-1])
     order, file = order_in(tmp_path), surveys / "a.laz"
     known = identity(file)
     digest = known["digest"] if same else "0"
@@ -335,8 +335,8 @@ def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, sa
     with nullcontext() if same else pytest.raises(UsageError, match="another file"):
         assert read_part(order, task).tally.points >= 1000
     assert started
-    assert all(child.poll() is not None for child in started)
-    assert held._memory.size == 0
+    assert not any(child.runs for child in started)
+    assert processes._memory.size == 0
 
 
 def test_parts_hold_each_piece_once(surveys):

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_is_kept
 from bumpymap.layers import PRODUCT_NAMES
-from bumpymap.readers.decoder_process import ChildDecoder
 from bumpymap.survey.engine.sink import TileSink
 
 GO_ON = "Pass --resume to the same command to go on from the finished tiles."
@@ -87,14 +87,14 @@ def goes_on(surveys, out, plain, monkeypatch, *options):
 
 @pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
 def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles):
-    answer = ChildDecoder._answer
+    finish = Child.finish
 
-    def kill(decoder, child):
-        child.kill()
-        child.wait()
-        return answer(decoder, child)
+    def kill(child, supply):
+        child.process.kill()
+        child.process.wait()
+        return finish(child, supply)
 
-    after_tiles(lambda: monkeypatch.setattr(ChildDecoder, "_answer", kill))
+    after_tiles(lambda: monkeypatch.setattr(Child, "finish", kill))
     out, scratch = tmp_path / "out", tmp_path / "scratch"
     result = run("map", surveys, "--out", out, "--scratch", scratch)
     assert result.exit_code == 2, result.output

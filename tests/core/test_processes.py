@@ -1,0 +1,151 @@
+"""Child processes: whatever becomes of one is one clear error, and no start has effects beside it."""
+
+import errno
+import operator
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from bumpymap.core import processes
+from bumpymap.core.errors import UsageError
+from bumpymap.core.processes import Child, ChildDiedError, ChildError, take_memory
+from bumpymap.lab.simulate.pool import run_in_processes
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
+
+
+@pytest.fixture
+def child():
+    """A child that calls functions of ``os``."""
+    made = Child("to test", "os", [])
+    yield made
+    made.close()
+
+
+def said_by(code, **options):
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, **options).stdout
+
+
+def test_a_child_is_a_process_of_its_own_that_answers(child):
+    assert child.ask("getpid") == child.process.pid != os.getpid()
+    assert child.ask("getppid") == os.getpid()
+
+
+def test_what_a_function_raises_is_told_and_the_child_goes_on(child):
+    with pytest.raises(ChildError, match="No such file"):
+        child.ask("listdir", "/none")
+    with pytest.raises(ChildError, match="no attribute"):
+        child.ask("none")
+    assert child.runs
+
+
+@pytest.mark.parametrize(
+    ("question", "message", "name"),
+    [(("_exit", 3), r"ended by itself \(code 3\)", ""), (("abort",), "was ended by SIGABRT", "SIGABRT")],
+)
+def test_a_child_that_dies_is_told(child, question, message, name):
+    with pytest.raises(ChildDiedError, match=message) as error:
+        child.ask(*question)
+    assert error.value.signal == name
+    assert not child.runs
+    with pytest.raises(ChildDiedError, match=message):
+        child.ask("getpid")
+
+
+def test_a_request_ofends_with_its_processor_time():
+    child = Child("to test", "builtins", [])
+    with pytest.raises(ChildDiedError) as error:
+        child.ask("sum", range(10**12), seconds=0.05)
+    assert error.value.signal == "SIGPROF"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_are_for_the_parent(child, number):
+    child.ask("getpid")
+    child.process.send_signal(number)
+    assert child.ask("getpid") == child.process.pid
+
+
+def test_memory_is_seen_by_both(tmp_path):
+    (tmp_path / "fill.py").write_text("def fill(value, memory): memory[:] = bytes([value]) * len(memory)\n")
+    child = Child("to test", "fill", [str(tmp_path)])
+    for size, value in ((5, 7), (10 << 20, 9), (0, 1)):  # the second makes the memory grow
+        memory = take_memory(size)
+        child.ask("fill", value, shared=(memory,))
+        assert memory.data.size == size
+        assert (memory.data == value).all()
+    child.close()
+
+
+def test_a_process_that_cannot_be_started_is_told(monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(processes.subprocess, "Popen", refuse)
+    with pytest.raises(UsageError, match=r"cannot start a process to test \(Resource temporarily unavailable\)"):
+        Child("to test", "os", [])
+
+
+def test_a_fork_leaves_the_children_to_the_old_process(child):
+    pid = child.ask("getpid")
+    forked = os.fork()
+    if forked == 0:
+        left = not child.runs
+        child.close()
+        os._exit(0 if left else 1)
+    assert os.waitpid(forked, 0)[1] == 0
+    assert child.ask("getpid") == pid
+
+
+def test_a_script_without_a_guard_is_not_run_again(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import operator\n"
+        "from bumpymap.lab.simulate.pool import run_in_processes\n"
+        "print('run')\n"
+        "print(*run_in_processes(operator.neg, [1, 2, 3], 2))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout == "run\n-1 -2 -3\n"
+
+
+def test_a_daemonic_process_may_have_children():
+    """As the workers of Dask are."""
+    code = """
+        import multiprocessing, operator, os
+        from bumpymap.lab.simulate.pool import run_in_processes
+
+        def work():
+            os._exit(sum(run_in_processes(operator.neg, [-1, -2], 2)))
+
+        process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
+        process.start()
+        process.join()
+        print(process.exitcode)
+    """
+    assert said_by(code) == "3\n"
+
+
+def test_a_task_of_the_main_module_is_refused_in_words(tmp_path):
+    code = """
+        from bumpymap.core.processes import ChildError
+        from bumpymap.lab.simulate.pool import run_in_processes
+
+        def task(job):
+            return job
+
+        try:
+            list(run_in_processes(task, [1], 1))
+        except ChildError as error:
+            print(error)
+    """
+    assert "Can't get attribute 'task'" in said_by(code, cwd=tmp_path)
+
+
+def test_results_come_in_order():
+    assert list(run_in_processes(operator.neg, range(9), 3)) == [-job for job in range(9)]
