@@ -9,7 +9,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 VOCABULARY = {
-    *("types", "config", "errors", "progress", "atomic", "interrupts", "json_text", "lock", "asked", "run_folder")
+    *(
+        "types",
+        "config",
+        "errors",
+        "progress",
+        "atomic",
+        "interrupts",
+        "json_text",
+        "lock",
+        "asked",
+        "run_folder",
+        "lazy_names",
+    )
 }
 ROOMS = {
     # room: (rooms of bumpymap beside the vocabulary, heavy packages)
@@ -20,6 +32,7 @@ ROOMS = {
     "interrupts": (set(), set()),
     "progress": (set(), set()),
     "json_text": (set(), set()),
+    "lazy_names": (set(), set()),
     "lock": (set(), set()),
     "asked": (set(), set()),
     "run_folder": (set(), set()),
@@ -64,7 +77,7 @@ ROOMS = {
     "terrains": ({"textures"}, {"numpy", "scipy"}),
     "ride": ({"calibration"}, {"bumpytiles", "numpy"}),
     "vehicle": (
-        {"calibration", "features", "ride", "terrains", "textures", "toml_file"},
+        {"calibration", "features", "ride", "settings_file", "terrains", "textures", "toml_file"},
         {"bumpytiles", "dartpy", "numpy"},
     ),
     "learn": ({"classify", "textures"}, {"matplotlib", "numpy", "onnx", "scipy", "torch"}),
@@ -158,6 +171,14 @@ def test_json_of_others_is_parsed_to_a_bounded_depth():
             own = [node for node in calls if ast.unparse(node.func) in {"json.loads", "json.load"}]
             foreign = [node for node in own if not ast.unparse(node.args[0]).startswith("json.dumps")]
             assert not foreign, f"{file}: use parse_json"
+
+
+def test_only_the_command_line_prints():
+    for file in (ROOT / "bumpymap").rglob("*.py"):
+        if file.parent.name != "cli":
+            assert not {"click", "rich"} & {name.split(".")[0] for name in imported(file)}, file
+            tree = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+            assert "print" not in {ast.unparse(node.func) for node in tree if isinstance(node, ast.Call)}, file
 
 
 def test_every_room_has_a_row():

@@ -58,6 +58,9 @@ from .interrupts import (
 from .json_text import (
     parse_json as parse_json,
 )
+from .lazy_names import (
+    lazy_names as lazy_names,
+)
 from .lock import (
     locked as locked,
 )
@@ -105,13 +108,16 @@ from .scan_types import (
     SectorStack as SectorStack,
 )
 from .settings_file import (
+    UNFILLED as UNFILLED,
+    field_rule as field_rule,
+    parse_record as parse_record,
     read_settings_file as read_settings_file,
+    refuse_faults as refuse_faults,
     why_no_path as why_no_path,
 )
 from .toml_file import (
     read_toml as read_toml,
     shown as shown,
-    shown_names as shown_names,
 )
 from .types import (
     BANDS as BANDS,

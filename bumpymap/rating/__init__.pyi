@@ -15,7 +15,7 @@ from .cost import (
 from .ride.correction import (
     Correction as Correction,
     Prediction as Prediction,
-    above_noise as above_noise,
+    subtract_noise as subtract_noise,
 )
 from .ride.fitting import (
     MOST_FAILED as MOST_FAILED,
@@ -52,6 +52,7 @@ from .vehicle.blank import (
     write_blank as write_blank,
 )
 from .vehicle.profile import (
+    KEYS as KEYS,
     VehicleProfile as VehicleProfile,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,

@@ -1,7 +1,7 @@
 from .correction import (
     Correction as Correction,
     Prediction as Prediction,
-    above_noise as above_noise,
+    subtract_noise as subtract_noise,
 )
 from .fitting import (
     MOST_FAILED as MOST_FAILED,

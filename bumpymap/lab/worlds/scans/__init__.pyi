@@ -1,6 +1,9 @@
 from .folder import (
     write_folder as write_folder,
 )
+from .labels import (
+    Label as Label,
+)
 from .lidar import (
     SimulatedScan as SimulatedScan,
     load_open3d as load_open3d,

@@ -1,4 +1,5 @@
 from .library import (
+    FINE as FINE,
     KINDS as KINDS,
     Terrain as Terrain,
     make_terrain as make_terrain,
