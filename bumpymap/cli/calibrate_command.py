@@ -95,14 +95,14 @@ def _refuse_beside_check() -> None:
 def _calibrate(
     settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str, progress: CommandProgress
 ) -> "Calibration":
-    from bumpymap.lab import Journal, calibrate, fit_ride, require_dart
+    from bumpymap.lab import Journal, calibrate_vehicle, fit_ride, require_dart
 
     require_dart()
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
     with locked(out.parent, f".{out.name}.lock"), telling_how_to_go_on(DRIVES_KEPT):
         _check_place(out, overwrite)
         progress.start("driving", settings.total_drives)
-        calibration = calibrate(
+        calibration = calibrate_vehicle(
             settings,
             Steps(progress),
             workers=workers,

@@ -98,18 +98,18 @@ def command(
     _refuse_idle(settings, library=library)
     subjects = _subjects(given)
     _require(settings)
-    from bumpymap.lab import Crew, evaluate_library, evaluate_survey, open_readers, write_report
+    from bumpymap.lab import TrialOptions, evaluate_library, evaluate_survey, open_readers, write_report
     from bumpymap.readers import ReadOptions
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
     with locked(out), telling_how_to_go_on(DRIVES_KEPT), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
-        crew = Crew(out, workers or os.cpu_count() or 1, overwrite, progress)
+        trial = TrialOptions(out, workers or os.cpu_count() or 1, overwrite, progress)
         findings = (
-            evaluate_library(subjects, settings, crew)
+            evaluate_library(subjects, settings, trial)
             if library
-            else evaluate_survey(readers, options, ground, subjects, settings, crew)
+            else evaluate_survey(readers, options, ground, subjects, settings, trial)
         )
         files = write_report(findings, out)
     if shown.summary(out, files):

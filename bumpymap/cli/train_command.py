@@ -17,7 +17,7 @@ from bumpymap.cli._text import say, say_json
 from bumpymap.core import OutputError, Progress, UsageError
 
 if TYPE_CHECKING:
-    from bumpymap.lab import EpochReport, MadeModel, MadeScanModel
+    from bumpymap.lab import EpochReport, MadeModel
 
 __all__ = ["command"]
 
@@ -105,7 +105,7 @@ def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
 
 def _train_textures(
     options: dict[str, Any], out: Path, progress: CommandProgress
-) -> "tuple[list[str], MadeModel | MadeScanModel]":
+) -> "tuple[list[str], MadeModel[Any]]":
     from bumpymap.lab import NetworkSettings, TrainSettings, make_model
 
     network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
@@ -122,8 +122,8 @@ def _train_textures(
 
 def _train_scans(
     options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
-) -> "tuple[list[str], MadeModel | MadeScanModel]":
-    from bumpymap.lab import ScanTrainSettings, even_accuracy, load_open3d, make_scan_model
+) -> "tuple[list[str], MadeModel[Any]]":
+    from bumpymap.lab import ScanTrainSettings, load_open3d, make_scan_model
 
     if folder is None:
         load_open3d("--scans simulated")
@@ -131,7 +131,7 @@ def _train_scans(
         _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
     scores = made.evaluation
-    even = 100 * even_accuracy(scores.every)
+    even = 100 * scores.every.even_accuracy
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
         f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",

@@ -115,7 +115,11 @@ from .scan_types import (
     point_classes as point_classes,
 )
 from .settings_file import (
+    UNFILLED as UNFILLED,
+    field_rule as field_rule,
+    parse_record as parse_record,
     read_settings_file as read_settings_file,
+    refuse_faults as refuse_faults,
     why_no_path as why_no_path,
 )
 from .shared_memory import (
@@ -124,7 +128,6 @@ from .shared_memory import (
 from .toml_file import (
     read_toml as read_toml,
     shown as shown,
-    shown_names as shown_names,
 )
 from .types import (
     BANDS as BANDS,

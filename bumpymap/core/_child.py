@@ -1,8 +1,8 @@
 """The loop of a child process: answer requests until the parent closes the connection or ends.
 
-`bumpymap.core.processes` starts this file as a script, outside of its package: the process that decodes LAZ must start in no
-time, so nothing is imported here but the standard library. The first message says where modules are found, and which
-of them holds the functions that later messages call by name.
+`bumpymap.core.processes` starts this file as a script, outside of its package: the process that decodes LAZ must start
+quickly, so nothing is imported here but the standard library. The first message says where modules are found, and
+which of them holds the functions that later messages call by name.
 """
 
 import mmap

@@ -1,17 +1,21 @@
-"""Settings from a TOML file, by the fields of the dataclass that they are for. Unknown keys are refused."""
+"""Dataclasses from TOML files, by the types of their fields: settings of a run and vehicle profiles."""
 
 import os
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, runtime_checkable
 
 from bumpymap.core.config import NameOrFile, names_a_file
-from bumpymap.core.errors import UsageError
+from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.toml_file import read_toml, shown, shown_names
 
-__all__ = ["read_settings_file", "why_no_path"]
+__all__ = ["UNFILLED", "FieldRule", "field_rule", "parse_record", "read_settings_file", "refuse_faults", "why_no_path"]
 
+UNFILLED = "?"
+"""What a file to fill in has where a value with a `FieldRule` is wanted."""
+_MOST_FAULTS = 40
+"""That a message says."""
 _LONGEST_NAME = 255
 """Bytes of one name of a path: the file systems in use take no more."""
 
@@ -22,6 +26,20 @@ _WORDS = {
 }
 _TEXT = ("a text", "texts")
 """One value of a kind, and several."""
+_UNFIT = object()
+"""In the place of a value that is not of its field's type."""
+
+
+@runtime_checkable
+class FieldRule(Protocol):
+    """What a field takes beyond its type; it stands in the field's ``Annotated`` type."""
+
+    @property
+    def allowed(self) -> str:
+        """Say what is allowed; follows *it must be*."""
+
+    def fault(self, value: Any) -> str:
+        """Say what is wrong with a value of the field's type, such as *it must be positive*; empty where nothing is."""
 
 
 def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
@@ -32,9 +50,7 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     path : Path
         Of the file. Relative paths in it start at its folder.
     owner : type
-        Dataclass that the settings are for. A field may be a bool, a number, a text, a Path, a ``Path | str`` (a URL
-        stays a text), a ``NameOrFile``, a Literal of texts, a tuple of one of these, a dataclass (a table of the
-        file), or any of them or None.
+        Dataclass that the settings are for; see `parse_record`.
 
     Returns
     -------
@@ -44,48 +60,129 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     Raises
     ------
     UsageError
-        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds.
+        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds; all of them are said.
     """
-    return _settings(read_toml(path, "settings", UsageError), owner, str(path), path.parent)
+    arguments, faults = parse_record(read_toml(path, "settings", UsageError), owner, path.parent)
+    refuse_faults(faults, str(path), UsageError)
+    return arguments
 
 
-def _settings(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
-    known: dict[str, Any] = {f.name: f.type for f in fields(owner)}
-    unknown = sorted(set(record) - set(known))
-    if unknown:
-        raise UsageError(f"{origin}: unknown setting {shown_names(unknown)}; there are: {', '.join(known)}")
-    return {name: _value(value, known[name], name, origin, folder) for name, value in record.items()}
+def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = False) -> tuple[dict[str, Any], list[str]]:
+    """Turn nested dictionaries into the arguments of a dataclass.
+
+    Parameters
+    ----------
+    record : dict
+        As it stands in a TOML or JSON file.
+    owner : type
+        Dataclass. A field may be a bool, a number, a text, a Path, a ``Path | str`` (a URL stays a text), a
+        ``NameOrFile``, a Literal of texts, a tuple of one of these, a dataclass (a table of the file), any of them or
+        None, or any of them ``Annotated`` with a `FieldRule`.
+    folder : Path
+        Where relative paths start.
+    complete : bool
+        Whether a missing field without a default is a fault. In tables it always is.
+
+    Returns
+    -------
+    arguments : dict
+        Of the fields that ``record`` names.
+    faults : list of str
+        Each names the key, what came and what is allowed.
+    """
+    parser = _Parser(folder)
+    if not isinstance(record, dict):
+        return {}, [f"it holds {shown(record)}; it must hold a table with {_names(owner)}"]
+    return parser.table(record, owner, "", complete=complete), parser.faults
 
 
-def _value(value: Any, kind: Any, name: str, origin: str, folder: Path) -> Any:
-    """Return a TOML value as the setting's type."""
-    if get_args(kind)[1:] == (NoneType,):  # whoever wants None leaves the setting out
-        kind = get_args(kind)[0]
-    items = get_args(kind)
-    if is_dataclass(kind) and isinstance(value, dict):
-        return kind(**_settings(value, kind, f"{origin} [{name}]", folder))  # type: ignore[arg-type, operator]
-    if get_origin(kind) is tuple and isinstance(value, list) and (items[-1] is Ellipsis or len(items) == len(value)):
-        return tuple(
-            _value(item, items[0], f"value {number} of {name}", origin, folder) for number, item in enumerate(value, 1)
-        )
-    if get_origin(kind) is Literal and isinstance(value, str) and value in items:
-        return value
-    if kind in (Path, Path | str, NameOrFile) and isinstance(value, str):
-        if reason := why_no_path(value):
-            raise UsageError(f"{origin}: {name}: {reason}")
-        return _placed(value, kind, folder)
-    if type(value) is kind:
-        return value
-    if kind is float and type(value) is int and abs(value) < 2**1023:
-        return float(value)
-    raise UsageError(f"{origin}: {name} is {shown(value)}; it must be {_word(kind, name)}")
+def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], more: str = "") -> None:
+    """Raise an error that says all faults, if there are any; ``more`` follows their number."""
+    if len(faults) == 1:
+        raise error(f"{origin}: {faults[0]}")
+    if faults:
+        lines = [f"  {fault}" for fault in faults[:_MOST_FAULTS]]
+        left = len(faults) - len(lines)
+        raise error(f"{origin}: {len(faults)} faults{more}", *lines, *([f"  and {left} more"] if left else []))
 
 
-def _placed(text: str, kind: Any, folder: Path) -> Path | str:
-    """Let a path start at the folder of the file; URLs and names are none."""
-    if kind == NameOrFile:
-        return str(folder / text) if names_a_file(text) else text
-    return text if kind is not Path and "://" in text else folder / text
+def field_rule(kind: Any) -> FieldRule | None:
+    """Return the rule in the type of a field; None without one."""
+    return next((item for item in get_args(kind)[1:] if isinstance(item, FieldRule)), None)
+
+
+class _Parser:
+    """Turns values into the types of fields, and collects what is wrong with them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.faults: list[str] = []
+
+    def table(self, record: dict[str, Any], owner: type, table: str, *, complete: bool) -> dict[str, Any]:
+        """Return the arguments of a dataclass; ``table`` is the name of its table, empty for the top of the file."""
+        known = {field.name: field for field in fields(owner)}
+        unknown = sorted(set(record) - set(known))
+        if unknown:
+            where = f"[{table}]: " if table else ""
+            self.faults.append(f"{where}unknown setting {shown_names(unknown)}; there are: {', '.join(known)}")
+        arguments = {}
+        for name, field in known.items():
+            full = f"{table}.{name}" if table else name
+            if name in record:
+                arguments[name] = self._value(record[name], field.type, full)
+            elif complete and _is_required(field):
+                self.faults.append(f"missing {full}: {_allowed(field.type, full)}")
+        return arguments
+
+    def _value(self, value: Any, kind: Any, name: str) -> Any:
+        """Return a value as the type of its field."""
+        rule, before = field_rule(kind), len(self.faults)
+        found = self._converted(value, kind, name)
+        if len(self.faults) > before:
+            return found
+        if rule is not None and value == UNFILLED:
+            self.faults.append(f"{name} is not filled in: {rule.allowed}")
+        elif found is _UNFIT:
+            self.faults.append(f"{name} is {shown(value)}; it must be {_allowed(kind, name)}")
+        elif rule is not None and (fault := rule.fault(found)):
+            self.faults.append(f"{name} is {shown(value)}; {fault}")
+        return found
+
+    def _converted(self, value: Any, kind: Any, name: str) -> Any:
+        kind = _bare(kind)
+        items = get_args(kind)
+        if is_dataclass(kind) and isinstance(value, dict):
+            return self._built(value, kind, name)
+        if get_origin(kind) is tuple and _fits(value, items):
+            return tuple(
+                self._value(item, items[0], f"value {number} of {name}") for number, item in enumerate(value, 1)
+            )
+        if kind in (Path, Path | str, NameOrFile) and isinstance(value, str):
+            return self._placed(value, kind, name)
+        if kind is float and type(value) is int and abs(value) < 2**1023:
+            return float(value)
+        of_kind = isinstance(value, str) and value in items if get_origin(kind) is Literal else type(value) is kind
+        return value if of_kind else _UNFIT
+
+    def _built(self, record: dict[str, Any], kind: Any, name: str) -> Any:
+        """Build the dataclass of a table."""
+        before = len(self.faults)
+        arguments = self.table(record, kind, name, complete=True)
+        if len(self.faults) > before:
+            return _UNFIT
+        try:
+            return kind(**arguments)
+        except UsageError as error:
+            self.faults.append(f"[{name}]: {error}")
+            return _UNFIT
+
+    def _placed(self, text: str, kind: Any, name: str) -> Path | str:
+        """Let a path start at the folder of the file; URLs and names are none."""
+        if reason := why_no_path(text):
+            self.faults.append(f"{name}: {reason}")
+        if kind == NameOrFile:
+            return str(self._folder / text) if names_a_file(text) else text
+        return text if kind is not Path and "://" in text else self._folder / text
 
 
 def why_no_path(text: str) -> str:
@@ -100,11 +197,33 @@ def why_no_path(text: str) -> str:
     return ""
 
 
-def _word(kind: Any, name: str) -> str:
-    """Say what a setting can be."""
+def _bare(kind: Any) -> Any:
+    """Return the type without None (whoever wants that leaves the setting out) and without its rule."""
+    if get_args(kind)[1:] == (NoneType,):
+        kind = get_args(kind)[0]
+    return get_args(kind)[0] if get_origin(kind) is Annotated and field_rule(kind) else kind
+
+
+def _fits(value: Any, items: tuple[Any, ...]) -> bool:
+    return isinstance(value, list | tuple) and (items[-1] is Ellipsis or len(items) == len(value))
+
+
+def _is_required(field: "Field[Any]") -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _names(owner: Any) -> str:
+    return ", ".join(field.name for field in fields(owner))
+
+
+def _allowed(kind: Any, name: str) -> str:
+    """Say what a field can be."""
+    if rule := field_rule(kind):
+        return rule.allowed
+    kind = _bare(kind)
     items = get_args(kind)
     if is_dataclass(kind):
-        return f"a table [{name}]"
+        return f"a table, [{name}], with {_names(kind)}"
     if get_origin(kind) is tuple:
         count = "" if items[-1] is Ellipsis else f"{len(items)} "
         return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}"

@@ -1,3 +1,8 @@
+from .evaluate.document import (
+    REPORT as REPORT,
+    number as number,
+    percent as percent,
+)
 from .evaluate.findings import (
     Findings as Findings,
 )
@@ -5,7 +10,6 @@ from .evaluate.pictures import (
     require_matplotlib as require_matplotlib,
 )
 from .evaluate.report import (
-    REPORT as REPORT,
     write_report as write_report,
 )
 from .evaluate.run import (
@@ -35,18 +39,17 @@ from .evaluate.subject import (
 from .evaluate.survey import (
     open_readers as open_readers,
 )
-from .evaluate.tables import (
-    number as number,
-    percent as percent,
-)
 from .evaluate.trial import (
-    Crew as Crew,
+    TrialOptions as TrialOptions,
 )
 from .simulate.calibrate import (
-    calibrate as calibrate,
+    calibrate_vehicle as calibrate_vehicle,
 )
 from .simulate.checks import (
     all_checks as all_checks,
+)
+from .simulate.drive import (
+    DriveSettings as DriveSettings,
 )
 from .simulate.journal import (
     Journal as Journal,
@@ -55,6 +58,7 @@ from .simulate.library import (
     library_terrains as library_terrains,
 )
 from .simulate.model import (
+    Physics as Physics,
     require_dart as require_dart,
 )
 from .simulate.plan import (
@@ -63,26 +67,35 @@ from .simulate.plan import (
 from .simulate.ride_fit import (
     fit_ride as fit_ride,
 )
+from .simulate.terrain import (
+    PatchGround as PatchGround,
+)
+from .train.evaluate import (
+    predict as predict,
+)
 from .train.make import (
-    MadeModel as MadeModel,
     make_model as make_model,
 )
 from .train.model import (
     NetworkSettings as NetworkSettings,
 )
-from .train.scan.evaluate import (
-    even_accuracy as even_accuracy,
+from .train.output import (
+    MadeModel as MadeModel,
 )
 from .train.scan.make import (
-    MadeScanModel as MadeScanModel,
     make_scan_model as make_scan_model,
 )
 from .train.scan.train import (
     ScanTrainSettings as ScanTrainSettings,
 )
+from .train.score import (
+    count_answers as count_answers,
+)
 from .train.train import (
-    EpochReport as EpochReport,
     TrainSettings as TrainSettings,
+)
+from .train.training import (
+    EpochReport as EpochReport,
 )
 from .worlds.sample._surfaces import (
     CROWN as CROWN,
@@ -92,40 +105,31 @@ from .worlds.sample._surfaces import (
     WASHBOARD_LENGTH as WASHBOARD_LENGTH,
 )
 from .worlds.sample.files import (
-    SampleFiles as SampleFiles,
     make_quarry_survey as make_quarry_survey,
 )
 from .worlds.sample.site import (
-    EPSG as EPSG,
     ZONES as ZONES,
     QuarrySite as QuarrySite,
-    Zone as Zone,
 )
 from .worlds.sample.survey import (
     NOISE_SIGMA as NOISE_SIGMA,
-    SurveyPoints as SurveyPoints,
     sample_survey as sample_survey,
 )
 from .worlds.scans.folder import (
     write_folder as write_folder,
 )
-from .worlds.scans.lidar import (
-    SimulatedScan as SimulatedScan,
-    load_open3d as load_open3d,
-    simulate_scan as simulate_scan,
+from .worlds.scans.labels import (
+    Label as Label,
 )
-from .worlds.scans.overhead import (
-    look_down as look_down,
+from .worlds.scans.lidar import (
+    load_open3d as load_open3d,
 )
 from .worlds.scans.scene import (
-    THEMES as THEMES,
-    Scene as Scene,
     make_scene as make_scene,
 )
 from .worlds.scans.sensor import (
     SENSORS as SENSORS,
     Sensor as Sensor,
-    draw_sensor as draw_sensor,
 )
 from .worlds.terrains.library import (
     KINDS as KINDS,
@@ -134,6 +138,5 @@ from .worlds.terrains.library import (
 )
 from .worlds.terrains.survey import (
     ScanEffects as ScanEffects,
-    TerrainPoints as TerrainPoints,
     survey_terrain as survey_terrain,
 )

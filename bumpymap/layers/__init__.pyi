@@ -33,7 +33,6 @@ from .placement import (
     check_extent as check_extent,
 )
 from .regions import (
-    Regions as Regions,
     dissolve as dissolve,
 )
 from .scan.folder import (
@@ -59,7 +58,6 @@ from .scan.manifest import (
     write_scan_manifest as write_scan_manifest,
 )
 from .scan.names import (
-    FRAME_FILES as FRAME_FILES,
     FRAME_FOLDER as FRAME_FOLDER,
     Frame as Frame,
     name_frames as name_frames,

@@ -9,9 +9,5 @@ from .ground.cloth import (
     require_filter as require_filter,
 )
 from .kernels.measure import (
-    LANES as LANES,
-    SAMPLE as SAMPLE,
-    SUMS as SUMS,
     fill_holes as fill_holes,
-    measure_tiles as measure_tiles,
 )

@@ -5,9 +5,6 @@ from .calibration import (
 from .calibration_lookup import (
     find_calibration as find_calibration,
 )
-from .class_kernels import (
-    rate_tiles as rate_tiles,
-)
 from .cost import (
     rate as rate,
     rate_as_paper as rate_as_paper,
@@ -15,7 +12,7 @@ from .cost import (
 from .ride.correction import (
     Correction as Correction,
     Prediction as Prediction,
-    above_noise as above_noise,
+    subtract_noise as subtract_noise,
 )
 from .ride.fitting import (
     MOST_FAILED as MOST_FAILED,
@@ -28,7 +25,6 @@ from .ride.geometry import (
     roll_over as roll_over,
 )
 from .ride.noise import (
-    CleanPatches as CleanPatches,
     denoise as denoise,
 )
 from .ride.operator import (

@@ -3,7 +3,6 @@ from .decoder import (
 )
 from .detect import (
     open_survey as open_survey,
-    read_columns as read_columns,
     reopen_survey as reopen_survey,
 )
 from .find import (
@@ -26,7 +25,6 @@ from .point_stats import (
     PointStats as PointStats,
 )
 from .protocol import (
-    CHUNK_POINTS as CHUNK_POINTS,
     Chunk as Chunk,
     ChunkPoints as ChunkPoints,
     ReadOptions as ReadOptions,
@@ -39,7 +37,6 @@ from .source import (
     changed as changed,
     identity as identity,
     is_url as is_url,
-    version_of as version_of,
 )
 from .summary import (
     PointSummary as PointSummary,

@@ -11,12 +11,9 @@ from .engine.budget import (
     memory_bytes as memory_bytes,
 )
 from .engine.cluster import (
-    ClusterRun as ClusterRun,
     Crew as Crew,
-    hired as hired,
 )
 from .engine.job import (
-    Done as Done,
     Job as Job,
 )
 from .engine.local import (
@@ -25,10 +22,6 @@ from .engine.local import (
 from .engine.resource_estimate import (
     Estimate as Estimate,
     estimate as estimate,
-)
-from .engine.workspace import (
-    ADVICE as ADVICE,
-    Workspace as Workspace,
 )
 from .pipeline import (
     MapResult as MapResult,

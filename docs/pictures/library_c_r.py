@@ -6,8 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bumpymap.lab import KINDS
-from bumpymap.lab.simulate.library import library_terrains
+from bumpymap.lab import KINDS, library_terrains
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 
 OUT = Path(__file__).parents[1] / "pages" / "img" / "library_c_r.png"

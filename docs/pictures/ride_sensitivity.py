@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.drive import DriveSettings, drive
-from bumpymap.lab.simulate.model import Physics
-from bumpymap.lab.simulate.terrain import PatchGround
+from bumpymap.lab import DriveSettings, PatchGround, Physics
+from bumpymap.lab.simulate.drive import drive
+from bumpymap.rating import VehicleProfile, load_profile
 from bumpymap.rating.textures import make_textures
-from bumpymap.rating.vehicle.profile import VehicleProfile, load_profile
 
 PATCHES = 24
 Z_RANGE_M = 0.3

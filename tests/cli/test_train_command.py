@@ -110,14 +110,15 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
     from bumpymap.lab.train.scan import train as trainer
 
     with pytest.MonkeyPatch.context() as patch:
-        run_epoch = trainer._run_epoch
+        draw, drawn = trainer.draw_epoch, []
 
-        def stop(*arguments):
-            if arguments[-1] == 1:
+        def stop_at_the_second(*arguments):
+            if drawn:
                 raise KeyboardInterrupt
-            return run_epoch(*arguments)
+            drawn.append(True)
+            return draw(*arguments)
 
-        patch.setattr(trainer, "_run_epoch", stop)
+        patch.setattr(trainer, "draw_epoch", stop_at_the_second)
         ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert ended.exit_code == 130
     assert ended.stderr.endswith("Give the same command again to go on from the last whole epoch.\n")
@@ -187,9 +188,7 @@ def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
 
 def test_the_help_names_the_defaults_of_the_library():
     require_torch()
-    from bumpymap.lab.train.model import NetworkSettings
-    from bumpymap.lab.train.scan.train import ScanTrainSettings
-    from bumpymap.lab.train.train import TrainSettings
+    from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
 
     texture, scan = TrainSettings(), ScanTrainSettings()
     help_of = {option.name: option.help for option in train_command.command.params}

@@ -7,8 +7,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.vehicle.keys import KEYS
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle.profile import KEYS, load_profile
 
 SHIPPED = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 
@@ -34,9 +33,9 @@ def test_a_new_profile_passes_only_when_it_is_filled_in(tmp_path):
     wanted = [key for key in KEYS if key.default is None]
     assert len(faults) == len(wanted) + 1  # and the description
     for fault, key in zip(faults[1:], wanted, strict=True):
-        assert fault == f"  {key.name} is not filled in: {key.allowed}"
+        assert fault == f"  {key.name} is not filled in: {key.quantity.allowed}"
     text = (tmp_path / "mine.toml").read_text()
-    assert all(f"In {key.allowed}." in text for key in KEYS)
+    assert all(f"({key.quantity.allowed})." in text for key in KEYS)
 
 
 def test_a_new_profile_like_another_says_so_and_passes(tmp_path):
@@ -111,14 +110,14 @@ def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tm
     path.write_text(path.read_text().replace("wheelbase_m = 2.7", "wheelbase_m = 2700"))
     result = CliRunner().invoke(main, ["calibrate", "--vehicle", "mine.toml", "--check"])
     assert result.exit_code == 3
-    assert "wheelbase_m = 2700: metres; between 0.1 and 20; 2700 mm would be 2.7" in result.stderr
+    assert "wheelbase_m is 2700; it must be between 0.1 and 20 metres; 2700 mm would be 2.7" in result.stderr
     calibration = json.loads((SHIPPED / "calibrations" / "car.json").read_text())
     calibration["vehicle"]["wheelbase_m"] = 2700
     (tmp_path / "c.json").write_text(json.dumps(calibration))
     (tmp_path / "a.laz").touch()
     result = CliRunner().invoke(main, ["map", "a.laz", "--out", "o", "--calibration", "c.json"])
     assert result.exit_code == 3
-    assert "c.json, vehicle: wheelbase_m = 2700: metres" in result.stderr
+    assert "c.json, vehicle: wheelbase_m is 2700; it must be between" in result.stderr
 
 
 def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):

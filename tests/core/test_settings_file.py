@@ -4,13 +4,14 @@ import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given, strategies as st
 
+from bumpymap.core.config import MapConfig
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings_file import parse_record, read_settings_file
 
 Colour = Literal["red", "blue"]
 
@@ -34,6 +35,21 @@ class Outer:
     colour: Colour = "red"
     other: Colour | None = None
     colours: tuple[Colour, ...] = ()
+    inner: Inner = field(default_factory=Inner)
+
+
+class AtMostOne:
+    """A rule of numbers."""
+
+    allowed = "at most 1"
+
+    def fault(self, value):
+        return "" if value <= 1 else f"it must be {self.allowed}"
+
+
+@dataclass(frozen=True, slots=True)
+class Ruled:
+    share: Annotated[float, AtMostOne()]
     inner: Inner = field(default_factory=Inner)
 
 
@@ -105,8 +121,8 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
     ("text", "message"),
     [
         ("none = 1\nnever = 2", r"a\.toml: unknown setting never, none; there are: places, files, file"),
-        ("[inner]\nnone = 1", r"a\.toml \[inner\]: unknown setting none; there are: number, corners, counts"),
-        ("inner = 1", r"inner is 1; it must be a table \[inner\]"),
+        ("[inner]\nnone = 1", r"a\.toml: \[inner\]: unknown setting none; there are: number, corners, counts"),
+        ("inner = 1", r"inner is 1; it must be a table, \[inner\], with number, corners, counts"),
         ('places = "a"', "places is 'a'; it must be a list of texts"),
         ('files = "a"', "files is 'a'; it must be a list of texts"),
         ('places = ["a", 7]', "value 2 of places is 7; it must be a text"),
@@ -120,11 +136,11 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
         ("other = [1]", r"other is \[1\]; it must be one of red, blue"),
         ('colours = ["red", "green"]', "value 2 of colours is 'green'; it must be one of red, blue"),
         ("colours = 1", "colours is 1; it must be a list of texts"),
-        ("[inner]\nnumber = true", "number is True; it must be a number"),
+        ("[inner]\nnumber = true", r"inner\.number is True; it must be a number"),
         ("[inner]\nnumber = 2024-05-01", "it must be a number"),
         (f"[inner]\nnumber = 1{'0' * 400}", "it must be a number"),
-        ("[inner]\ncorners = [1]", r"corners is \[1\]; it must be a list of 2 numbers"),
-        ("[inner]\ncounts = [1, 2.5]", r"value 2 of counts is 2\.5; it must be a whole number"),
+        ("[inner]\ncorners = [1]", r"inner\.corners is \[1\]; it must be a list of 2 numbers"),
+        ("[inner]\ncounts = [1, 2.5]", r"value 2 of inner\.counts is 2\.5; it must be a whole number"),
         ("count = ", "cannot read settings from .*a.toml"),
         (f"count = {'9' * 5000}", "cannot read settings"),
         (f"count = {'[' * 5000}", "cannot read settings"),
@@ -133,6 +149,50 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
 def test_what_is_wrong_is_said_with_what_is_allowed(tmp_path, text, message):
     with pytest.raises(UsageError, match=message):
         read(tmp_path, text)
+
+
+def test_all_faults_are_said_at_once(tmp_path):
+    with pytest.raises(UsageError) as caught:
+        read(tmp_path, "none = 1\ncount = 1.5\nplaces = [1, 'a', 2]\n[inner]\nnumber = true\nlow = 1\n")
+    first, *faults = caught.value.args
+    assert first == f"{tmp_path / 'a.toml'}: 6 faults"
+    assert [fault.split(";")[0] for fault in faults] == [
+        "  unknown setting none",
+        "  value 1 of places is 1",
+        "  value 3 of places is 2",
+        "  count is 1.5",
+        "  [inner]: unknown setting low",
+        "  inner.number is True",
+    ]
+
+
+def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
+    with pytest.raises(UsageError) as caught:
+        read(tmp_path, f"places = [{'1,' * 50_000}]")
+    assert caught.value.args[0].endswith("a.toml: 50000 faults")
+    assert caught.value.args[-1] == "  and 49960 more"
+    assert len(caught.value.args) == 42
+
+
+def test_what_a_dataclass_refuses_is_said_with_file_and_table(tmp_path):
+    file = tmp_path / "a.toml"
+    file.write_text("[features]\nmin_points = 2\n")
+    with pytest.raises(UsageError, match=r"a\.toml: \[features\]: min_points is 2; it must be a whole number"):
+        read_settings_file(file, MapConfig)
+
+
+def test_rules_and_missing_fields(tmp_path):
+    assert parse_record({"share": 1}, Ruled, tmp_path, complete=True) == ({"share": 1.0}, [])
+    for record, fault in (
+        ({}, "missing share: at most 1"),
+        ({"share": 2}, "share is 2; it must be at most 1"),
+        ({"share": "much"}, "share is 'much'; it must be at most 1"),
+        ({"share": "?"}, "share is not filled in: at most 1"),
+        ({"share": 1, "inner": {}}, ""),
+        ([], "it holds []; it must hold a table with share, inner"),
+    ):
+        assert parse_record(record, Ruled, tmp_path, complete=True)[1] == ([fault] if fault else [])
+    assert parse_record({}, Ruled, tmp_path) == ({}, [])
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):

@@ -6,6 +6,9 @@ from ._dask import (
     threads_here as threads_here,
     workers_at as workers_at,
 )
+from ._kernels import (
+    BLOCK_TILES as BLOCK_TILES,
+)
 from .buckets import (
     MemoryLimits as MemoryLimits,
     TileBuckets as TileBuckets,
@@ -24,7 +27,6 @@ from .native import (
 from .pack import (
     BlockKey as BlockKey,
     Column as Column,
-    MemoryPack as MemoryPack,
     Pack as Pack,
     PackError as PackError,
     PackWriter as PackWriter,
@@ -36,7 +38,6 @@ from .signals import (
     blocked_signals as blocked_signals,
 )
 from .split import (
-    BLOCK_TILES as BLOCK_TILES,
     Run as Run,
     TilePoints as TilePoints,
     group_points as group_points,

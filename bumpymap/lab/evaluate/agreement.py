@@ -1,4 +1,4 @@
-"""How far predictions and drives agree: pure statistics on plain arrays.
+"""Statistics of how far predictions and drives agree, on plain arrays.
 
 Patches are rows. Where C_r is compared there must be no NaN: the caller drops such patches.
 """
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "ClassShift",
     "Coverage",
     "ReliabilityBin",
-    "Steps",
     "confusion",
     "coverage",
     "driven_class",
@@ -111,7 +111,7 @@ def confusion(driven: Ints, predicted: Ints, classes: int) -> Ints:
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class ClassShift:
     """Shares of the patches by how far the predicted class is off, 0..1."""
 
     same: float
@@ -119,11 +119,11 @@ class Steps:
     further: float
 
 
-def steps_off(table: Ints) -> Steps:
+def steps_off(table: Ints) -> ClassShift:
     """Sum up a confusion matrix; NaN without patches."""
     away = np.abs(np.subtract.outer(np.arange(len(table)), np.arange(len(table))))
     shares = [float(table[chosen].sum() / max(table.sum(), 1)) for chosen in (away == 0, away == 1, away > 1)]
-    return Steps(*shares) if table.sum() else Steps(*(float("nan"),) * 3)
+    return ClassShift(*shares) if table.sum() else ClassShift(*(float("nan"),) * 3)
 
 
 @dataclass(frozen=True, slots=True)

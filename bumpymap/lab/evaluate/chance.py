@@ -1,4 +1,4 @@
-"""Random numbers that belong to a thing: a tile, a point of a tile. They do not depend on what else is drawn."""
+"""Random numbers by key (a tile, a point of a tile): they do not depend on what else is drawn."""
 
 import numpy as np
 from numpy.typing import NDArray

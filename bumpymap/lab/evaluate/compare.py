@@ -1,4 +1,4 @@
-"""Predictions beside drives: what each way to rate a patch gets right."""
+"""Compare predictions with drives, for each way to rate a patch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import PatchStack
 from bumpymap.lab.evaluate.agreement import (
+    ClassShift,
     Coverage,
     ReliabilityBin,
-    Steps,
     confusion,
     coverage,
     driven_class,
@@ -32,7 +32,7 @@ __all__ = [
     "Comparison",
     "FailAgreement",
     "KindRow",
-    "Order",
+    "VehicleOrder",
     "by_kind",
     "compare",
     "compare_order",
@@ -62,7 +62,7 @@ class Agreement:
     """Median of abs(predicted - driven) / driven."""
     median_ratio: float
     """Median of predicted / driven."""
-    steps: Steps
+    steps: ClassShift
     confusion: list[list[int]]
     """``[driven class][predicted class]``, patches within the vehicle's slope limit."""
     coverage: Coverage | None
@@ -70,7 +70,7 @@ class Agreement:
     fail: FailAgreement | None
     """None where the predictor has no p_fail."""
     fitted_error: float = float("nan")
-    """Of a plain predictor: its median error after the best fit to the very patches it is held against."""
+    """Of a plain predictor: its median error after the best fit to the very patches it is compared on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def compare(
     too_steep: NDArray[np.bool_],
     limits: tuple[float, ...],
 ) -> Comparison:
-    """Hold predictors against the drives over n patches.
+    """Compare predictors with the drives over n patches.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def by_kind(kinds: Sequence[str], verdict: Verdict, driven: Driven) -> list[Kind
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class VehicleOrder:
     """Whether predictions put vehicles in the order of the drives."""
 
     rating: str
@@ -237,7 +237,7 @@ class Order:
     """Share of these with the same order; NaN without patches."""
 
 
-def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, Driven]) -> Order:
+def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, Driven]) -> VehicleOrder:
     """Compare the order of two or more vehicles' C_r on the same patches; both mappings by name of the vehicle."""
     names = tuple(driven)
     good = np.all([driven[name].comparable for name in names], axis=0)
@@ -246,7 +246,7 @@ def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[
     place = np.argsort(truth, axis=0)
     ranked, spread = np.take_along_axis(truth, place, 0), np.take_along_axis(error, place, 0)
     clear = np.all(np.diff(ranked, axis=0) > 2 * np.hypot(spread[1:], spread[:-1]), axis=0)
-    return Order(rating, names, int(good.sum()), _share(same), int(clear.sum()), _share(same[clear]))
+    return VehicleOrder(rating, names, int(good.sum()), _share(same), int(clear.sum()), _share(same[clear]))
 
 
 def _share(right: NDArray[np.bool_]) -> float:

@@ -1,4 +1,4 @@
-"""The same survey with fewer points, and what becomes of its classes."""
+"""Rate the same survey with fewer points and compare the classes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import NO_CLASS, Progress
 from bumpymap.lab.evaluate.chance import chance
 from bumpymap.lab.evaluate.subject import MAPPED, Subject, Verdict
-from bumpymap.lab.evaluate.survey import Survey
+from bumpymap.lab.evaluate.survey import MeasuredSurvey
 from bumpytiles import TilePoints
 
 __all__ = ["DensityRow", "density_sweep", "thinned"]
@@ -44,7 +44,7 @@ class DensityRow:
 
 
 def thinned(points: TilePoints, share: float, seed: int) -> TilePoints:
-    """Keep about a share of the points, each by its own chance: what stays at a density stays at higher ones.
+    """Keep about a share of the points, each by its own random number: what stays, stays at higher densities.
 
     Points of a tile come in an order of their own, so the chance belongs to the point however it was read. Every tile
     stays, be it without points.
@@ -72,13 +72,18 @@ class _Seen:
 
 
 def density_sweep(
-    survey: Survey, subject: Subject, mean_density: float, densities: Sequence[float], seed: int, progress: Progress
+    survey: MeasuredSurvey,
+    subject: Subject,
+    mean_density: float,
+    densities: Sequence[float],
+    seed: int,
+    progress: Progress,
 ) -> list[DensityRow]:
     """Thin a survey to several densities and rate it again.
 
     Parameters
     ----------
-    survey : Survey
+    survey : MeasuredSurvey
     subject : Subject
     mean_density : float
         Of its judged tiles, points per m2: what the densities are shares of.

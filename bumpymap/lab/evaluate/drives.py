@@ -1,4 +1,4 @@
-"""The drives over chosen patches: the truth that predictions are held against."""
+"""The drives over chosen patches, which predictions are compared with."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -51,7 +51,7 @@ class Driven:
 
     @property
     def comparable(self) -> NDArray[np.bool_]:
-        """(n,) patches whose C_r counts: most of the drives came through."""
+        """(n,) patches whose C_r counts: most of the drives were completed."""
         good: NDArray[np.bool_] = (self.failed_share <= MOST_FAILED) & (self.c_r > 0)
         return good
 

@@ -1,4 +1,4 @@
-"""Terrain of the library as a survey sees it: tiles side by side, measured as any survey is."""
+"""Terrain of the library as a survey: tiles side by side, measured like any survey."""
 
 import numpy as np
 

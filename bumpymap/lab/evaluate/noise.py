@@ -1,4 +1,4 @@
-"""Scan noise is not roughness: predictions from noisy surveys of ground whose C_r without noise is known."""
+"""Predictions from noisy surveys of ground whose C_r without noise is known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ def noise_proof(
 def _rated(
     terrains: Sequence[Terrain], effects: ScanEffects, subject: Subject, features: FeatureSettings, seed: int
 ) -> tuple[Verdict, Verdict]:
-    """Rate a survey of terrains with noise taken off and with noise left in; NaN where a tile cannot be judged."""
+    """Rate a survey of terrains with and without noise correction; NaN where a tile cannot be judged."""
     patches = stack_of(surveyed(terrains, effects, seed), features)
     both = subject.judge(patches, ("ride", "ride_raw"))
     return both["ride"], both["ride_raw"]

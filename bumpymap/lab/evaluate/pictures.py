@@ -1,4 +1,4 @@
-"""Pictures of findings, as PNG. Drawn without a screen."""
+"""Pictures of findings as PNG, drawn without a display."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core import UsageError, atomic
-from bumpymap.lab.evaluate.findings import DrivenPatches, Findings
+from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.subject import MAPPED
 
 __all__ = ["draw", "require_matplotlib"]
@@ -55,7 +55,7 @@ def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> st
     return path.name
 
 
-def _scatter(axes: Any, patches: DrivenPatches, names: list[str]) -> None:
+def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
     good = patches.driven.comparable
     driven = patches.driven.c_r[good]
     for axis, name in zip(axes, names, strict=True):

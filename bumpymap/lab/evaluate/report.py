@@ -1,11 +1,11 @@
 """The report: Markdown for people, JSON for machines, pictures beside them."""
 
-import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 
-from bumpymap.core import atomic
 from bumpymap.lab.evaluate.compare import Comparison
+from bumpymap.lab.evaluate.document import number, percent, report_text, section, table, write_document
 from bumpymap.lab.evaluate.findings import Findings
 from bumpymap.lab.evaluate.pictures import draw
 from bumpymap.lab.evaluate.subject import MAPPED
@@ -17,55 +17,44 @@ from bumpymap.lab.evaluate.tables import (
     kind_lines,
     move_lines,
     noise_lines,
-    number,
     order_lines,
-    percent,
     reliability_lines,
-    table,
     timing_lines,
 )
 
-__all__ = ["REPORT", "markdown", "write_report"]
+__all__ = ["markdown", "write_report"]
 
-REPORT = "report.md"
-_RECORD = "report.json"
 _PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
 
 
 def write_report(findings: Findings, out: Path) -> list[Path]:
     """Write ``report.md``, ``report.json`` and the pictures; the report comes last."""
     pictures = draw(findings, out)
-    with atomic(out / _RECORD) as temporary:
-        text = json.dumps(findings.to_record(), indent=1, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
-    with atomic(out / REPORT) as temporary:
-        temporary.write_text(markdown(findings, pictures), encoding="utf-8")
-    return [out / REPORT, out / _RECORD, *(out / name for name in pictures.values())]
+    files = write_document(out, markdown(findings, pictures), "bumpymap-evaluation", asdict(findings))
+    return [*files, *(out / name for name in pictures.values())]
 
 
 def markdown(findings: Findings, pictures: dict[str, str]) -> str:
     """Return the text of the report; ``pictures``: part of it -> file."""
-    lines = ["# Can the map be trusted?", "", *_opening(findings), *_answer(findings)]
-    if findings.classes:
-        lines += ["## What the classes hold", "", "The paper's Table I, over every judged tile.", ""]
-        lines += [*class_lines(findings.classes), ""]
-    for vehicle, found in findings.comparisons.items():
-        lines += _driven(vehicle, found, pictures)
-    if findings.kinds:
-        lines += ["## By kind of ground", "", *kind_lines(findings.kinds)]
-    if findings.orders:
-        lines += ["## Order of the vehicles", "", _ORDER, "", *order_lines(findings.orders)]
-    if findings.densities:
-        lines += ["## With fewer points", "", _DENSITY, "", *density_lines(findings.densities)]
-        lines += [f"![Share of tiles against density]({pictures['density']})", ""]
-    if findings.noise:
-        lines += ["## With scan noise", "", _NOISE, "", *noise_lines(findings.noise)]
-        lines += [f"![C_r of dead-flat ground]({pictures['noise']})", ""]
-    if findings.moves:
-        lines += ["## Turned, mirrored, tilted, lifted", "", _MOVES, "", *move_lines(findings.moves)]
-    if findings.timing:
-        lines += ["## What a patch costs", "", _TIMING, "", *timing_lines(findings.timing)]
-    return "\n".join(lines).rstrip() + "\n"
+    found = findings
+    classes = [*class_lines(found.classes), ""] if found.classes else []
+    density = [*density_lines(found.densities), *_picture("Share of tiles against density", pictures.get("density"))]
+    noise = [*noise_lines(found.noise), *_picture("C_r of dead-flat ground", pictures.get("noise"))]
+    sections = [
+        section("What the classes hold", "The paper's Table I, over every judged tile.", classes),
+        *(_driven(vehicle, own, pictures) for vehicle, own in found.comparisons.items()),
+        section("By kind of ground", "", kind_lines(found.kinds) if found.kinds else []),
+        section("Order of the vehicles", _ORDER, order_lines(found.orders) if found.orders else []),
+        section("With fewer points", _DENSITY, density if found.densities else []),
+        section("With scan noise", _NOISE, noise if found.noise else []),
+        section("Turned, mirrored, tilted, lifted", _MOVES, move_lines(found.moves) if found.moves else []),
+        section("What a patch costs", _TIMING, timing_lines(found.timing) if found.timing else []),
+    ]
+    return report_text("Can the map be trusted?", [*_opening(found), *_answer(found)], sections)
+
+
+def _picture(title: str, file: str | None) -> list[str]:
+    return [f"![{title}]({file})", ""] if file else []
 
 
 _ORDER = (
@@ -136,24 +125,23 @@ def _answer(findings: Findings) -> list[str]:
 
 
 def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[str]:
+    confusions = [
+        line
+        for name in MAPPED
+        if name in found.agreement
+        for line in confusion_lines(name, found.agreement[name].confusion, "driven", "predicted")
+    ]
     lines = [
-        f"## Predicted and driven: {vehicle}",
-        "",
-        _method(found),
-        "",
         *driven_lines(found),
         *_against_plain(found),
-    ]
-    lines += [f"![Predicted against driven C_r]({pictures[f'scatter {vehicle}']})", ""]
-    for name in MAPPED:
-        if name in found.agreement:
-            lines += confusion_lines(name, found.agreement[name])
-    lines += [
+        *_picture("Predicted against driven C_r", pictures[f"scatter {vehicle}"]),
+        *confusions,
         "Failed drives by predicted `p_fail`, in bins a fifth wide; every patch counts alike:",
         "",
         *reliability_lines(found),
+        *_picture("Predicted against driven failures", pictures[f"reliability {vehicle}"]),
     ]
-    return [*lines, f"![Predicted against driven failures]({pictures[f'reliability {vehicle}']})", ""]
+    return section(f"Predicted and driven: {vehicle}", _method(found), lines)
 
 
 def _method(found: Comparison) -> str:

@@ -20,9 +20,9 @@ from bumpymap.lab.evaluate.noise import noise_proof
 from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.evaluate.strata import choose, strata
 from bumpymap.lab.evaluate.subject import MAPPED, Subject, Verdict
-from bumpymap.lab.evaluate.survey import Survey, gather, take
+from bumpymap.lab.evaluate.survey import MeasuredSurvey, gather, take
 from bumpymap.lab.evaluate.timing import step_costs
-from bumpymap.lab.evaluate.trial import Crew, Trial
+from bumpymap.lab.evaluate.trial import PatchTrial, TrialOptions
 from bumpymap.lab.simulate import Key, surveyed
 from bumpymap.lab.worlds import KINDS, ScanEffects, Terrain
 from bumpymap.patches import measure
@@ -60,7 +60,7 @@ def evaluate_survey(
     ground: Ground,
     subjects: Sequence[Subject],
     settings: EvaluateSettings,
-    crew: Crew,
+    trial: TrialOptions,
 ) -> Findings:
     """Evaluate maps of a survey.
 
@@ -75,7 +75,7 @@ def evaluate_survey(
     subjects : sequence of Subject
         Vehicles; patches are chosen, and tables made, by the first one.
     settings : EvaluateSettings
-    crew : Crew
+    trial : TrialOptions
 
     Raises
     ------
@@ -83,8 +83,8 @@ def evaluate_survey(
         A file is damaged, or no tile can be judged.
     """
     subject, grid = subjects[0], _grid(subjects)
-    with gather(readers, ground, grid, settings.features, crew.out, crew.progress) as survey:
-        tiles = _rate(survey, subject, crew)
+    with gather(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
+        tiles = _rate(survey, subject, trial)
         density = float(tiles.count.mean() / grid.tile_size**2)
         findings = _findings("survey", subjects, settings, _facts(readers, survey, tiles, density))
         for name in MAPPED:
@@ -92,22 +92,22 @@ def evaluate_survey(
                 findings.classes[name] = class_table(tiles.verdicts[name], tiles.z_variance, tiles.ransac_residual)
         if "drives" not in settings.skip:
             origin = _origin(readers, options, survey, settings)
-            _trial(survey, tiles, subject, settings, origin).run(subjects, settings, crew, findings)
+            _trial(survey, tiles, subject, settings, origin).run(subjects, settings, trial, findings)
         if "density" not in settings.skip:
             findings.densities = density_sweep(
-                survey, subject, density, settings.densities, settings.seed, crew.progress
+                survey, subject, density, settings.densities, settings.seed, trial.progress
             )
         if "invariance" not in settings.skip:
-            crew.progress.start("moving blocks of tiles", survey.blocks)
+            trial.progress.start("moving blocks of tiles", survey.blocks)
             findings.moves = invariance(
-                counted(survey.points(), crew.progress), survey.measured, subject, settings.seed
+                counted(survey.points(), trial.progress), survey.measured, subject, settings.seed
             )
         if "timing" not in settings.skip:
-            findings.timing = step_costs(survey, subject, crew.progress)
+            findings.timing = step_costs(survey, subject, trial.progress)
     return findings
 
 
-def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, crew: Crew) -> Findings:
+def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, trial: TrialOptions) -> Findings:
     """Evaluate ratings on terrain of the library that no calibration of them has seen."""
     subject = subjects[0]
     _grid(subjects)
@@ -119,19 +119,19 @@ def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, cr
     findings = _findings("library", subjects, settings, facts)
     driven_c_r = None
     if "drives" not in settings.skip:
-        _library_trial(terrains, each, subject, settings).run(subjects, settings, crew, findings)
+        _library_trial(terrains, each, subject, settings).run(subjects, settings, trial, findings)
         driven = next(iter(findings.patches.values()))
         kinds = [str(name[0]) for name in driven.names]
         findings.kinds = by_kind(kinds, driven.verdicts[subject.main], driven.driven)
         driven_c_r = np.where(driven.driven.comparable, driven.driven.c_r, np.nan)
     if "noise" not in settings.skip and subject.ride is not None:
         findings.noise = noise_proof(
-            terrains, subject, subject.ride, driven_c_r, settings.features, settings.seed, crew.progress
+            terrains, subject, subject.ride, driven_c_r, settings.features, settings.seed, trial.progress
         )
     if "invariance" not in settings.skip:
         ground = surveyed(terrains, _MOVED, settings.seed)
-        crew.progress.start("moving blocks of tiles", len(ground.keys()))
-        blocks = counted(ground.blocks(), crew.progress)
+        trial.progress.start("moving blocks of tiles", len(ground.keys()))
+        blocks = counted(ground.blocks(), trial.progress)
         findings.moves = invariance(
             blocks, lambda points: measure(points, settings.features, ground_only=False), subject, settings.seed
         )
@@ -161,9 +161,9 @@ def _findings(title: str, subjects: Sequence[Subject], settings: EvaluateSetting
     return Findings(title, facts, vehicles, asdict(settings))
 
 
-def _rate(survey: Survey, subject: Subject, crew: Crew) -> _Tiles:
+def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Tiles:
     """Rate every tile; keep a few numbers of each."""
-    crew.progress.start("rating blocks of tiles", survey.blocks)
+    trial.progress.start("rating blocks of tiles", survey.blocks)
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _KEPT}
     verdicts: list[dict[str, Verdict]] = []
     reasons = np.zeros(len(Reason), np.int64)
@@ -174,7 +174,7 @@ def _rate(survey: Survey, subject: Subject, crew: Crew) -> _Tiles:
         verdicts.append({name: own.take(judged) for name, own in subject.judge(patches, MAPPED).items()})
         for name, parts in columns.items():
             parts.append(getattr(patches, name)[judged])
-        crew.progress.advance(1)
+        trial.progress.advance(1)
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
     unknown = {REASON_TEXT[reason]: int(reasons[reason]) for reason in Reason if reason and reasons[reason]}
     if not len(joined["col"]):
@@ -190,7 +190,7 @@ def _rate(survey: Survey, subject: Subject, crew: Crew) -> _Tiles:
     )
 
 
-def _facts(readers: Sequence[SurveyReader], survey: Survey, tiles: _Tiles, density: float) -> dict[str, Any]:
+def _facts(readers: Sequence[SurveyReader], survey: MeasuredSurvey, tiles: _Tiles, density: float) -> dict[str, Any]:
     return {
         "files": [str(reader.info.path).replace("\\", "/").rpartition("/")[2] for reader in readers],
         "points": sum(reader.info.point_count for reader in readers),
@@ -202,7 +202,7 @@ def _facts(readers: Sequence[SurveyReader], survey: Survey, tiles: _Tiles, densi
 
 
 def _origin(
-    readers: Sequence[SurveyReader], options: ReadOptions, survey: Survey, settings: EvaluateSettings
+    readers: Sequence[SurveyReader], options: ReadOptions, survey: MeasuredSurvey, settings: EvaluateSettings
 ) -> dict[str, Any]:
     """All that decides the heights of a survey's tiles; a copy of a file is as good as the file."""
     found = [identity(reader.info.path) for reader in readers]
@@ -215,8 +215,8 @@ def _origin(
 
 
 def _trial(
-    survey: Survey, tiles: _Tiles, subject: Subject, settings: EvaluateSettings, origin: dict[str, Any]
-) -> Trial:
+    survey: MeasuredSurvey, tiles: _Tiles, subject: Subject, settings: EvaluateSettings, origin: dict[str, Any]
+) -> PatchTrial:
     """Choose patches of every roughness."""
     verdict = tiles.verdicts[subject.main]
     priority = chance(settings.seed, tiles.col, tiles.row)
@@ -224,10 +224,10 @@ def _trial(
     col, row = tiles.col[rows], tiles.row[rows]
     patches = survey.patches(col, row)
     names: list[Key] = [(int(c), int(r)) for c, r in zip(col, row, strict=True)]
-    return Trial(names, patches, ground_of(patches), origin)
+    return PatchTrial(names, patches, ground_of(patches), origin)
 
 
-def _library_trial(terrains: Sequence[Terrain], each: int, subject: Subject, settings: EvaluateSettings) -> Trial:
+def _library_trial(terrains: Sequence[Terrain], each: int, subject: Subject, settings: EvaluateSettings) -> PatchTrial:
     """Drive the terrain itself; predict from a dense survey of it without noise."""
     patches = stack_of(surveyed(terrains, _CLEAN, settings.seed), settings.features)
     rows = patches.col[patches.reason == Reason.OK]
@@ -235,4 +235,4 @@ def _library_trial(terrains: Sequence[Terrain], each: int, subject: Subject, set
     ground = np.stack([terrains[i].heights for i in rows])
     limit = subject.profile.slope_limit_deg
     origin = {"library": settings.seed, "wheel_radius_m": subject.profile.wheel.radius_m, "slope_limit_deg": limit}
-    return Trial(names, take(patches, patches.reason == Reason.OK), ground, origin)
+    return PatchTrial(names, take(patches, patches.reason == Reason.OK), ground, origin)

@@ -1,4 +1,4 @@
-"""Which patches are driven: of every roughness alike, and of the ground that is expected to fail."""
+"""Choose the patches to drive: equally many of each roughness, and of the ground that is expected to fail."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def strata(c_r: Floats, p_fail: Floats) -> Ints:
 
 
 def choose(stratum: Ints, priority: Floats, count: int) -> Ints:
-    """Choose as many patches of each stratum as of the others, as far as they reach.
+    """Choose equally many patches of each stratum, as long as it has some left.
 
     A tile of high priority stays chosen when predictions move a little, or when more patches are asked for: its drives
     need not be made again.

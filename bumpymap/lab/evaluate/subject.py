@@ -1,4 +1,4 @@
-"""What is judged: a vehicle's calibration, and the ways in which it rates tiles."""
+"""What is evaluated: a vehicle's calibration, and the ways in which it rates tiles."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ _PLACELESS = Georeference(None)
 
 
 class NoisyRide(RideModel):
-    """The ride model with the scan's noise left in: it sees the ground that is driven, not what lies behind it."""
+    """The ride model without noise correction: it rates the measured ground, which is also what is driven."""
 
     def predict(self, patches: PatchStack) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""

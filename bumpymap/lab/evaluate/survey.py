@@ -1,4 +1,4 @@
-"""The tiles of a survey: its points wait by block, in memory or on disk, and are measured block by block."""
+"""The tiles of a survey: points are kept by block, in memory or on disk, and measured block by block."""
 
 import shutil
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ from bumpymap.patches import join_stacks, measure
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints, group_points
 
-__all__ = ["Survey", "gather", "open_readers", "take"]
+__all__ = ["MeasuredSurvey", "gather", "open_readers", "take"]
 
 _MOST_POINTS = 10_000_000
 """Points that wait in memory (26 bytes each); the others wait on disk."""
@@ -53,7 +53,7 @@ def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bo
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class MeasuredSurvey:
     """All points of a survey, by block."""
 
     buckets: TileBuckets
@@ -107,8 +107,8 @@ def gather(
     features: FeatureSettings,
     folder: Path,
     progress: Progress,
-) -> Iterator[Survey]:
-    """Read surveys; their points stay at hand for the body of the ``with``.
+) -> Iterator[MeasuredSurvey]:
+    """Read surveys; their points are kept for the body of the ``with``.
 
     Parameters
     ----------
@@ -136,14 +136,14 @@ def gather(
                 lot = _read(reader, buckets, lot, progress)
             if not len(buckets):
                 raise BadInputError("no point is left: every point is withheld, noise or without return")
-            yield Survey(buckets, _ground_only(buckets, ground), features)
+            yield MeasuredSurvey(buckets, _ground_only(buckets, ground), features)
     except OSError as error:
         raise OutputError(f"cannot keep points in {folder} meanwhile: {error}. Choose another --out") from error
 
 
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
-    """Give an empty folder; what a killed run left in it goes away too."""
+    """Make an empty folder; what a killed run left in it is deleted."""
     scratch = folder / ".points"
     if lexists(scratch):
         take_away(scratch)
@@ -155,7 +155,7 @@ def _scratch(folder: Path) -> Iterator[Path]:
 
 
 def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, progress: Progress) -> int:
-    """Read a file into buckets; gives the number of the next lot."""
+    """Read a file into buckets; returns the number of the next chunk."""
     tally = PointStats()
     for chunk in reader.chunks():
         batch = reader.convert(chunk, reader.fetch(chunk))

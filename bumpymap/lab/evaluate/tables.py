@@ -1,12 +1,13 @@
 """Findings as Markdown tables, and what they say in a sentence."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from bumpymap.core import CLASS_NAMES
 from bumpymap.lab.evaluate.classes import ClassTable
-from bumpymap.lab.evaluate.compare import Agreement, Comparison, KindRow, Order
+from bumpymap.lab.evaluate.compare import Comparison, KindRow, VehicleOrder
 from bumpymap.lab.evaluate.density import DensityRow
+from bumpymap.lab.evaluate.document import number, percent, table
 from bumpymap.lab.evaluate.invariance import MoveRow
 from bumpymap.lab.evaluate.noise import NoiseRow
 from bumpymap.lab.evaluate.timing import PAPER, StepCost
@@ -19,11 +20,8 @@ __all__ = [
     "kind_lines",
     "move_lines",
     "noise_lines",
-    "number",
     "order_lines",
-    "percent",
     "reliability_lines",
-    "table",
     "timing_lines",
 ]
 
@@ -40,22 +38,6 @@ _COLUMN = {
     "variance_mean": "mean variance",
     "residual_mean": "mean residual",
 }
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
-    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Give so many significant digits; a dash where nothing is known."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else _NONE
-
-
-def percent(share: float) -> str:
-    """Give a share of 0..1 as per cent."""
-    return f"{100 * share:.1f} %" if math.isfinite(share) else _NONE
 
 
 def class_lines(classes: Mapping[str, ClassTable]) -> list[str]:
@@ -85,7 +67,7 @@ def _rises(rating: str, found: ClassTable) -> str:
 
 
 def driven_lines(found: Comparison) -> list[str]:
-    """Every predictor beside the drives."""
+    """Compare every predictor with the drives."""
     rows = []
     for name, own in found.agreement.items():
         held = percent(own.coverage.held) if own.coverage else _NONE
@@ -117,10 +99,10 @@ def driven_lines(found: Comparison) -> list[str]:
     return table((*header, *more), rows)
 
 
-def confusion_lines(name: str, own: Agreement) -> list[str]:
-    """Patches by driven and by predicted class."""
-    rows = [[f"driven {class_id}", *map(str, line)] for class_id, line in enumerate(own.confusion)]
-    return table((f"`{name}`", *(f"predicted {class_id}" for class_id in range(len(rows)))), rows)
+def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
+    """Things by their class, as the ``truth`` has it (such as *driven*) and as it was ``found``."""
+    rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
+    return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
 
 
 def reliability_lines(found: Comparison) -> list[str]:
@@ -151,7 +133,7 @@ def kind_lines(kinds: Sequence[KindRow]) -> list[str]:
     return table(("ground", "patches", "compared", "drives failed", "median error", "median predicted / driven"), rows)
 
 
-def order_lines(orders: Sequence[Order]) -> list[str]:
+def order_lines(orders: Sequence[VehicleOrder]) -> list[str]:
     """Whether vehicles come in the order of the drives."""
     rows = [
         [
@@ -169,7 +151,7 @@ def order_lines(orders: Sequence[Order]) -> list[str]:
 
 
 def density_lines(rows: Sequence[DensityRow]) -> list[str]:
-    """Show what thinning does."""
+    """Show the effect of fewer points."""
     header = ("rating", "points per m2", "points kept", "still judged", "same class", "classes alike")
     more = ("two or more off", "C_r over that of all points", "confidence where kept", "confidence where moved")
     return table(
@@ -193,7 +175,7 @@ def density_lines(rows: Sequence[DensityRow]) -> list[str]:
 
 
 def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
-    """Noisy surveys against the ground behind them."""
+    """Compare ratings of noisy surveys with the ground without noise."""
     header = ("points per m2", "noise [cm]", "C_r of dead-flat ground", "worst tenth")
     more = (
         "noise left in",
@@ -225,7 +207,7 @@ def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
 
 
 def move_lines(rows: Sequence[MoveRow]) -> list[str]:
-    """Set moved tiles beside themselves."""
+    """Compare moved tiles with the tiles in place."""
     return table(
         ("rating", "tiles that were", "tiles", "same class", "median change of C_r"),
         [

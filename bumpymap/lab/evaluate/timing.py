@@ -10,10 +10,10 @@ import numpy as np
 
 from bumpymap.core import Georeference, PatchStack, Progress, counted
 from bumpymap.lab.evaluate.subject import MAPPED, Subject
-from bumpymap.lab.evaluate.survey import Survey
+from bumpymap.lab.evaluate.survey import MeasuredSurvey
 from bumpymap.rating import classify
 
-__all__ = ["PAPER", "StepCost", "step_costs"]
+__all__ = ["PAPER", "StepCost", "peak_bytes", "step_costs"]
 
 _LEAST_TILES = 256
 _REPEATS = 7
@@ -40,7 +40,7 @@ class StepCost:
     """Size of the result, a tile."""
 
 
-def step_costs(survey: Survey, subject: Subject, progress: Progress) -> list[StepCost]:
+def step_costs(survey: MeasuredSurvey, subject: Subject, progress: Progress) -> list[StepCost]:
     """Time the steps on one batch of tiles: the first block that holds enough of them, or the fullest one.
 
     Processor time, not the clock's: another program on the machine takes nothing from it.
@@ -75,15 +75,19 @@ def _cost(step: Callable[[], Any], patches: PatchStack, tiles: int) -> tuple[flo
         begin = time.process_time_ns()
         step()
         spent.append(time.process_time_ns() - begin)
+    own = {id(getattr(patches, f.name)) for f in fields(PatchStack)}
+    size = sum(_bytes(getattr(result, f.name), own) for f in fields(result))
+    return float(np.median(spent)) / 1e6 / tiles, peak_bytes(step) / 1000 / tiles, size / 1000 / tiles
+
+
+def peak_bytes(step: Callable[[], Any]) -> int:
+    """Most memory that Python allocates while a step runs."""
     tracemalloc.start()
     try:
         step()
-        peak = tracemalloc.get_traced_memory()[1]
+        return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    own = {id(getattr(patches, f.name)) for f in fields(PatchStack)}
-    size = sum(_bytes(getattr(result, f.name), own) for f in fields(result))
-    return float(np.median(spent)) / 1e6 / tiles, peak / 1000 / tiles, size / 1000 / tiles
 
 
 def _bytes(value: Any, own: set[int]) -> int:

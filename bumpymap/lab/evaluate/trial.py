@@ -1,4 +1,4 @@
-"""Patches under several vehicles: rated, driven, compared."""
+"""Rate and drive patches with several vehicles, and compare."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from bumpymap.core import PatchStack, Progress, Steps
 from bumpymap.lab.evaluate.compare import compare, compare_order, plain_predictors
 from bumpymap.lab.evaluate.drives import Driven, journal_settings
-from bumpymap.lab.evaluate.findings import DrivenPatches, Findings
+from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.evaluate.subject import MAPPED, Subject
 from bumpymap.lab.simulate import Journal, Key, drive_patches
 
-__all__ = ["Crew", "Trial"]
+__all__ = ["PatchTrial", "TrialOptions"]
 
 
 @dataclass(frozen=True, slots=True)
-class Crew:
-    """Who drives, and where the drives are noted."""
+class TrialOptions:
+    """How the drives are run, and where they are recorded."""
 
     out: Path
     """Folder of the report; journals of the drives lie in it and stay."""
@@ -32,7 +32,7 @@ class Crew:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class PatchTrial:
     """Patches that can be judged, and the ground that is driven for each."""
 
     names: list[Key]
@@ -43,28 +43,30 @@ class Trial:
     origin: dict[str, Any]
     """All that decides the ground, as JSON."""
 
-    def run(self, subjects: Sequence[Subject], settings: EvaluateSettings, crew: Crew, findings: Findings) -> None:
-        """Drive every vehicle over every patch; note what comes of it."""
+    def run(
+        self, subjects: Sequence[Subject], settings: EvaluateSettings, trial: TrialOptions, findings: Findings
+    ) -> None:
+        """Drive every vehicle over every patch; add the comparison to the findings."""
         driven: dict[str, Driven] = {}
         verdicts = {}
         plain = plain_predictors(self.patches)
         for subject in subjects:
             label = _label(subject, subjects)
-            driven[label] = self._drive(subject, settings, crew)
+            driven[label] = self._drive(subject, settings, trial)
             verdicts[label] = subject.judge(self.patches)
             too_steep = self.patches.slope > subject.profile.slope_limit_deg
             limits = subject.calibration.class_limits
             findings.comparisons[label] = compare(verdicts[label], plain, driven[label], too_steep, limits)
-            findings.patches[label] = DrivenPatches(self.names, driven[label], verdicts[label])
+            findings.patches[label] = ComparedPatches(self.names, driven[label], verdicts[label])
         if len(subjects) > 1:
             ratings = [name for name in MAPPED if all(name in subject.ratings for subject in subjects)]
             for name in ratings:
                 findings.orders.append(compare_order(name, {v: own[name] for v, own in verdicts.items()}, driven))
 
-    def _drive(self, subject: Subject, settings: EvaluateSettings, crew: Crew) -> Driven:
+    def _drive(self, subject: Subject, settings: EvaluateSettings, trial: TrialOptions) -> Driven:
         size, pixels = self.patches.grid.tile_size, self.patches.grid.pixels
         recorded = journal_settings(subject.profile, settings, size, pixels, self.origin)
-        crew.progress.start(f"driving {subject.name} over patches", len(self.names))
+        trial.progress.start(f"driving {subject.name} over patches", len(self.names))
         results = drive_patches(
             subject.profile,
             dict(zip(self.names, self.ground, strict=True)),
@@ -72,10 +74,10 @@ class Trial:
             settings.seed,
             settings.effort,
             settings.drive,
-            Steps(crew.progress, settings.min_starts),
-            workers=crew.workers,
-            journal=Journal(crew.out / f"drives-{subject.key}.jsonl", recorded),
-            discard_other=crew.overwrite,
+            Steps(trial.progress, settings.min_starts),
+            workers=trial.workers,
+            journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
+            discard_other=trial.overwrite,
         )
         return Driven.of(list(results.values()))
 

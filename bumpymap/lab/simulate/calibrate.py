@@ -1,4 +1,4 @@
-"""From a vehicle profile to its calibration: drive textures x z range and the terrain library, then sum up."""
+"""Make the calibration of a vehicle: drive it over textures of each z range and over the terrain library, sum up."""
 
 from functools import partial
 
@@ -10,10 +10,10 @@ from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.summary import summarise
 from bumpymap.rating import Calibration
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate_vehicle"]
 
 
-def calibrate(
+def calibrate_vehicle(
     settings: CalibrationSettings,
     progress: Progress | None = None,
     *,

@@ -1,4 +1,4 @@
-"""One drive: settle, speed up, then straight ahead at the profile's speed, and what the pitch gyroscope read.
+"""One drive: settle, accelerate, drive straight ahead at the profile's speed; record the pitch rate.
 
 C_r is the integral of abs(omega_y) dt over the drive, divided by the horizontal length of the path (rad/m): the ride
 cost of the BumpyPatch paper, here with omega_y in the body frame.
@@ -12,7 +12,7 @@ import numpy as np
 
 from bumpymap.core import UsageError
 from bumpymap.lab.simulate.model import DartVehicle, Physics, Pose, VehicleModel
-from bumpymap.lab.simulate.terrain import Ground, Strip
+from bumpymap.lab.simulate.terrain import DrivenGround, Strip
 from bumpymap.rating import VehicleProfile
 
 __all__ = ["Drive", "DriveSettings", "Outcome", "Start", "drive", "drive_from", "follow"]
@@ -89,7 +89,7 @@ class Drive:
     """Start and heading were drawn from it."""
 
 
-def drive(profile: VehicleProfile, ground: Ground, seed: int, settings: DriveSettings | None = None) -> Drive:
+def drive(profile: VehicleProfile, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
     """Drive over endless ground from a random start at a random heading.
 
     The same seed gives the same bits in any process.
@@ -97,7 +97,7 @@ def drive(profile: VehicleProfile, ground: Ground, seed: int, settings: DriveSet
     Parameters
     ----------
     profile : VehicleProfile
-    ground : Ground
+    ground : DrivenGround
     seed : int
         Start and heading are drawn from it.
     settings : DriveSettings, optional
@@ -112,7 +112,7 @@ def drive(profile: VehicleProfile, ground: Ground, seed: int, settings: DriveSet
 
 
 def drive_from(
-    profile: VehicleProfile, ground: Ground, start: Start, seed: int = 0, settings: DriveSettings | None = None
+    profile: VehicleProfile, ground: DrivenGround, start: Start, seed: int = 0, settings: DriveSettings | None = None
 ) -> Drive:
     """Drive over endless ground from a chosen start; ``seed`` is only noted in the result."""
     settings = settings or DriveSettings()

@@ -1,4 +1,4 @@
-"""The progress file of many drives: one JSON line a driven patch, so that an interrupted run can go on."""
+"""The progress file of many drives: one line of JSON for each driven patch, so that an interrupted run can continue."""
 
 import errno
 import json
@@ -22,7 +22,7 @@ Key = tuple[str | int, ...]
 
 
 class Journal:
-    """Driven patches beside the output. The first line holds the settings; drives of other settings are not reused.
+    """The file of driven patches. The first line holds the settings; drives of other settings are not reused.
 
     Settings and versions are all that is compared: a change of the code that moves no number does not cost a run.
     """
@@ -61,7 +61,7 @@ class Journal:
         return driven
 
     def add(self, key: Key, drives: PatchDrives) -> None:
-        """Note a driven patch; it is on the disk when this returns."""
+        """Append a driven patch; it is on the disk when this returns."""
         try:
             with self._opened(os.O_WRONLY | os.O_APPEND) as file:
                 file.write(_line(key, drives) + "\n")

@@ -1,4 +1,4 @@
-"""The drives over the terrain library: as records, in a calibration file and out of it, and beside their ground.
+"""The drives over the terrain library: as records, written to and read from a calibration, and with their ground.
 
 A calibration keeps the records, not the ground: that is made again from the seed. So a ride model can be fitted anew
 from the file, without driving and to the same bits.

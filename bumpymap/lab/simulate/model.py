@@ -1,4 +1,4 @@
-"""The vehicle and its ground in DART: the only module that speaks to the physics engine.
+"""The vehicle and its ground in DART: the only module that uses the physics engine.
 
 DART is asked for what was found to work: ODE's collision detector, spheres for wheels (every other pair of detector
 and wheel is slower, or wrong on meshes), VELOCITY actuators, sleeping off. A terrain can reach the engine only through
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import OutputError, UsageError
-from bumpymap.lab.simulate.terrain import Ground, Strip, strip_triangles
+from bumpymap.lab.simulate.terrain import DrivenGround, Strip, strip_triangles
 from bumpymap.rating import VehicleProfile
 
 __all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
@@ -89,7 +89,7 @@ def require_dart() -> Any:
 class DartVehicle:
     """A vehicle that stands at the start of a strip of ground, looking along it."""
 
-    def __init__(self, profile: VehicleProfile, ground: Ground, strip: Strip, physics: Physics) -> None:
+    def __init__(self, profile: VehicleProfile, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
         self._radius = profile.wheel.radius_m
         self._world = self._make_world(physics)
@@ -220,9 +220,9 @@ def wheel_inertia(profile: VehicleProfile) -> tuple[float, float, float]:
 
 
 def standing_pose(
-    profile: VehicleProfile, ground: Ground, strip: Strip
+    profile: VehicleProfile, ground: DrivenGround, strip: Strip
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How the vehicle is put down: along the strip, level with the ground's mean slope, a hair above its bumps.
+    """Return the initial pose: along the strip, parallel to the ground's mean slope, just above its highest bumps.
 
     Neither wheels nor belly begin inside the ground: a vehicle that stands on a rock stands on it.
 

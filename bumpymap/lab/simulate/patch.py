@@ -1,4 +1,4 @@
-"""One patch, driven over from many starts: until a number of drives is made, or until its mean C_r is known well."""
+"""Drive over one patch from many starts, until a number of drives is made or the mean C_r is known well enough."""
 
 import math
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class PatchDrives:
 
     @property
     def completed(self) -> list[float]:
-        """C_r of the drives that came through, rad/m."""
+        """C_r of the completed drives, rad/m."""
         return [value for value in self.c_r if value is not None]
 
     @property

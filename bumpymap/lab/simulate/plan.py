@@ -1,4 +1,4 @@
-"""What a calibration drives: settings, and the jobs they spell out. A job depends on nothing but the settings.
+"""What a calibration drives: the settings and the jobs that follow from them. A job depends on the settings alone.
 
 There are two kinds of jobs. The table's cells are the paper's way: one of four textures, scaled to a height range. The
 terrain library is where the ride model is fitted: ground of many kinds, as high and as steep as it comes.

@@ -1,4 +1,4 @@
-"""From the drives over the terrain library to a ride model: what geometry leaves out, and what noise hides.
+"""Fit a ride model to the drives over the terrain library: the correction of the geometry, and that for noise.
 
 The drives teach the correction. The noise needs none: the same ground is surveyed at many densities with much and
 little noise, cleaned as a map would be, and set beside itself without noise.
@@ -20,10 +20,10 @@ from bumpymap.rating import (
     NoisyPatches,
     RideOperator,
     VehicleProfile,
-    above_noise,
     denoise,
     fit_correction,
     roll_over,
+    subtract_noise,
 )
 from bumpytiles import Grid, TileBuckets
 
@@ -85,7 +85,7 @@ def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: Ri
         for block in surveyed(terrains, effects, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             clean = denoise(patches, operator)
-            found, excess = above_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
+            found, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
             wanted = truth[patches.col]
             known = (patches.reason == Reason.OK) & np.isfinite(excess) & (wanted > _LEAST_C_R)
             error = np.log(wanted[known] / found[known])

@@ -1,4 +1,4 @@
-"""From the drives of all jobs to the table, class limits and class means of a calibration.
+"""Compute the table, class limits and class means of a calibration from the drives of all jobs.
 
 The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of the C_r of the terrain
 library. The planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error
@@ -156,7 +156,7 @@ def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
 def _class_means(
     driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Mean C_r of all terrains of each class, those that few drives came through too."""
+    """Mean C_r of all terrains of each class, also of those with few completed drives."""
     known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
     class_id = np.searchsorted(limits, known, side="right")
     a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))

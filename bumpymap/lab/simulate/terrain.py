@@ -1,4 +1,4 @@
-"""The ground under a drive: endless height functions, and the strip of it that the physics engine gets as a mesh.
+"""The ground of a drive: unbounded height functions, and the strip that the physics engine gets as a mesh.
 
 A patch is 3 m wide and a drive 10 m long, so the patch has to go on. Its least-squares plane goes on forever; what is
 left over is mirrored at the patch's edges (half-sample: the edge pixel comes twice). Mirroring the heights themselves
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 
-__all__ = ["Ground", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
+__all__ = ["DrivenGround", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
 
 _Floats = NDArray[np.float64]
 
 
-class Ground(Protocol):
-    """Endless ground."""
+class DrivenGround(Protocol):
+    """Ground without bounds: a height function."""
 
     @property
     def extent(self) -> float:
@@ -175,7 +175,7 @@ class Strip:
     half_width: float
 
 
-def strip_triangles(ground: Ground, strip: Strip) -> NDArray[np.float32]:
+def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
     """Cut a strip of ground into triangles.
 
     The vertices lie on a grid that is anchored at the ground's origin, not at the path: a patch is met by its own

@@ -1,4 +1,4 @@
-"""Drive the patches of a survey: the truth that a map is compared with."""
+"""Drive the patches of a survey; the map is compared with these drives."""
 
 import hashlib
 import json

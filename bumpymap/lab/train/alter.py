@@ -1,4 +1,4 @@
-"""Alterations of patches: what a survey does to ground before the network sees it.
+"""Alter patches as a survey would: noise, holes, blur, brightness, rotation.
 
 Each function takes patches scaled to [0, 1] and one strength per patch, and works on all patches at once. ``alter``
 runs them in the order in which a survey does: the ground lies at some angle, the sensor blurs and adds noise, pixels

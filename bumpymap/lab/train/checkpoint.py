@@ -1,4 +1,4 @@
-"""Checkpoints: a training that is broken off goes on from its last whole epoch."""
+"""Checkpoints: an interrupted training continues from its last complete epoch."""
 
 import logging
 from pathlib import Path
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 def save(
     checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer, epochs_done: int
 ) -> None:
-    """Write where a training stands.
+    """Write the state of a training.
 
     Parameters
     ----------

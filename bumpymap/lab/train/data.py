@@ -1,4 +1,4 @@
-"""Patches to learn from and patches to be judged by. Everything follows from one seed."""
+"""Training and test patches, all from one seed."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from bumpymap.rating import make_short_waves, make_textures
 __all__ = [
     "LIGHT_EVERY",
     "SHORT_WAVES",
-    "Samples",
+    "LabelledPatches",
     "altered_copies",
     "epoch_samples",
     "training_patches",
@@ -35,8 +35,8 @@ _HIGH_NOISE = TEXTURES.index("high_noise")
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Patches and what they are."""
+class LabelledPatches:
+    """Patches and their labels."""
 
     patches: NDArray[np.float32]
     """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
@@ -44,12 +44,12 @@ class Samples:
     """(n,) index into ``TEXTURES``."""
 
 
-def training_patches(seed: int, patches_per_texture: int, pixels: int) -> Samples:
+def training_patches(seed: int, patches_per_texture: int, pixels: int) -> LabelledPatches:
     """Make the patches that the network learns from, textures in order."""
     return _textures(seed, _TRAINING, patches_per_texture, pixels)
 
 
-def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
+def epoch_samples(training: LabelledPatches, seed: int, epoch: int) -> LabelledPatches:
     """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones.
 
     Short regular waves, which no texture holds, come on top as ``high_noise``.
@@ -64,32 +64,32 @@ def epoch_samples(training: Samples, seed: int, epoch: int) -> Samples:
     rng = np.random.default_rng([seed, _EPOCH, epoch])
     patches[lightly] = alter(patches[lightly], LIGHT, rng)
     patches[~lightly] = alter(patches[~lightly], ALL, rng)
-    return Samples(patches, labels)
+    return LabelledPatches(patches, labels)
 
 
-def unseen_short_waves(seed: int, count: int, pixels: int) -> Samples:
+def unseen_short_waves(seed: int, count: int, pixels: int) -> LabelledPatches:
     """Make short regular waves from seeds that training never uses, with all alterations."""
     rng = np.random.default_rng([seed, _UNSEEN_WAVES])
-    return Samples(alter(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
+    return LabelledPatches(alter(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
 
 
-def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> Samples:
+def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> LabelledPatches:
     """Make patches from seeds that training never uses, then alter them."""
     fresh = _textures(seed, _UNSEEN, patches_per_texture, pixels)
     if alterations == NONE:
         return fresh
     rng = np.random.default_rng([seed, _UNSEEN_ALTERED])
-    return Samples(alter(fresh.patches, alterations, rng), fresh.labels)
+    return LabelledPatches(alter(fresh.patches, alterations, rng), fresh.labels)
 
 
-def altered_copies(training: Samples, seed: int) -> Samples:
-    """Alter the training patches themselves: what the paper validated on. The alterations are none of the epochs'."""
-    return Samples(alter(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
+def altered_copies(training: LabelledPatches, seed: int) -> LabelledPatches:
+    """Alter the training patches themselves: what the paper validated on. Other alterations than while learning."""
+    return LabelledPatches(alter(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
 
 
-def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> Samples:
+def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> LabelledPatches:
     made = [
         make_textures(texture, patches_per_texture, np.random.default_rng([seed, purpose, index]), pixels)
         for index, texture in enumerate(TEXTURES)
     ]
-    return Samples(np.concatenate(made), np.repeat(np.arange(len(TEXTURES)), patches_per_texture))
+    return LabelledPatches(np.concatenate(made), np.repeat(np.arange(len(TEXTURES)), patches_per_texture))

@@ -1,37 +1,27 @@
-"""How good a network is: on ground it has never seen, and the way the paper measured it."""
+"""Score the texture network: on patches of unseen seeds, and the way the paper measured it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from bumpymap.core import TEXTURES
 from bumpymap.lab.train.alter import ALL, KINDS, NONE
-from bumpymap.lab.train.data import Samples, altered_copies, training_patches, unseen_patches, unseen_short_waves
+from bumpymap.lab.train.data import (
+    LabelledPatches,
+    altered_copies,
+    training_patches,
+    unseen_patches,
+    unseen_short_waves,
+)
 from bumpymap.lab.train.model import TextureNet
+from bumpymap.lab.train.score import Score, count_answers
 
-__all__ = ["Evaluation", "Score", "evaluate", "predict", "score"]
+__all__ = ["Evaluation", "evaluate", "predict", "score"]
 
 _BATCH = 1024
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Right and wrong answers."""
-
-    confusion: tuple[tuple[int, ...], ...]
-    """``[what it is][what the network says]``, number of patches, textures in the order of ``TEXTURES``."""
-
-    @property
-    def count(self) -> int:
-        """Number of patches."""
-        return sum(sum(line) for line in self.confusion)
-
-    @property
-    def accuracy(self) -> float:
-        """Share of right answers, 0..1."""
-        return sum(line[i] for i, line in enumerate(self.confusion)) / self.count
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +62,16 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
     )
 
 
-def predict(net: TextureNet, patches: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return probabilities (n, classes) of patches (n, pixels, pixels) scaled to [0, 1]."""
+def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
+    """Return probabilities (n, classes) of inputs (n, ...), the arguments of a network."""
     with torch.no_grad():
-        parts = [net(part[:, None]).softmax(1) for part in torch.from_numpy(patches).split(_BATCH)]  # type: ignore[no-untyped-call]
+        batches = zip(*(torch.split(values, _BATCH) for values in inputs), strict=True)
+        parts = [net(*batch).softmax(1) for batch in batches]
     probability: NDArray[np.float32] = torch.cat(parts).numpy()
     return probability
 
 
-def score(net: TextureNet, samples: Samples) -> Score:
+def score(net: TextureNet, samples: LabelledPatches) -> Score:
     """Count right and wrong answers."""
-    answer = predict(net, samples.patches).argmax(axis=1)
-    size = len(TEXTURES)
-    counts = np.bincount(samples.labels * size + answer, minlength=size * size).reshape(size, size)
-    return Score(tuple(tuple(int(n) for n in line) for line in counts))
+    answer = predict(net, torch.from_numpy(samples.patches)[:, None]).argmax(axis=1)
+    return count_answers(samples.labels, answer, len(TEXTURES))

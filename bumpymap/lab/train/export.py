@@ -1,18 +1,14 @@
-"""Network to ONNX, written out layer by layer: batch normalisation folded into the convolutions, softmax at the end.
+"""The texture network as ONNX.
 
-Operators are those of opset 17, so that old ONNX Runtimes read the file. The graph holds no operator whose answer for
-one patch depends on its place in the batch (the last two layers are 1 x 1 convolutions, not matrix products over the
-batch).
+The graph holds no operator whose answer for one patch depends on its place in the batch (the last two layers are 1 x 1
+convolutions, not matrix products over the batch).
 """
 
 from collections.abc import Mapping
-
-import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
+from string import ascii_lowercase
 
 from bumpymap.lab.train.model import TextureNet
-from bumpymap.lab.train.onnx_graph import as_double, fold, to_bytes
+from bumpymap.lab.train.onnx_graph import OnnxGraph
 
 __all__ = ["INPUT_NAME", "OUTPUT_NAME", "to_onnx"]
 
@@ -35,49 +31,17 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
     bytes
         Input ``patches`` (batch, 1, pixels, pixels) float32, output ``probability`` (batch, classes) float32.
     """
-    weights = {
-        "conv1": fold(net.conv1, net.norm1),
-        "conv2": fold(net.conv2, net.norm2),
-        "conv3": fold(net.conv3, net.norm3),
-        "conv4": fold(net.conv4, net.norm4),
-        "conv5": fold(net.conv5, net.norm5),
-        "head": (as_double(net.head.weight).astype(np.float32), as_double(net.head.bias).astype(np.float32)),
-    }
+    graph = OnnxGraph("texture", ascii_lowercase.__getitem__)
+
+    def layer(number: int, source: str) -> str:
+        conv, norm = getattr(net, f"conv{number}"), getattr(net, f"norm{number}")
+        return graph.add("Relu", [graph.conv(conv, norm, source, f"conv{number}")])
+
+    x = layer(2, layer(1, INPUT_NAME))
+    x = graph.add("MaxPool", [x], kernel_shape=[3, 3], strides=[2, 2])
+    x = layer(4, layer(3, x))
+    x = layer(5, graph.add("GlobalAveragePool", [x]))
+    x = graph.add("Flatten", [graph.conv(net.head, None, x, "head")], axis=1)
+    graph.add("Softmax", [x], OUTPUT_NAME, axis=1)
     pixels, classes = net.settings.pixels, len(net.settings.classes)
-    graph = helper.make_graph(
-        _nodes(int(net.conv4.padding[0])),
-        "texture",
-        [helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["batch", 1, pixels, pixels])],
-        [helper.make_tensor_value_info(OUTPUT_NAME, TensorProto.FLOAT, ["batch", classes])],
-        [
-            numpy_helper.from_array(array, f"{layer}.{part}")
-            for layer, pair in weights.items()
-            for part, array in zip(("weight", "bias"), pair, strict=True)
-        ],
-    )
-    return to_bytes(graph, metadata)
-
-
-def _nodes(border: int) -> list[onnx.NodeProto]:
-    """Layers in order; ``border`` is the padding [px] of the fourth convolution."""
-
-    def conv(layer: str, source: str, target: str, pad: int = 0) -> onnx.NodeProto:
-        return helper.make_node("Conv", [source, f"{layer}.weight", f"{layer}.bias"], [target], pads=[pad] * 4)
-
-    return [
-        conv("conv1", INPUT_NAME, "a"),
-        helper.make_node("Relu", ["a"], ["b"]),
-        conv("conv2", "b", "c"),
-        helper.make_node("Relu", ["c"], ["d"]),
-        helper.make_node("MaxPool", ["d"], ["e"], kernel_shape=[3, 3], strides=[2, 2]),
-        conv("conv3", "e", "f", pad=1),
-        helper.make_node("Relu", ["f"], ["g"]),
-        conv("conv4", "g", "h", pad=border),
-        helper.make_node("Relu", ["h"], ["i"]),
-        helper.make_node("GlobalAveragePool", ["i"], ["j"]),
-        conv("conv5", "j", "k"),
-        helper.make_node("Relu", ["k"], ["l"]),
-        conv("head", "l", "m"),
-        helper.make_node("Flatten", ["m"], ["n"], axis=1),
-        helper.make_node("Softmax", ["n"], [OUTPUT_NAME], axis=1),
-    ]
+    return graph.to_bytes({INPUT_NAME: (1, pixels, pixels)}, (OUTPUT_NAME, classes), metadata)

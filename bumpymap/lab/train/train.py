@@ -1,43 +1,34 @@
-"""The trainer: seeded, on the CPU, restartable from its last whole epoch."""
+"""The training of the texture network: settings, data, learning rate."""
 
-import logging
 import math
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
-from torch import nn
 
 from bumpymap.core import UsageError
-from bumpymap.lab.train.checkpoint import restore, save
-from bumpymap.lab.train.data import Samples, epoch_samples, training_patches
+from bumpymap.lab.train.data import epoch_samples, training_patches
 from bumpymap.lab.train.model import NetworkSettings, TextureNet
+from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Training
 from bumpymap.rating import FEATURE_VERSION
 
-__all__ = ["EpochReport", "TrainSettings", "train"]
-
-_log = logging.getLogger(__name__)
+__all__ = ["TrainSettings", "train"]
 
 
-@dataclass(frozen=True, slots=True)
-class TrainSettings:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainSettings(LoopSettings):
     """Everything that a training depends on."""
 
-    seed: int = 1
     epochs: int = 30
     patches_per_texture: int = 6534
     """As in the paper: 26,136 patches in all."""
     batch: int = 256
     """Least number of patches between two steps; batches are as even as can be."""
     learning_rate: float = 5e-3
-    """Peak, after the warm-up."""
     weight_decay: float = 1e-2
     tile_size: float = 3.0
     """Side of the tiles the network is for, m. Textures are shares of a side, so only the label changes."""
-    threads: int = 1
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     def __post_init__(self) -> None:
@@ -63,20 +54,6 @@ class TrainSettings:
             "threads": self.threads,
         }
         return "bumpymap train " + " ".join(f"--{name} {value}" for name, value in options.items())
-
-
-@dataclass(frozen=True, slots=True)
-class EpochReport:
-    """How one epoch went."""
-
-    epoch: int
-    """From 1."""
-    epochs: int
-    loss: float
-    """Mean cross-entropy, nats."""
-    accuracy: float
-    """On the altered training patches of this epoch, while learning."""
-    seconds: float
 
 
 def train(
@@ -105,62 +82,35 @@ def train(
     OutputError
         The checkpoint cannot be written.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(settings.threads)
-    try:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            net = TextureNet(settings.network)
-        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
-        optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=settings.weight_decay)
-        record = _record(settings)
-        done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
-        training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
-        for epoch in range(done, settings.epochs):
-            report = _run_epoch(net, optimizer, epoch_samples(training, settings.seed, epoch), settings, epoch)
-            _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
-            if checkpoint:
-                save(checkpoint, record, net, optimizer, epoch + 1)
-            if progress:
-                progress(report)
-    finally:
-        torch.set_num_threads(threads)
-    return net.eval()
+    loop = Training(
+        settings,
+        lambda: _network(settings),
+        lambda numbers: _epochs(settings, numbers),
+        lambda share: _learning_rate(share, settings.learning_rate),
+        record={"feature_version": FEATURE_VERSION},
+    )
+    return loop.run(checkpoint, progress)
 
 
-def _run_epoch(
-    net: TextureNet, optimizer: torch.optim.Optimizer, samples: Samples, settings: TrainSettings, epoch: int
-) -> EpochReport:
-    start = time.perf_counter()
-    net.train()
-    patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
-    labels = torch.from_numpy(samples.labels)
-    batches = max(1, len(labels) // settings.batch)  # of even sizes: one of a single patch has no spread to normalise
-    loss_sum, hits = 0.0, 0
-    for number in range(batches):
-        rows = slice(number * len(labels) // batches, (number + 1) * len(labels) // batches)
-        rate = _learning_rate((epoch + number / batches) / settings.epochs, settings.learning_rate)
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        logits = net(patches[rows])
-        loss = nn.functional.cross_entropy(logits, labels[rows])
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        loss_sum += loss.item() * len(logits)
-        hits += int((logits.argmax(1) == labels[rows]).sum())
-    seconds = time.perf_counter() - start
-    return EpochReport(epoch + 1, settings.epochs, loss_sum / len(labels), hits / len(labels), seconds)
+def _network(settings: TrainSettings) -> TextureNet:
+    net = TextureNet(settings.network)
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
+    return net
 
 
-def _learning_rate(progress: float, peak: float) -> float:
-    """Rise linearly over the first tenth, then fall along half a cosine to zero; ``progress`` runs from 0 to 1."""
-    if progress < 0.1:
-        return peak * (progress + 0.01) / 0.11
-    return peak * 0.5 * (1 + math.cos(math.pi * (progress - 0.1) / 0.9))
+def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
+    training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
+    for epoch in numbers:
+        samples = epoch_samples(training, settings.seed, epoch)
+        patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
+        count = len(samples.labels)
+        batches = max(1, count // settings.batch)  # of even sizes: one of a single patch has no spread to normalise
+        bounds = [number * count // batches for number in range(batches + 1)]
+        yield EpochData((patches,), torch.from_numpy(samples.labels), bounds)
 
 
-def _record(settings: TrainSettings) -> dict[str, Any]:
-    record = asdict(settings)
-    record["network"] = {key: list(v) if isinstance(v, tuple) else v for key, v in record["network"].items()}
-    return {**record, "feature_version": FEATURE_VERSION}
+def _learning_rate(share: float, peak: float) -> float:
+    """Rise linearly over the first tenth, then fall along half a cosine to zero; ``share``: of the training, 0..1."""
+    if share < 0.1:
+        return peak * (share + 0.01) / 0.11
+    return peak * 0.5 * (1 + math.cos(math.pi * (share - 0.1) / 0.9))

@@ -1,6 +1,0 @@
-from .cloth import (
-    close_filter as close_filter,
-    filter_version as filter_version,
-    mark_ground as mark_ground,
-    require_filter as require_filter,
-)

@@ -1,4 +1,4 @@
-"""From geometry to what the simulation measures: a correction of few numbers, its spread, and the chance to fail.
+"""Correct the geometric C_r to what the simulation measures: a few numbers, their spread, and p_fail.
 
 - ln C_r = quadratic in ln g + terms of slope, unevenness and the way between bumps (pitch over its change per metre: a
   suspension hides short bumps), g the geometric C_r. Below the calibrated range C_r is
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.rating.ride.geometry import Rides
 
-__all__ = ["NORMAL_TAIL", "TAIL", "Correction", "Prediction", "above_noise", "fail_features", "ride_features"]
+__all__ = ["NORMAL_TAIL", "TAIL", "Correction", "Prediction", "fail_features", "ride_features", "subtract_noise"]
 
 Floats = NDArray[np.float64]
 TAIL = 0.1
@@ -52,7 +52,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What the drives of a calibration taught about the ride model."""
+    """The correction of the ride model, fitted to the drives of a calibration."""
 
     log_range: tuple[float, float]
     """ln g of the ground that was driven: lowest and highest."""
@@ -118,7 +118,7 @@ class Correction:
         pixel_points : array (n,)
             Mean points a pixel.
         """
-        g, excess = above_noise(rides.pitch_change, noise_felt)
+        g, excess = subtract_noise(rides.pitch_change, noise_felt)
         log_g = np.log(g)
         low, high = self.log_range
         inside = np.clip(log_g, low, high)
@@ -148,8 +148,8 @@ class Correction:
         return value
 
 
-def above_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
-    """Return what can be told of the geometric C_r [rad/m], and the excess: ln of that with the noise over without it.
+def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
+    """Return the geometric C_r that exceeds the noise [rad/m], and the excess: ln of C_r with the noise over without.
 
     Both (n,); where the noise is unknown (NaN), the excess is too.
     """

@@ -55,7 +55,7 @@ class NoisyPatches:
     """Patches that were surveyed with noise."""
 
     excess: Floats
-    """(n,) of `told_from_noise`."""
+    """(n,) of `subtract_noise`."""
     pixel_points: Floats
     """(n,) mean points a pixel."""
     error: Floats

@@ -1,4 +1,4 @@
-"""Scan noise is not roughness: what of a heightmap is ground.
+"""Estimate the scan noise of heightmaps and remove it.
 
 A pixel's height is the mean of its points. Their spread inside the pixel, less what the slope of the ground explains,
 tells the noise of a point; a mean of n points errs by its n-th part (as variance), whether the spread is the scanner's

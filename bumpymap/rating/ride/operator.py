@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Poses", "RideOperator", "Samples", "Wheel"]
+__all__ = ["Poses", "RideOperator", "Samples", "WheelShape"]
 
 Floats = NDArray[np.float64]
 _WHEEL_NODES = 2.0
@@ -29,7 +29,7 @@ _SETTLED = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Wheel:
+class WheelShape:
     """The lower half of a wheel (a sphere) on the nodes of the envelope."""
 
     row: NDArray[np.int32]
@@ -74,7 +74,7 @@ class RideOperator:
     """Nodes along the side of a pixel."""
     nodes: int
     """Along the side of a patch, both edges among them."""
-    wheel: Wheel
+    wheel: WheelShape
     samples: Samples
     poses: Poses
     wheelbase: float
@@ -138,14 +138,14 @@ class _Lattice:
         return np.minimum(wrapped, period - wrapped)
 
 
-def _wheel(radius: float, step: float) -> Wheel:
+def _wheel(radius: float, step: float) -> WheelShape:
     reach = int(radius / step + 1e-9)
     offset = np.arange(-reach, reach + 1)
     row, col = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
     away = (row**2 + col**2) * step**2
     under = away <= radius**2 * (1 + 1e-9)
     rise = np.sqrt(np.maximum(radius**2 - away[under], 0.0)) - radius
-    return Wheel(row[under].astype(np.int32), col[under].astype(np.int32), rise.astype(np.float32))
+    return WheelShape(row[under].astype(np.int32), col[under].astype(np.int32), rise.astype(np.float32))
 
 
 def _spread(count: int, side: float) -> tuple[Floats, Floats, Floats]:

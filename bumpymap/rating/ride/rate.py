@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 class RideModel:
-    """One vehicle on tiles of one size: what it will feel on each.
+    """Predicts the ride of one vehicle on tiles of one size.
 
     Parameters
     ----------

@@ -5,10 +5,9 @@ import re
 from pathlib import Path
 from typing import Any, TextIO
 
-from bumpymap.core import OutputError, UsageError
-from bumpymap.rating.vehicle.faults import UNFILLED
-from bumpymap.rating.vehicle.keys import KEYS, Key
-from bumpymap.rating.vehicle.profile import load_profile, shipped_profiles
+from bumpymap.core import UNFILLED, OutputError, UsageError
+from bumpymap.rating.vehicle.keys import ProfileKey
+from bumpymap.rating.vehicle.profile import KEYS, load_profile, shipped_profiles
 
 __all__ = ["blank_profile", "write_blank"]
 
@@ -72,12 +71,12 @@ def blank_profile(name: str, like: str | None) -> str:
         if key.table != table:
             table = key.table
             lines += ["", f"[{table}]"]
-        what = key.what.replace("`", "")
-        lines += [f"# {what[0].upper()}{what[1:]}. In {key.allowed}.", f"{key.short} = {_value(key, model)}"]
+        what = key.quantity.what.replace("`", "")
+        lines += [f"# {what[0].upper()}{what[1:]} ({key.quantity.allowed}).", f"{key.short} = {_value(key, model)}"]
     return "\n".join(lines) + "\n"
 
 
-def _value(key: Key, model: dict[str, Any]) -> str:
+def _value(key: ProfileKey, model: dict[str, Any]) -> str:
     if not model:
         return json.dumps(UNFILLED if key.default is None else key.default)
     return json.dumps((model[key.table] if key.table else model)[key.short])

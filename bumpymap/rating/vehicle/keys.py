@@ -1,15 +1,16 @@
-"""The keys of a vehicle profile: unit, plausible values, meaning. Messages, the page and new profiles are made of it.
+"""What the keys of a vehicle profile hold: units, plausible values, meaning. Used by messages, docs and new profiles.
 
 The bounds are wide enough for a rover of 2 kg and for a haul truck of 600 t, and narrow enough that most values in
 another unit (millimetres, radians for degrees, km/h) fall outside.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Any
 
-from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
+from bumpymap.core import field_rule
 
-__all__ = ["KEYS", "Key"]
+__all__ = ["OneLine", "ProfileKey", "Quantity", "profile_keys"]
 
 _WORDS = {
     "m": "metres",
@@ -32,18 +33,64 @@ _MISTAKEN = {
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
-    """One number of a vehicle profile, or three."""
+class OneLine:
+    """Rule of a text of one line."""
 
-    name: str
-    """With its table, such as ``chassis.mass_kg``."""
+    @property
+    def allowed(self) -> str:
+        """Say what is allowed."""
+        return "a text of one line that is not empty"
+
+    def fault(self, value: str) -> str:
+        """Say what is wrong with a text; empty where nothing is."""
+        return "" if value.strip() and value.isprintable() else f"it must be {self.allowed}"
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Rule of a number with a unit, or of three moments of inertia."""
+
     unit: str
     low: float
     high: float
     """Lowest and highest value that is taken."""
     what: str
     """What it is, in a line."""
-    default: float | None = None
+    count: int = 1
+    """How many numbers it takes: 1, or 3 moments."""
+
+    @property
+    def allowed(self) -> str:
+        """Say what is allowed, such as ``between 0.1 and 20 metres``."""
+        each = "three numbers, [roll, pitch, yaw], each " if self.count > 1 else ""
+        return f"{each}between {_plain(self.low)} and {_plain(self.high)} {_WORDS[self.unit]}"
+
+    def fault(self, value: float | tuple[float, ...]) -> str:
+        """Say what is wrong with a value; empty where nothing is."""
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(map(self._holds, numbers)):
+            return f"it must be {self.allowed}{self._mistaken(numbers[0]) if self.count == 1 else ''}"
+        if self.count > 1 and 2 * max(numbers) > sum(numbers):
+            return "each moment must be at most the sum of the two others (no rigid body has other moments)"
+        return ""
+
+    def _holds(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+    def _mistaken(self, value: float) -> str:
+        """Say in which other unit a value beyond the bounds would be within them; empty where in none."""
+        unit, factor = _MISTAKEN.get(self.unit, ("", 0.0))
+        return f"; {value:g} {unit} would be {value * factor:.3g}" if unit and self._holds(value * factor) else ""
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileKey:
+    """One key of a vehicle profile that holds a quantity."""
+
+    name: str
+    """With its table, such as ``chassis.mass_kg``."""
+    quantity: Quantity
+    default: float | None
     """Of a key that may be left out."""
 
     @property
@@ -56,58 +103,18 @@ class Key:
         """Name within its table."""
         return self.name.rpartition(".")[2]
 
-    @property
-    def count(self) -> int:
-        """How many numbers it takes: three moments of inertia, one of anything else."""
-        return 3 if self.short == "inertia_kgm2" else 1
 
-    @property
-    def allowed(self) -> str:
-        """Say the unit and what is allowed, such as ``metres; between 0.1 and 20``."""
-        each = "three numbers, [roll, pitch, yaw], each " if self.count == 3 else ""
-        return f"{_WORDS[self.unit]}; {each}between {_plain(self.low)} and {_plain(self.high)}"
-
-    def holds(self, value: float) -> bool:
-        """Tell whether a number is within the bounds."""
-        return self.low <= value <= self.high
-
-    def mistaken(self, value: float) -> str:
-        """Say in which other unit a value beyond the bounds would be within them; empty where in none."""
-        unit, factor = _MISTAKEN.get(self.unit, ("", 0.0))
-        return f"; {value:g} {unit} would be {value * factor:.3g}" if unit and self.holds(value * factor) else ""
+def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
+    """List the quantities of a dataclass and of the dataclasses in it, in the order of the file."""
+    found: list[ProfileKey] = []
+    for field in fields(owner):
+        rule, name = field_rule(field.type), f"{table}.{field.name}".lstrip(".")
+        if isinstance(rule, Quantity):
+            found.append(ProfileKey(name, rule, None if field.default is MISSING else field.default))
+        elif is_dataclass(field.type):
+            found += profile_keys(field.type, name)
+    return tuple(found)
 
 
 def _plain(value: float) -> str:
     return f"{value:,.0f}" if value >= 1000 else f"{value:g}"
-
-
-KEYS = (
-    Key("wheelbase_m", "m", 0.1, 20, "between the axles"),
-    Key("track_m", "m", 0.05, 15, "between the wheel centres of one axle"),
-    Key("speed_mps", "m/s", 0.05, 15, "the speed of every drive. C_r depends on it: choose the speed you will drive"),
-    Key("slope_limit_deg", "deg", 3, 60, "`map` gives steeper tiles a `p_fail` of 1"),
-    Key("ride_weight", "m/rad", 0, 1000, "the detour that a radian of pitching is worth; a preference"),
-    Key(
-        "fail_weight",
-        "m",
-        0,
-        100_000,
-        "the detour that a certain failure is worth; a preference",
-        DEFAULT_FAIL_WEIGHT,
-    ),
-    Key("chassis.mass_kg", "kg", 0.2, 1e6, "all that neither rocker nor wheel is, payload too"),
-    Key("chassis.inertia_kgm2", "kg m2", 1e-6, 1e8, "moments about the centre of mass"),
-    Key("chassis.com_height_m", "m", -2, 6, "centre of mass above the axles; may be negative"),
-    Key("belly.length_m", "m", 0.05, 30, "along the vehicle, amid the axles, bumpers included"),
-    Key("belly.width_m", "m", 0.02, 15, "across the vehicle"),
-    Key("belly.clearance_m", "m", 0.005, 5, "of the lowest part that would strike a stone, over level ground"),
-    Key("rocker.mass_kg", "kg", 0.005, 1e5, "one rocker: the beam that joins a front and a rear wheel"),
-    Key("rocker.inertia_kgm2", "kg m2", 1e-8, 1e7, "moments about its centre"),
-    Key("rocker.limit_rad", "rad", 0, 1.2, "stop, either way from level"),
-    Key("rocker.stiffness_nm_per_rad", "N m/rad", 0, 1e9, "spring back to level; 0 is a free rocker"),
-    Key("rocker.damping_nms_per_rad", "N m s/rad", 0, 1e8, "damper"),
-    Key("wheel.mass_kg", "kg", 0.005, 2e4, "one wheel"),
-    Key("wheel.radius_m", "m", 0.02, 3, "the ground meets a sphere of this radius"),
-    Key("wheel.width_m", "m", 0.005, 3, "for the wheel's own inertia"),
-)
-"""In the order of the file."""

@@ -3,80 +3,83 @@
 from dataclasses import asdict, dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from bumpymap.core import BadInputError, UsageError, read_toml
+from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
-from bumpymap.rating.vehicle.faults import faults_alone, faults_together
+from bumpymap.rating.vehicle.faults import faults_together
+from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
-__all__ = ["Belly", "Chassis", "Rocker", "VehicleProfile", "Wheel", "load_profile", "shipped_profiles"]
+__all__ = ["KEYS", "Belly", "Chassis", "Rocker", "VehicleProfile", "Wheel", "load_profile", "shipped_profiles"]
 
 _SCHEMA = "docs/pages/vehicle-profile.md lists every key"
+
+
+_Moments = tuple[float, float, float]
+"""Roll (about the forward axis), pitch (left axis), yaw (upward axis)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chassis:
     """The body that carries the pitch-rate sensor."""
 
-    mass_kg: float
-    inertia_kgm2: tuple[float, float, float]
-    """Moments about the centre of mass: roll (forward axis), pitch (left axis), yaw (upward axis)."""
-    com_height_m: float
-    """Centre of mass above the axles when the vehicle stands on level ground; may be negative."""
+    mass_kg: Annotated[float, Quantity("kg", 0.2, 1e6, "all that neither rocker nor wheel is, payload too")]
+    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-6, 1e8, "moments about the centre of mass", count=3)]
+    com_height_m: Annotated[float, Quantity("m", -2, 6, "centre of mass above the axles; may be negative")]
+    """When the vehicle stands on level ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class Belly:
     """The underside of the chassis: a level plate amid the wheels, with walls above it."""
 
-    length_m: float
-    """Along the vehicle, bumpers included."""
-    width_m: float
-    clearance_m: float
-    """Over level ground."""
+    length_m: Annotated[float, Quantity("m", 0.05, 30, "along the vehicle, amid the axles, bumpers included")]
+    width_m: Annotated[float, Quantity("m", 0.02, 15, "across the vehicle")]
+    clearance_m: Annotated[
+        float, Quantity("m", 0.005, 5, "of the lowest part that would strike a stone, over level ground")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
 class Rocker:
     """The beam on either side that joins a front and a rear wheel and turns about the chassis' left axis."""
 
-    mass_kg: float
-    inertia_kgm2: tuple[float, float, float]
-    """Moments about its centre: roll, pitch, yaw."""
-    limit_rad: float
-    """Largest angle between rocker and chassis, either way."""
-    stiffness_nm_per_rad: float
-    """Spring that brings the rocker back; 0 is a free rocker."""
-    damping_nms_per_rad: float
+    mass_kg: Annotated[float, Quantity("kg", 0.005, 1e5, "one rocker: the beam that joins a front and a rear wheel")]
+    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-8, 1e7, "moments about its centre", count=3)]
+    limit_rad: Annotated[float, Quantity("rad", 0, 1.2, "stop, either way from level")]
+    stiffness_nm_per_rad: Annotated[float, Quantity("N m/rad", 0, 1e9, "spring back to level; 0 is a free rocker")]
+    damping_nms_per_rad: Annotated[float, Quantity("N m s/rad", 0, 1e8, "damper")]
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
     """One of the four wheels: a rigid sphere to the ground, a cylinder to its own inertia."""
 
-    mass_kg: float
-    radius_m: float
-    width_m: float
+    mass_kg: Annotated[float, Quantity("kg", 0.005, 2e4, "one wheel")]
+    radius_m: Annotated[float, Quantity("m", 0.02, 3, "the ground meets a sphere of this radius")]
+    width_m: Annotated[float, Quantity("m", 0.005, 3, "for the wheel's own inertia")]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleProfile:
     """Four wheels on two rockers under a chassis, and how the vehicle is driven."""
 
-    name: str
-    description: str
-    wheelbase_m: float
-    """Between the axles."""
-    track_m: float
-    """Between the wheel centres of one axle."""
-    speed_mps: float
-    """The speed of every drive of the calibration."""
-    slope_limit_deg: float
-    """Steeper ground is not for this vehicle."""
-    ride_weight: float
-    """m/rad: cost = 1 + ride_weight * c_r + fail_weight * hazard."""
-    fail_weight: float = field(default=DEFAULT_FAIL_WEIGHT, kw_only=True)
-    """m: the detour that one certain failure is worth."""
+    name: Annotated[str, OneLine()]
+    description: Annotated[str, OneLine()]
+    wheelbase_m: Annotated[float, Quantity("m", 0.1, 20, "between the axles")]
+    track_m: Annotated[float, Quantity("m", 0.05, 15, "between the wheel centres of one axle")]
+    speed_mps: Annotated[
+        float,
+        Quantity("m/s", 0.05, 15, "the speed of every drive. C_r depends on it: choose the speed you will drive"),
+    ]
+    slope_limit_deg: Annotated[float, Quantity("deg", 3, 60, "`map` gives steeper tiles a `p_fail` of 1")]
+    ride_weight: Annotated[
+        float, Quantity("m/rad", 0, 1000, "the detour that a radian of pitching is worth; a preference")
+    ]
+    """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
+    fail_weight: Annotated[
+        float, Quantity("m", 0, 100_000, "the detour that a certain failure is worth; a preference")
+    ] = field(default=DEFAULT_FAIL_WEIGHT, kw_only=True)
     chassis: Chassis
     belly: Belly
     rocker: Rocker
@@ -110,15 +113,16 @@ class VehicleProfile:
         BadInputError
             A key that is unknown or missing, a value of the wrong kind or not plausible; all of them are said.
         """
-        faults = faults_alone(record)
+        arguments, faults = parse_record(record, cls, Path(), complete=True)
         if not faults:
-            profile = _build(record)
-            faults = faults_together(profile.to_dict(), profile.mass_kg, profile.length_m, profile.width_m)
-        if not faults:
-            return profile
-        if len(faults) == 1:
-            raise BadInputError(f"{origin}: {faults[0]}")
-        raise BadInputError(f"{origin}: {len(faults)} faults; {_SCHEMA}", *(f"  {fault}" for fault in faults))
+            profile = cls(**arguments)
+            faults = faults_together(profile)
+        refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}")
+        return profile
+
+
+KEYS = profile_keys(VehicleProfile)
+"""In the order of the file."""
 
 
 def load_profile(name_or_path: str | Path) -> VehicleProfile:
@@ -152,24 +156,6 @@ def shipped_profiles() -> list[str]:
     """Names of the profiles in the package."""
     folder = files("bumpymap.rating") / "data" / "vehicles"
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
-
-
-def _build(record: dict[str, Any]) -> VehicleProfile:
-    """Make the profile of a dictionary without faults."""
-    tables = {"chassis": Chassis, "belly": Belly, "rocker": Rocker, "wheel": Wheel}
-    parts = {name: kind(**_numbers(record[name])) for name, kind in tables.items()}
-    return VehicleProfile(**parts, **_numbers({key: value for key, value in record.items() if key not in tables}))
-
-
-def _numbers(table: dict[str, Any]) -> dict[str, Any]:
-    """Whole numbers as floats, lists as tuples of them."""
-    return {key: _number(value) for key, value in table.items()}
-
-
-def _number(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return tuple(map(float, value))
-    return value if isinstance(value, str) else float(value)
 
 
 def _plain(value: Any) -> Any:

@@ -14,10 +14,6 @@ from .job import (
 from .local import (
     LocalRun as LocalRun,
 )
-from .resource_estimate import (
-    Estimate as Estimate,
-    estimate as estimate,
-)
 from .workspace import (
     ADVICE as ADVICE,
     Workspace as Workspace,

@@ -8,7 +8,7 @@ from sklearn.isotonic import IsotonicRegression
 from sklearn.metrics import confusion_matrix, roc_auc_score
 
 from bumpymap.lab.evaluate.agreement import (
-    Steps,
+    ClassShift,
     confusion,
     coverage,
     driven_class,
@@ -97,7 +97,7 @@ def test_confusion_matrix_is_that_of_scikit_learn(seed, count):
 
 def test_no_patches_have_no_shares():
     assert all(np.isnan(value) for value in (steps_off(np.zeros((4, 4), np.int64)).same, *_empty()))
-    assert steps_off(np.eye(4, dtype=np.int64)) == Steps(1.0, 0.0, 0.0)
+    assert steps_off(np.eye(4, dtype=np.int64)) == ClassShift(1.0, 0.0, 0.0)
 
 
 def _empty():

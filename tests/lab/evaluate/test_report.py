@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bumpymap.lab.evaluate.classes import class_table
-from bumpymap.lab.evaluate.compare import Order, by_kind, compare
+from bumpymap.lab.evaluate.compare import VehicleOrder, by_kind, compare
 from bumpymap.lab.evaluate.density import DensityRow
 from bumpymap.lab.evaluate.drives import Driven
-from bumpymap.lab.evaluate.findings import DrivenPatches, Findings
+from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.invariance import MoveRow
 from bumpymap.lab.evaluate.noise import NoiseRow
 from bumpymap.lab.evaluate.report import write_report
@@ -41,9 +41,9 @@ def findings(verdict_of):
     found = Findings("survey", FACTS, VEHICLES, {"seed": 7, "skip": frozenset({"timing"})})
     found.classes = {"ride": class_table(verdicts["ride"], truth**2, truth / 5)}
     found.comparisons = {"rover": compare(verdicts, plain, driven, np.zeros(30, bool), (0.1, 0.3, 0.5))}
-    found.patches = {"rover": DrivenPatches([(i, -i) for i in range(30)], driven, verdicts)}
+    found.patches = {"rover": ComparedPatches([(i, -i) for i in range(30)], driven, verdicts)}
     found.kinds = by_kind(["kerb"] * 30, verdicts["ride"], driven)
-    found.orders = [Order("ride", ("rover", "car"), 20, 0.95, 12, 1.0)]
+    found.orders = [VehicleOrder("ride", ("rover", "car"), 20, 0.95, 12, 1.0)]
     found.densities = [DensityRow("ride", 50.0, 0.5, 6, 1.0, 0.9, 0.8, 0.0, 1.01, 0.8, float("nan"))]
     found.noise = [NoiseRow(100.0, 0.03, 0.01, 0.02, 0.08, (0.1,) * 3, (0.2,) * 3, 1.0, 0.8, (0.8,) * 3, 30)]
     found.moves = [MoveRow("ride", "mirrored", 6, 0.99, 0.01)]

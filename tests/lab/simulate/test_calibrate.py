@@ -11,7 +11,7 @@ from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.types import TEXTURES
 from bumpymap.lab import KINDS
 from bumpymap.lab.simulate import calibrate as calibrate_module
-from bumpymap.lab.simulate.calibrate import calibrate
+from bumpymap.lab.simulate.calibrate import calibrate_vehicle
 from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.journal import Journal
 from bumpymap.lab.simulate.library import library_terrains, read_library
@@ -31,7 +31,7 @@ TABLE, LIBRARY = 16, len(KINDS)
 
 @pytest.fixture(scope="module")
 def calibration():
-    return calibrate(SETTINGS)
+    return calibrate_vehicle(SETTINGS)
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
 
 
 def test_number_of_workers_changes_nothing(calibration):
-    assert calibrate(SETTINGS, workers=2) == calibration
+    assert calibrate_vehicle(SETTINGS, workers=2) == calibration
 
 
 def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
@@ -114,11 +114,11 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        calibrate(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
+        calibrate_vehicle(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
     assert len(path.read_text().splitlines()) == 1 + TABLE + 3
     ran = []
     monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
-    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
+    assert calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
     assert len(ran) == LIBRARY - 3
 
 
@@ -148,7 +148,7 @@ def test_fit_gets_ground_and_drives_and_its_answer_is_kept(fake_drives, tmp_path
         seen.update(profile=profile, terrains=terrains, driven=driven)
         return {"c_r": [1.0, 2.0], "origin": {"terrains": len(driven)}}
 
-    made = calibrate(replace(SETTINGS, terrains=2), fit=fit)
+    made = calibrate_vehicle(replace(SETTINGS, terrains=2), fit=fit)
     assert made.ride == {"c_r": [1.0, 2.0], "origin": {"terrains": 2 * LIBRARY}}
     assert seen["profile"] == SETTINGS.profile
     assert [t.kind for t in seen["terrains"]] == [d.kind for d in seen["driven"]]
@@ -163,7 +163,7 @@ def test_jobs_differ_in_patch_and_in_start():
 
 def test_progress_counts_drives(fake_drives):
     seen = []
-    calibrate(replace(SETTINGS, starts=3), lambda done, total: seen.append((done, total)))
+    calibrate_vehicle(replace(SETTINGS, starts=3), lambda done, total: seen.append((done, total)))
     total = 3 * TABLE + 2 * LIBRARY
     assert seen[0] == (0, total)
     assert seen[-1] == (total, total)
@@ -172,11 +172,11 @@ def test_progress_counts_drives(fake_drives):
 
 def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
     path = tmp_path / "progress"
-    whole = calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    whole = calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
     fake_drives.clear()
-    assert calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
+    assert calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
     assert len(fake_drives) == TABLE + LIBRARY - 3
     assert "damaged line" in caplog.text
     assert path.read_text().splitlines() == lines
@@ -184,12 +184,12 @@ def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
 
 def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
     path = tmp_path / "progress"
-    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
     other = replace(SETTINGS, seed=5)
     with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
-        calibrate(other, journal=Journal(path, other.to_dict()))
+        calibrate_vehicle(other, journal=Journal(path, other.to_dict()))
     fake_drives.clear()
-    calibrate(other, journal=Journal(path, other.to_dict()), discard_other=True)
+    calibrate_vehicle(other, journal=Journal(path, other.to_dict()), discard_other=True)
     assert len(fake_drives) == TABLE + LIBRARY
     assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
 
@@ -201,7 +201,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
     path = tmp_path / "progress"
     path.symlink_to(tmp_path / target)
     with pytest.raises(OutputError, match="is a link, and is left alone"):
-        calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
+        calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
     assert (tmp_path / "mine").read_text() == "mine"
     assert not (tmp_path / "none").exists()
     path.unlink()
@@ -217,7 +217,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
 
 def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
     path = tmp_path / "progress"
-    calibrate(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
     before = path.read_text()
 
     def full(file, *_, **__):

@@ -18,9 +18,10 @@ onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 from bumpymap.cli import main  # noqa: E402
 from bumpymap.lab.train import make  # noqa: E402
 from bumpymap.lab.train.data import unseen_patches  # noqa: E402
-from bumpymap.lab.train.evaluate import Score, predict, score  # noqa: E402
+from bumpymap.lab.train.evaluate import predict, score  # noqa: E402
 from bumpymap.lab.train.export import to_onnx  # noqa: E402
 from bumpymap.lab.train.model import NetworkSettings  # noqa: E402
+from bumpymap.lab.train.score import Score  # noqa: E402
 from bumpymap.lab.train.train import TrainSettings, train  # noqa: E402
 from bumpymap.rating.texture_network import TextureModel, _infer  # noqa: E402
 
@@ -126,7 +127,7 @@ def test_onnx_says_what_torch_says(pixels):
         net.head.bias.uniform_(-1.0, 1.0)
     patches = unseen_patches(3, 100, pixels).patches
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
-    assert_allclose(_infer(model, patches), predict(net, patches), atol=2e-5)
+    assert_allclose(_infer(model, patches), predict(net, torch.from_numpy(patches)[:, None]), atol=2e-5)
 
 
 def test_export_is_small_plain_and_repeatable(small):
@@ -220,7 +221,7 @@ def test_a_failed_write_leaves_nothing_but_the_checkpoint(tmp_path, monkeypatch)
         if Path(f"/proc/self/fd/{descriptor}").readlink().suffix == ".onnx":
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(make.os, "fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     monkeypatch.setattr(make, "UNSEEN_PER_TEXTURE", 5)
     with pytest.raises(OutputError, match="No space left"):
         make.make_model(TrainSettings(epochs=1, patches_per_texture=8), tmp_path / "m.onnx")

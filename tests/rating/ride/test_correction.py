@@ -8,7 +8,7 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, BumpymapError
 from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
-from bumpymap.rating.ride.correction import NORMAL_TAIL, above_noise
+from bumpymap.rating.ride.correction import NORMAL_TAIL, subtract_noise
 from bumpymap.rating.ride.fitting import _held, _student
 
 COUNT = 400
@@ -83,7 +83,7 @@ def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     rides = Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(6)))
     found = correction.predict(rides, np.zeros(3), np.full(3, 0.1), np.full(3, 4.0))
     assert found.log_c_r[0] == found.log_c_r[1] < found.log_c_r[2]
-    g, excess = above_noise(rides.pitch_change, np.full(3, 0.1))
+    g, excess = subtract_noise(rides.pitch_change, np.full(3, 0.1))
     assert g == pytest.approx([0.01, 0.01, 0.2])
     assert np.exp(2 * excess) == pytest.approx([101, 101, 1.25])
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle.keys import KEYS
-from bumpymap.rating.vehicle.profile import VehicleProfile, load_profile, shipped_profiles
+from bumpymap.rating.vehicle.profile import KEYS, VehicleProfile, load_profile, shipped_profiles
 
 
 @pytest.fixture
@@ -53,36 +52,48 @@ def test_file_with_a_path_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("wheelbase_m", 920, ["wheelbase_m = 920: metres; between 0.1 and 20; 920 mm would be 0.92"]),
-        ("wheelbase_m", -1, ["wheelbase_m = -1: metres; between 0.1 and 20"]),
-        ("wheelbase_m", "long", ["wheelbase_m = 'long': metres"]),
-        ("wheelbase_m", "?", ["wheelbase_m is not filled in: metres; between 0.1 and 20"]),
-        ("wheelbase_m", True, ["wheelbase_m = True: metres"]),
-        ("wheelbase_m", float("nan"), ["wheelbase_m = nan: metres"]),
-        ("wheelbase_m", 10**400, ["wheelbase_m = 1000", "metres"]),
+        ("wheelbase_m", 920, ["wheelbase_m is 920; it must be between 0.1 and 20 metres; 920 mm would be 0.92"]),
+        ("wheelbase_m", -1, ["wheelbase_m is -1; it must be between 0.1 and 20 metres"]),
+        ("wheelbase_m", "long", ["wheelbase_m is 'long'; it must be between"]),
+        ("wheelbase_m", "?", ["wheelbase_m is not filled in: between 0.1 and 20 metres"]),
+        ("wheelbase_m", True, ["wheelbase_m is True; it must be between"]),
+        ("wheelbase_m", float("nan"), ["wheelbase_m is nan; it must be between"]),
+        ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "metres"]),
         ("wheelbase_m", 0.6, ["touch", "twice the radius"]),
         ("track_m", 0.2, ["track_m 0.2", "wheel width"]),
-        ("speed_mps", 0, ["speed_mps = 0: metres per second; between 0.05 and 15"]),
-        ("speed_mps", 36, ["speed_mps = 36: metres per second", "36 km/h would be 10"]),
-        ("slope_limit_deg", 90, ["slope_limit_deg = 90: degrees; between 3 and 60"]),
-        ("slope_limit_deg", 0.52, ["slope_limit_deg = 0.52: degrees; between 3 and 60; 0.52 rad would be 29.8"]),
-        ("ride_weight", -0.1, ["ride_weight = -0.1: metres per radian; between 0 and 1,000"]),
-        ("fail_weight", -1, ["fail_weight = -1: metres; between 0 and 100,000"]),
+        ("speed_mps", 0, ["speed_mps is 0; it must be between 0.05 and 15 metres per second"]),
+        ("speed_mps", 36, ["speed_mps is 36; it must be between", "36 km/h would be 10"]),
+        ("slope_limit_deg", 90, ["slope_limit_deg is 90; it must be between 3 and 60 degrees"]),
+        (
+            "slope_limit_deg",
+            0.52,
+            ["slope_limit_deg is 0.52; it must be between 3 and 60 degrees; 0.52 rad would be 29.8"],
+        ),
+        ("ride_weight", -0.1, ["ride_weight is -0.1; it must be between 0 and 1,000 metres per radian"]),
+        ("fail_weight", -1, ["fail_weight is -1; it must be between 0 and 100,000 metres"]),
         ("name", " ", ["name is ' '", "not empty"]),
         ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),
         ("chassis", 3, ["chassis is 3", "table, [chassis], with mass_kg, inertia_kgm2, com_height_m"]),
-        ("chassis.mass_kg", 0, ["chassis.mass_kg = 0: kilograms; between 0.2 and 1,000,000"]),
+        ("chassis.mass_kg", 0, ["chassis.mass_kg is 0; it must be between 0.2 and 1,000,000 kilograms"]),
         ("chassis.mass_kg", 100_000, ["100,160 kg", "between", "masses in kilograms"]),
         ("chassis.com_height_m", -0.31, ["com_height_m", "below the ground"]),
         ("chassis.inertia_kgm2", [1.0, 1.0], ["three numbers, [roll, pitch, yaw]"]),
         ("chassis.inertia_kgm2", [6.0, 6.0, 12.1], ["sum of the two others"]),
         ("chassis.inertia_kgm2", [1.0, 1.0, 0.0], ["between 1e-06 and 100,000,000"]),
-        ("chassis.inertia_kgm2", [542.0, 1333.0, 1608.0], ["chassis.inertia_kgm2 = [542.0, 1333.0, 1608.0]", "box"]),
+        ("chassis.inertia_kgm2", [542.0, 1333.0, 1608.0], ["chassis.inertia_kgm2 is [542.0, 1333.0, 1608.0]", "box"]),
         ("rocker.inertia_kgm2", [5.4e-6, 5.42e-5, 5.21e-5], ["rocker.inertia_kgm2", "each moment lies between"]),
-        ("rocker.limit_rad", 8, ["rocker.limit_rad = 8: radians; between 0 and 1.2; 8 deg would be 0.14"]),
-        ("rocker.damping_nms_per_rad", -1, ["rocker.damping_nms_per_rad = -1: N m s per radian"]),
-        ("wheel.radius_m", float("inf"), ["wheel.radius_m = inf: metres"]),
-        ("belly.clearance_m", 250, ["belly.clearance_m = 250: metres; between 0.005 and 5; 250 mm would be 0.25"]),
+        ("rocker.limit_rad", 8, ["rocker.limit_rad is 8; it must be between 0 and 1.2 radians; 8 deg would be 0.14"]),
+        (
+            "rocker.damping_nms_per_rad",
+            -1,
+            ["rocker.damping_nms_per_rad is -1; it must be between 0 and 100,000,000 N m s per radian"],
+        ),
+        ("wheel.radius_m", float("inf"), ["wheel.radius_m is inf; it must be between"]),
+        (
+            "belly.clearance_m",
+            250,
+            ["belly.clearance_m is 250; it must be between 0.005 and 5 metres; 250 mm would be 0.25"],
+        ),
         ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
         ("belly.length_m", 13, ["belly.length_m is 13", "4 times"]),
     ],
@@ -109,7 +120,9 @@ def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
 
 def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
     warthog["wheel"]["radius"] = 0.3
-    with pytest.raises(BadInputError, match=r"unknown radius in \[wheel\]; allowed: mass_kg, radius_m, width_m"):
+    with pytest.raises(
+        BadInputError, match=r"\[wheel\]: unknown setting radius; there are: mass_kg, radius_m, width_m"
+    ):
         VehicleProfile.from_dict(warthog, "my.toml")
 
 
@@ -117,8 +130,8 @@ def test_missing_keys_are_refused_and_a_table_is_said_to_be_one(warthog):
     del warthog["track_m"], warthog["belly"]
     with pytest.raises(BadInputError) as caught:
         VehicleProfile.from_dict(warthog, "my.toml")
-    assert "missing track_m: metres; between 0.05 and 15" in str(caught.value)
-    assert "missing belly: it is a table, [belly], with length_m, width_m, clearance_m" in str(caught.value)
+    assert "missing track_m: between 0.05 and 15 metres" in str(caught.value)
+    assert "missing belly: a table, [belly], with length_m, width_m, clearance_m" in str(caught.value)
 
 
 def test_all_faults_are_said_at_once(warthog):
@@ -200,7 +213,8 @@ def test_the_docs_name_every_key_and_tell_the_shipped_values():
     ]
     assert list(rows) == list(flat[0]) == [key.name for key in KEYS]
     for key in KEYS:
-        assert f"| `{key.name}` | {key.unit} | {key.low:g} to {key.high:g} | {key.what} |" in schema
+        own = key.quantity
+        assert f"| `{key.name}` | {own.unit} | {own.low:g} to {own.high:g} | {own.what} |" in schema
     for key, values in rows.items():
         for text, profile in zip(values, flat, strict=True):
             numbers = profile[key] if isinstance(profile[key], list) else [profile[key]]

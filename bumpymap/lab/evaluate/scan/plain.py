@@ -1,6 +1,6 @@
-"""The same work as one would write it first: sector by sector, with scikit-learn, SciPy and scikit-image.
+"""The filter method in a straightforward form: sector by sector, with scikit-learn, SciPy and scikit-image.
 
-It is what our times are held against. Numbers need not agree to the digit; the steps are the paper's.
+Our times are compared with it. Numbers need not agree to the digit; the steps are the paper's.
 """
 
 import math

@@ -1,56 +1,36 @@
 """The report on scans: Markdown for people, JSON for machines."""
 
-import json
 import math
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import atomic
-from bumpymap.lab.evaluate.findings import plain_record
-from bumpymap.lab.evaluate.report import REPORT
+from bumpymap.lab.evaluate.document import number, percent, report_text, section, table, write_document
 from bumpymap.lab.evaluate.scan.run import ScanFindings
-from bumpymap.lab.evaluate.scan.tally import ClassRow
+from bumpymap.lab.evaluate.scan.tally import ScanClassRow
 from bumpymap.lab.evaluate.scan.timing import PAPER_SECTOR_MS
-from bumpymap.lab.evaluate.tables import number, percent, table
+from bumpymap.lab.evaluate.tables import confusion_lines
 
 __all__ = ["scan_markdown", "write_scan_report"]
 
-_RECORD = "report.json"
 _PAPER_ACCURACY = 0.8324
 
 
 def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     """Write ``report.md`` and ``report.json``; the report comes last."""
-    record: dict[str, Any] = {"format": "bumpymap-scan-evaluation", "version": 1}
-    with atomic(out / _RECORD) as temporary:
-        text = json.dumps(record | plain_record(asdict(findings)), indent=1, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
-    with atomic(out / REPORT) as temporary:
-        temporary.write_text(scan_markdown(findings), encoding="utf-8")
-    return [out / REPORT, out / _RECORD]
+    return write_document(out, scan_markdown(findings), "bumpymap-scan-evaluation", asdict(findings))
 
 
 def scan_markdown(findings: ScanFindings) -> str:
     """Return the text of the report."""
-    facts = findings.facts
-    lines = [
-        "# Can the classes of scans be trusted?",
-        "",
-        _opening(facts),
-        "",
-        "## What the classes hold",
-        "",
-        "The paper's Tables IV and V.",
-        "",
-        *_class_lines(findings),
+    sections = [
+        section("What the classes hold", "The paper's Tables IV and V.", _class_lines(findings)),
+        section("Beside the labels", "", _accuracy_lines(findings) if findings.accuracy else []),
+        section("Turned", _TURNED, _turned_lines(findings)),
+        section("What a scan costs", _COSTS, _cost_lines(findings)),
     ]
-    if findings.accuracy:
-        lines += ["## Beside the labels", "", *_accuracy_lines(findings)]
-    lines += ["## Turned", "", _TURNED, "", *_turned_lines(findings)]
-    lines += ["## What a scan costs", "", _COSTS, "", *_cost_lines(findings)]
-    return "\n".join(lines).rstrip() + "\n"
+    return report_text("Can the classes of scans be trusted?", [_opening(findings.facts), ""], sections)
 
 
 def _opening(facts: dict[str, Any]) -> str:
@@ -79,7 +59,7 @@ def _class_lines(findings: ScanFindings) -> list[str]:
     return [*table((*header, "residual [m], median", "mean"), rows), *said, ""]
 
 
-def _order(method: str, rows: list[ClassRow]) -> str:
+def _order(method: str, rows: list[ScanClassRow]) -> str:
     """Say whether measures rise, and stripes fall, from class to class; classes without sectors do not count."""
     there = [row for row in rows if row.sectors]
     wrong = [
@@ -103,8 +83,7 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
     ]
     lines = table(("method", "right", "every class counted alike", "the paper's, on RELLIS-3D"), rows)
     for method, found in findings.accuracy.items():
-        counts = [[f"labelled {class_id}", *map(str, line)] for class_id, line in enumerate(found.confusion)]
-        lines += table((f"`{method}`", "found 0", "found 1", "found 2"), counts)
+        lines += confusion_lines(method, found.confusion, "labelled", "found")
     return lines
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError, ClassedSectors, Progress, Scan, SectorStack, counted
 from bumpymap.lab.evaluate.scan.settings import ScanEvaluateSettings
-from bumpymap.lab.evaluate.scan.tally import Accuracy, ClassRow, accuracy_of, class_rows, join_sectors
+from bumpymap.lab.evaluate.scan.tally import Accuracy, ScanClassRow, accuracy_of, class_rows, join_sectors
 from bumpymap.lab.evaluate.scan.timing import MethodCost, PlainCost, method_costs, plain_cost
 from bumpymap.lab.evaluate.scan.turning import kept_share
 from bumpymap.lab.train import UNSEEN, scene_scan
@@ -29,7 +29,7 @@ class ScanFindings:
 
     facts: dict[str, Any]
     settings: dict[str, Any]
-    classes: dict[str, list[ClassRow]] = field(default_factory=dict)
+    classes: dict[str, list[ScanClassRow]] = field(default_factory=dict)
     """Method -> the paper's Tables IV and V."""
     accuracy: dict[str, Accuracy] = field(default_factory=dict)
     """Method -> classes beside labels; empty without labels."""
@@ -113,7 +113,7 @@ def _from_points(way: Callable[[SectorStack], ClassedSectors]) -> Callable[[Scan
 
 
 def _light(classed: ClassedSectors) -> ClassedSectors:
-    """Forget which point lies where: the scans themselves are not kept."""
+    """Drop the sector of each point: the scans themselves are not kept."""
     return replace(classed, sectors=replace(classed.sectors, point_sector=np.empty(0, np.int32)))
 
 

@@ -1,4 +1,4 @@
-"""What the sectors of each class are like (the paper's Tables IV and V), and whether labels agree."""
+"""Statistics of the sectors of each class (the paper's Tables IV and V), and agreement with labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,16 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, ClassedSectors
+from bumpymap.lab.evaluate.agreement import confusion
 from bumpymap.scan import classes_of_labels
 
-__all__ = ["Accuracy", "ClassRow", "SectorTable", "accuracy_of", "class_rows", "join_sectors"]
+__all__ = ["Accuracy", "ClassedSectorTable", "ScanClassRow", "accuracy_of", "class_rows", "join_sectors"]
 
 Floats = NDArray[np.float64]
 _MEASURES = ("stripes", "variance", "residual")
 
 
 @dataclass(frozen=True, slots=True)
-class SectorTable:
+class ClassedSectorTable:
     """The sectors of many scans that the gate lets through: one row each."""
 
     class_id: dict[str, NDArray[np.uint8]]
@@ -32,7 +33,7 @@ class SectorTable:
 
 
 @dataclass(frozen=True, slots=True)
-class ClassRow:
+class ScanClassRow:
     """The sectors of one class, as one method has it."""
 
     class_id: int
@@ -49,7 +50,7 @@ class ClassRow:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Classes beside labels."""
+    """Agreement of classes with labels."""
 
     confusion: list[list[int]]
     """``[class of the label][class that was found]``, sectors."""
@@ -59,7 +60,7 @@ class Accuracy:
     """The same if every class that is there were as frequent."""
 
 
-def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
+def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> ClassedSectorTable:
     """Gather the traversable sectors of one or more scans, classed by the same methods; the filter is one of them."""
     stacks = [next(iter(methods.values())).sectors for methods in classed]
     open_to = [stack.traversable for stack in stacks]
@@ -67,7 +68,7 @@ def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
     def gathered(values: Sequence[NDArray[np.generic]]) -> NDArray[np.float64]:
         return np.concatenate([value[gate] for value, gate in zip(values, open_to, strict=True)]).astype(np.float64)
 
-    return SectorTable(
+    return ClassedSectorTable(
         class_id={
             method: np.concatenate(
                 [methods[method].class_id[gate] for methods, gate in zip(classed, open_to, strict=True)]
@@ -84,18 +85,18 @@ def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> SectorTable:
 
 
 def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
-    """Take the count of the method that counts them."""
+    """Return the stripe counts of the method that counts them."""
     return next(found.stripes for found in methods.values() if found.stripes is not None)
 
 
-def class_rows(table: SectorTable, method: str) -> list[ClassRow]:
+def class_rows(table: ClassedSectorTable, method: str) -> list[ScanClassRow]:
     """Sum up the sectors of each class."""
     class_id = table.class_id[method]
     rows = []
     for number in range(CLASSES):
         own = class_id == number
         values = [_middle(getattr(table, name)[own]) for name in _MEASURES]
-        rows.append(ClassRow(number, int(own.sum()), float(own.mean()) if len(own) else float("nan"), *values))
+        rows.append(ScanClassRow(number, int(own.sum()), float(own.mean()) if len(own) else float("nan"), *values))
     return rows
 
 
@@ -103,11 +104,11 @@ def _middle(values: Floats) -> tuple[float, float]:
     return (float(np.median(values)), float(values.mean())) if len(values) else (float("nan"), float("nan"))
 
 
-def accuracy_of(table: SectorTable, method: str) -> Accuracy:
+def accuracy_of(table: ClassedSectorTable, method: str) -> Accuracy:
     """Compare classes with labels over the sectors that have one."""
     known = table.truth >= 0
     truth, found = table.truth[known].astype(np.int64), table.class_id[method][known].astype(np.int64)
-    counts = np.bincount(truth * CLASSES + found, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
+    counts = confusion(truth, found, CLASSES)
     totals = counts.sum(axis=1)
     there = totals > 0
     right = float(np.trace(counts) / totals.sum()) if there.any() else float("nan")

@@ -1,15 +1,16 @@
-"""What a scan costs from points in memory to classed sectors, beside the plain way and the paper's figures."""
+"""Time and memory of a scan from points in memory to classed sectors, against a straightforward form and the paper."""
 
 import importlib.util
 import time
-import tracemalloc
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from bumpymap.core import ClassedSectors, Scan, UsageError
 from bumpymap.lab.evaluate.scan.plain import plain_classes
+from bumpymap.lab.evaluate.timing import peak_bytes
 from bumpymap.scan import StripeModel
 
 __all__ = ["PAPER_SECTOR_MS", "MethodCost", "PlainCost", "method_costs", "plain_cost", "require_plain"]
@@ -83,7 +84,7 @@ def method_costs(
             sectors,
             float(np.median(clock[name])) / 1e6,
             float(np.median(processor[name])) / 1e6,
-            _peak_mb(classify, scan),
+            peak_bytes(partial(classify, scan)) / 1e6,
         )
         for name, classify in methods.items()
     ]
@@ -94,12 +95,3 @@ def plain_cost(scan: Scan, model: StripeModel) -> PlainCost:
     begin = time.process_time_ns()
     sectors, _ = plain_classes(scan, model)
     return PlainCost(sectors, (time.process_time_ns() - begin) / 1e6)
-
-
-def _peak_mb(classify: Callable[[Scan], ClassedSectors], scan: Scan) -> float:
-    tracemalloc.start()
-    try:
-        classify(scan)
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    finally:
-        tracemalloc.stop()

@@ -1,4 +1,4 @@
-"""Turned scans: the class of the ground must not hang on which way the robot looks."""
+"""Turned scans: the class of the ground must not depend on the robot's heading."""
 
 import math
 from collections.abc import Callable, Sequence

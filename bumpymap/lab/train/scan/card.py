@@ -1,13 +1,16 @@
 """The model card: what a scan network is for, how it was made and how good it is, in Markdown."""
 
+from dataclasses import dataclass
+
 from bumpymap.core import CLASSES, PolarSettings
-from bumpymap.lab.train.evaluate import Score
-from bumpymap.lab.train.scan.evaluate import ScanEvaluation, even_accuracy
+from bumpymap.lab.train.scan.evaluate import ScanEvaluation
 from bumpymap.lab.train.scan.train import ScanTrainSettings
+from bumpymap.lab.train.score import percent, score_table
 from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION, grid_record
 
-__all__ = ["LABEL_NAMES", "model_card"]
+__all__ = ["LABEL_NAMES", "CardFacts", "model_card"]
 
+_CLASS_NAMES = tuple(map(str, range(CLASSES)))
 LABEL_NAMES = {
     1: "dirt", 3: "grass", 4: "tree", 6: "water", 8: "vehicle", 10: "asphalt", 17: "person", 18: "fence", 19: "bush",
     23: "concrete", 27: "barrier", 31: "puddle", 33: "mud", 34: "rubble",
@@ -15,35 +18,35 @@ LABEL_NAMES = {
 """RELLIS-3D id -> name, those with a class."""
 
 
-def model_card(
-    settings: ScanTrainSettings,
-    evaluation: ScanEvaluation,
-    learned: tuple[int, ...],
-    parameters: int,
-    size: int,
-    command: str,
-    *,
-    simulated: bool,
-) -> str:
-    """Write the card.
+_LIMITS_OF_SIMULATION = """\
+- The accuracy is that of telling *made* scenes apart. What the simulator does not know (snow, crops,
+  rain, moving things, reflections in water) the network does not know.
+- Mud and water are told from dirt by ruts, by churned ground and by returns that stay away: mud as flat as dry dirt
+  reads as dirt, and so does a puddle of which nothing comes back but its margin.
+- Natural ground is made with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm. Ground
+  rougher than that reads as class 1, whatever grows there.
+"""
 
-    Parameters
-    ----------
-    settings : ScanTrainSettings
-        Of the training.
-    evaluation : ScanEvaluation
-        Its scores.
-    learned : ints
-        Sectors of each class that it learned from.
-    parameters : int
-        Trained numbers.
-    size : int
-        Bytes of the ONNX file.
-    command : str
-        The command line of this training, all but where to write.
-    simulated : bool
-        Whether the scans were made up.
-    """
+
+@dataclass(frozen=True, slots=True)
+class CardFacts:
+    """What the card says of a training beside its settings and scores."""
+
+    learned: tuple[int, ...]
+    """Sectors of each class that it learned from."""
+    parameters: int
+    """Trained numbers."""
+    size: int
+    """Bytes of the ONNX file."""
+    command: str
+    """The command line of this training, all but where to write."""
+    simulated: bool
+    """Whether the scans were made up."""
+
+
+def model_card(settings: ScanTrainSettings, evaluation: ScanEvaluation, made: CardFacts) -> str:
+    """Write the card of a training with such settings and scores."""
+    limits = _LIMITS_OF_SIMULATION if made.simulated else ""
     widths = ", ".join(map(str, settings.network.widths))
     return f"""# Scan network
 
@@ -57,29 +60,29 @@ Tells how rough the sectors of one LiDAR scan are: class 0 (smooth) to 2 (rough)
 - **Output**: `probability` (batch, {CLASSES}) float32.
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels, {settings.network.expansion} times wider inside; the measures join before the answer.
-  {parameters:,} trained numbers; {size:,} bytes of ONNX, opset 17.
+  {made.parameters:,} trained numbers; {made.size:,} bytes of ONNX, opset 17.
 - **Grid**: {grid_record(PolarSettings())}; other grids are refused.
 - **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data
 
-{_data(settings, simulated)}
-Sectors to learn from: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
+{_data(settings, made.simulated)}
+Sectors to learn from: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut {settings.turns} more
 times after a random turn.
 
 ## Accuracy
 
-On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans: {_percent(even_accuracy(evaluation.every))}
-with the classes weighted evenly** (training is balanced so), {_percent(evaluation.every.accuracy)} of all sectors as
+On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans: {percent(evaluation.every.even_accuracy)}
+with the classes weighted evenly** (training is balanced so), {percent(evaluation.every.accuracy)} of all sectors as
 they come. The paper reports 83.24 % on its own patches, which are not these.
 
-{_table(evaluation.every)}
+{score_table(evaluation.every, _CLASS_NAMES)}
 
 Of those, the {evaluation.gated.count:,} that the gate lets through (what the network is asked in use):
-{_percent(even_accuracy(evaluation.gated))} evenly, {_percent(evaluation.gated.accuracy)} as they come.
+{percent(evaluation.gated.even_accuracy)} evenly, {percent(evaluation.gated.accuracy)} as they come.
 
-{_table(evaluation.gated)}
+{score_table(evaluation.gated, _CLASS_NAMES)}
 
 By label, sectors said to be of class 0, 1, 2:
 
@@ -90,13 +93,13 @@ By label, sectors said to be of class 0, 1, 2:
 ## Make it again
 
     pip install 'bumpymap[learn,o3d]'
-    {command} --out scan.onnx
+    {made.command} --out scan.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
 
 ## Limits
 
-{_limits(simulated)}- A sector has one class. Where a kerb, a trunk or the margin of a puddle runs through it, the most
+{limits}- A sector has one class. Where a kerb, a trunk or the margin of a puddle runs through it, the most
   frequent label decides what is right; many of the errors are such sectors.
 - A scan says little about ground that few beams reach: beyond 20 m a sector often holds one or two lines.
 """
@@ -112,33 +115,11 @@ on half of it. Unseen scenes come from other numbers of the same seed.
 """
 
 
-def _limits(simulated: bool) -> str:
-    if not simulated:
-        return ""
-    return """- The accuracy is that of telling *made* scenes apart. What the simulator does not know (snow, crops,
-  rain, moving things, reflections in water) the network does not know.
-- Mud and water are told from dirt by ruts, by churned ground and by returns that stay away: mud as flat as dry dirt
-  reads as dirt, and so does a puddle of which nothing comes back but its margin.
-- Natural ground is made with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm. Ground
-  rougher than that reads as class 1, whatever grows there.
-"""
-
-
 def _classes() -> str:
     return "; ".join(
         f"{k}: " + ", ".join(LABEL_NAMES[label] for label, class_id in CLASS_OF_LABEL.items() if class_id == k)
         for k in range(CLASSES)
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
-
-
-def _table(score: Score) -> str:
-    head = ["| is \\ said | " + " | ".join(map(str, range(CLASSES))) + " |", "|---" * (CLASSES + 1) + "|"]
-    lines = (f"| {k} | " + " | ".join(map(str, line)) + " |" for k, line in enumerate(score.confusion))
-    return "\n".join([*head, *lines])
 
 
 def _labels(evaluation: ScanEvaluation) -> str:

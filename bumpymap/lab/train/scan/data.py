@@ -1,4 +1,4 @@
-"""Sectors to learn from and to be judged by: of made-up scenes, or of a labelled data set on disk."""
+"""Training and test sectors: of made-up scenes, or of a labelled data set on disk."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -117,7 +117,7 @@ def simulated_sectors(
     keep : Path, optional
         Folder that keeps the sectors of each scene, for a run that goes on after a break.
     told : callable, optional
-        Hears of every scene that is done.
+        Called after every scene.
     """
     parts = []
     for done, index in enumerate(scenes, start=1):

@@ -1,17 +1,14 @@
 """The whole job: gather sectors, train, score, write the ONNX file and its model card."""
 
-import os
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
-import bumpymap
-from bumpymap.core import OutputError, PolarSettings, atomic, locked
-from bumpymap.lab.train.scan.card import model_card
+from bumpymap.core import PolarSettings
+from bumpymap.lab.train.output import MadeModel, model_files, model_metadata
+from bumpymap.lab.train.scan.card import CardFacts, model_card
 from bumpymap.lab.train.scan.data import (
     UNSEEN,
     Sectors,
@@ -22,27 +19,16 @@ from bumpymap.lab.train.scan.data import (
     overhead_sectors,
     simulated_sectors,
 )
-from bumpymap.lab.train.scan.evaluate import ScanEvaluation, evaluate, even_accuracy
+from bumpymap.lab.train.scan.evaluate import ScanEvaluation, evaluate
 from bumpymap.lab.train.scan.export import to_onnx
 from bumpymap.lab.train.scan.train import ScanTrainSettings, train
-from bumpymap.lab.train.train import EpochReport
+from bumpymap.lab.train.training import EpochReport
 from bumpymap.scan import SECTOR_VERSION, grid_record
 
-__all__ = ["UNSEEN_SCENES", "MadeScanModel", "make_scan_model"]
+__all__ = ["UNSEEN_SCENES", "make_scan_model"]
 
 UNSEEN_SCENES = 105
 """Made-up scenes that the scores are made of: fifteen of every theme."""
-
-
-@dataclass(frozen=True, slots=True)
-class MadeScanModel:
-    """What was written, and how good it is."""
-
-    model: Path
-    card: Path
-    evaluation: ScanEvaluation
-    parameters: int
-    """Trained numbers of the network."""
 
 
 def make_scan_model(
@@ -51,7 +37,7 @@ def make_scan_model(
     scans: Path | None = None,
     progress: Callable[[EpochReport], None] | None = None,
     gathered: Told | None = None,
-) -> MadeScanModel:
+) -> MadeModel[ScanEvaluation]:
     """Train a network for the sectors of scans and write it.
 
     Parameters
@@ -66,7 +52,7 @@ def make_scan_model(
     told : callable, optional
         Gets a report after every epoch.
     gathered : callable, optional
-        Hears of every scan that was cut into sectors: how many are done, of how many.
+        Called after every scan that was cut into sectors: how many are done, of how many.
 
     Raises
     ------
@@ -77,38 +63,23 @@ def make_scan_model(
     UsageError
         A checkpoint of another training is in the way.
     """
-    if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise OutputError(f"cannot write {out}: {out.parent} is no folder that you may write to. Choose another --out")
-    with locked(out.parent, f".{out.name}.lock"):
-        return _make(settings, out, scans, progress, gathered)
-
-
-def _make(
-    settings: ScanTrainSettings,
-    out: Path,
-    scans: Path | None,
-    progress: Callable[[EpochReport], None] | None,
-    gathered: Told | None,
-) -> MadeScanModel:
     keep = out.with_name(out.name + ".sectors")
-    checkpoint = out.with_name(out.name + ".checkpoint")
-    learn, unseen, unseen_scans = _gather(settings, scans, keep, gathered)
-    net = train(settings, learn, checkpoint, progress)
-    evaluation = evaluate(net, unseen, unseen_scans)
-    counts = tuple(np.bincount(learn.class_id, minlength=3).tolist())
     command = f"bumpymap train --scans {'simulated' if scans is None else 'RELLIS_FOLDER'} {settings.options}"
-    content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count(), command))
-    card = out.with_suffix(".md")
-    with atomic(out) as beside:
-        beside.write_bytes(content)
-    with atomic(card) as beside:
-        text = model_card(
-            settings, evaluation, counts, net.parameter_count(), len(content), command, simulated=scans is None
+    with model_files(out) as files:
+        learn, unseen, unseen_scans = _gather(settings, scans, keep, gathered)
+        net = train(settings, learn, files.checkpoint, progress)
+        evaluation = evaluate(net, unseen, unseen_scans)
+        content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count(), command))
+        made = CardFacts(
+            learned=tuple(np.bincount(learn.class_id, minlength=3).tolist()),
+            parameters=net.parameter_count(),
+            size=len(content),
+            command=command,
+            simulated=scans is None,
         )
-        beside.write_text(text, encoding="utf-8")
-    checkpoint.unlink(missing_ok=True)
-    shutil.rmtree(keep, ignore_errors=True)
-    return MadeScanModel(out, card, evaluation, net.parameter_count())
+        files.write(content, model_card(settings, evaluation, made))
+        shutil.rmtree(keep, ignore_errors=True)
+    return MadeModel(files.model, files.card, evaluation, net.parameter_count())
 
 
 def _gather(
@@ -137,18 +108,13 @@ def _gather(
 def _metadata(
     settings: ScanTrainSettings, evaluation: ScanEvaluation, parameters: int, command: str
 ) -> dict[str, object]:
-    return {
-        "format": "bumpymap-scan",
-        "bumpymap": bumpymap.__version__,
-        "torch": torch.__version__,
-        "sector_version": SECTOR_VERSION,
-        "grid": grid_record(PolarSettings()),
-        "parameters": parameters,
-        "seed": settings.seed,
-        "command": command,
-        "accuracy_even": even_accuracy(evaluation.every),
+    network = {"sector_version": SECTOR_VERSION, "grid": grid_record(PolarSettings())}
+    training = {"parameters": parameters, "seed": settings.seed, "command": command}
+    scores = {
+        "accuracy_even": evaluation.every.even_accuracy,
         "accuracy_unseen": evaluation.every.accuracy,
         "confusion_unseen": evaluation.every.confusion,
         "accuracy_gated": evaluation.gated.accuracy,
         "confusion_gated": evaluation.gated.confusion,
     }
+    return model_metadata("bumpymap-scan", network, training, scores)

@@ -1,27 +1,32 @@
-"""``python -m bumpymap.lab.worlds.sample``: write the sample survey."""
+"""``python -m bumpymap.lab.worlds.sample``: write the sample survey. Says nothing unless it fails."""
 
-import sys
+from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
+from collections.abc import Sequence
 from pathlib import Path
-
-import click
 
 from bumpymap.core import BumpymapError
 from bumpymap.lab.worlds.sample.files import make_quarry_survey
 
+__all__ = ["main"]
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--out", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Another seed, another site.")
-def make(folder: Path, seed: int) -> None:
-    """Make a survey of a quarry that does not exist: quarry.laz and quarry_part.ply."""
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write quarry.laz and quarry_part.ply; ``arguments`` of the command line, None: those of the process."""
+    parser = ArgumentParser(
+        "python -m bumpymap.lab.worlds.sample",
+        description="Make a survey of a quarry that does not exist: quarry.laz and quarry_part.ply.",
+        formatter_class=ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="0 or more; another seed, another site")
+    given = parser.parse_args(arguments)
+    if given.seed < 0:
+        parser.error(f"--seed is {given.seed}; it must be 0 or more")
     try:
-        files = make_quarry_survey(folder, seed)
+        make_quarry_survey(given.out, given.seed)
     except BumpymapError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(error.exit_code)
-    for path in (files.survey, files.part):
-        click.echo(f"{path}  {path.stat().st_size / 1e6:.1f} MB")
+        parser.exit(error.exit_code, f"Error: {error}\n")
 
 
 if __name__ == "__main__":
-    make(prog_name="python -m bumpymap.lab.worlds.sample")
+    main()

@@ -1,4 +1,4 @@
-"""How a drone sees the made-up quarry: overlapping flight lines of zigzag sweeps, noise, crowns, errors of all kinds.
+"""The drone survey of the made-up quarry: overlapping flight lines of zigzag sweeps, noise, crowns, errors.
 
 The order of points is the order of flight. Every random number is drawn before a point is dropped, so the survey of a
 smaller area holds the same ground points as that part of the whole.

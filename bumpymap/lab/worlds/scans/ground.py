@@ -9,7 +9,7 @@ from bumpymap.lab.worlds.scans._fields import Field, Floats, smoothstep
 from bumpymap.lab.worlds.scans.labels import Label
 from bumpymap.lab.worlds.scans.regions import Region, Way
 
-__all__ = ["Ground", "GroundSample", "ground_mesh"]
+__all__ = ["GroundSample", "SceneGround", "ground_mesh"]
 
 _START_M = 0.4
 """Where the mesh begins."""
@@ -28,7 +28,7 @@ class GroundSample:
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class SceneGround:
     """Hills, bumps and fine relief, with regions of other ground laid over them in order."""
 
     hills: Field
@@ -84,7 +84,7 @@ class Ground:
 
 
 def ground_mesh(
-    ground: Ground, rng: np.random.Generator, end_m: float
+    ground: SceneGround, rng: np.random.Generator, end_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Mesh the ground around the origin: (n, 3) corners and (m, 3) triangles.
 

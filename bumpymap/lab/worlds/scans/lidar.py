@@ -1,4 +1,4 @@
-"""The LiDAR: casts its beams into a scene and makes their returns as good or bad as real ones.
+"""The LiDAR: casts beams into a scene and adds the errors of real returns.
 
 What a beam meets is geometry (open3d casts the rays). What comes back is physics in three short rules: grass is a layer
 in which a beam is stopped after a random way; light falls with the square of the distance and with the angle, and what
@@ -78,7 +78,7 @@ class _Hits:
 
 
 def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
-    """Look around in a scene.
+    """Simulate one turn of the sensor in a scene.
 
     Parameters
     ----------

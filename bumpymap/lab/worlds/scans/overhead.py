@@ -1,4 +1,4 @@
-"""Ground seen all over, without shadows: as from a mast or a slope, with heaps of blocks on part of it.
+"""Ground seen without shadows, as from a mast or a slope, with heaps of blocks on part of it.
 
 From a low sensor blocks hide one another, so its scans never show how relief of 20 cm looks where every pixel is full.
 """

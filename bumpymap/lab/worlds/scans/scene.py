@@ -7,7 +7,7 @@ import numpy as np
 from bumpymap.core import UsageError
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform, make_field
 from bumpymap.lab.worlds.scans._solids import Soup
-from bumpymap.lab.worlds.scans.ground import Ground
+from bumpymap.lab.worlds.scans.ground import SceneGround
 from bumpymap.lab.worlds.scans.labels import Label
 from bumpymap.lab.worlds.scans.objects import barrier, block_field, fence, person, stone_field, vehicle
 from bumpymap.lab.worlds.scans.plants import bush, herb, tree
@@ -60,7 +60,7 @@ class Scene:
     """A place outdoors."""
 
     theme: str
-    ground: Ground
+    ground: SceneGround
     things: tuple[tuple[Label, Soup], ...]
     """What stands on the ground: label and triangles (m, 3, 3), m."""
     seed: tuple[int, ...] = field(default=())
@@ -100,9 +100,9 @@ def _place(rng: np.random.Generator, nearest: float, farthest: float) -> tuple[f
     return float(away * np.cos(bearing)), float(away * np.sin(bearing))
 
 
-def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
+def _draw_ground(rng: np.random.Generator, theme: Theme) -> SceneGround:
     cover = Label.GRASS if rng.uniform() < theme.grassy else Label.DIRT
-    bare = Ground(
+    bare = SceneGround(
         hills=make_field(rng, 256, 1.0, 1.0, (25.0, 200.0)),
         hills_m=log_uniform(rng, 0.1, 2.0),
         bumps=make_field(rng, 512, 0.25, 0.8, (2.0, 20.0)),
@@ -130,10 +130,10 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> Ground:
         label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
         regions.append(make_way(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
     regions += _draw_water(rng, theme, bare)
-    return Ground(**{**{name: getattr(bare, name) for name in bare.__slots__}, "regions": tuple(regions)})
+    return SceneGround(**{**{name: getattr(bare, name) for name in bare.__slots__}, "regions": tuple(regions)})
 
 
-def _draw_water(rng: np.random.Generator, theme: Theme, bare: Ground) -> list[Region]:
+def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> list[Region]:
     """Ponds and puddles, each as level as its lowest bank; the robot stands in none."""
     drawn: list[Region] = []
     origin = np.zeros(1)
@@ -151,7 +151,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: Ground) -> list[Re
     return drawn
 
 
-def _draw_things(rng: np.random.Generator, theme: Theme, ground: Ground) -> list[tuple[Label, Soup]]:
+def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Soup]]:
     def height(x: Floats, y: Floats) -> Floats:
         return ground.sample(x, y).z
 
@@ -202,7 +202,7 @@ def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float
     return np.array(spots[:count]).reshape(-1, 2)
 
 
-def _inside(rng: np.random.Generator, blob: Blob, ground: Ground) -> Floats:
+def _inside(rng: np.random.Generator, blob: Blob, ground: SceneGround) -> Floats:
     """Places in a blob for its stones, not under the robot and not where a way or a puddle lies over it."""
     count = int(4 * blob.radius_m**2 * rng.uniform(1.0, 2.5))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m

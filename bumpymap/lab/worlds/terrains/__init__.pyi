@@ -1,10 +1,7 @@
 from .library import (
-    KINDS as KINDS,
-    Terrain as Terrain,
     make_terrain as make_terrain,
 )
 from .survey import (
     ScanEffects as ScanEffects,
-    TerrainPoints as TerrainPoints,
     survey_terrain as survey_terrain,
 )

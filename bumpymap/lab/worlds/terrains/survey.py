@@ -1,4 +1,4 @@
-"""What a survey sees of a terrain: points at random places, with the faults of a scanner or of photogrammetry."""
+"""The survey of a terrain: points at random places, with the errors of a scanner or of photogrammetry."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ScanEffects:
-    """The faults of a survey."""
+    """The errors of a survey."""
 
     density: float = 100.0
     """Points per m2."""

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bumpymap.core import Scan
-from bumpymap.lab.evaluate.scan.tally import SectorTable, accuracy_of, class_rows, join_sectors
+from bumpymap.lab.evaluate.scan.tally import ClassedSectorTable, accuracy_of, class_rows, join_sectors
 from bumpymap.scan import classify_filter, polar_sectors
 
-TABLE = SectorTable(
+TABLE = ClassedSectorTable(
     class_id={"filter": np.array([0, 0, 1, 2, 2, 2], np.uint8)},
     truth=np.array([0, 1, 1, 2, -1, 0], np.int16),
     stripes=np.array([5.0, 4.0, 3.0, 1.0, 1.0, 2.5]),
@@ -33,7 +33,7 @@ def test_sectors_without_a_label_are_not_judged():
 
 
 def test_without_labels_nothing_is_right_or_wrong():
-    table = SectorTable(TABLE.class_id, np.full(6, -1, np.int16), TABLE.stripes, TABLE.variance, TABLE.residual)
+    table = ClassedSectorTable(TABLE.class_id, np.full(6, -1, np.int16), TABLE.stripes, TABLE.variance, TABLE.residual)
     found = accuracy_of(table, "filter")
     assert np.isnan([found.right, found.even]).all()
 

@@ -11,9 +11,10 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
+from bumpymap.lab import count_answers, predict  # noqa: E402
 from bumpymap.lab.train.scan import make  # noqa: E402
 from bumpymap.lab.train.scan.data import Sectors  # noqa: E402
-from bumpymap.lab.train.scan.evaluate import confusion, evaluate, even_accuracy, predict  # noqa: E402
+from bumpymap.lab.train.scan.evaluate import evaluate  # noqa: E402
 from bumpymap.lab.train.scan.export import to_onnx  # noqa: E402
 from bumpymap.lab.train.scan.make import make_scan_model  # noqa: E402
 from bumpymap.lab.train.scan.train import ScanTrainSettings, train  # noqa: E402
@@ -127,7 +128,9 @@ def test_onnx_says_what_torch_says(small):
     sectors = _sectors(3, 33)
     content = to_onnx(net, {})
     said = _infer(content, {"patches": sectors.patches, "measures": sectors.measures})
-    assert_allclose(said, predict(net, sectors), atol=2e-5)
+    assert_allclose(
+        said, predict(net, torch.from_numpy(sectors.patches), torch.from_numpy(sectors.measures)), atol=2e-5
+    )
     alone = _infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
     assert_array_equal(alone[0], said[7])  # whatever stands beside it
 
@@ -143,11 +146,11 @@ def test_export_is_small_plain_and_repeatable(small):
 
 
 def test_scores():
-    score = confusion(np.array([0, 0, 0, 0, 1, 2]), np.array([0, 0, 0, 1, 1, 0]))
+    score = count_answers(np.array([0, 0, 0, 0, 1, 2]), np.array([0, 0, 0, 1, 1, 0]), 3)
     assert score.confusion == ((3, 1, 0), (0, 1, 0), (1, 0, 0))
     assert score.accuracy == 4 / 6
-    assert even_accuracy(score) == pytest.approx((0.75 + 1 + 0) / 3)
-    assert even_accuracy(confusion(np.array([0, 0]), np.array([0, 1]))) == 0.5  # a class that is not there
+    assert score.even_accuracy == pytest.approx((0.75 + 1 + 0) / 3)
+    assert count_answers(np.array([0, 0]), np.array([0, 1]), 3).even_accuracy == 0.5  # a class that is not there
 
 
 @pytest.mark.open3d

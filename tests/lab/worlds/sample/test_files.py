@@ -10,7 +10,7 @@ from ply_files import read_vertices
 
 from bumpymap.core.errors import OutputError
 from bumpymap.lab import QuarrySite, make_quarry_survey, sample_survey
-from bumpymap.lab.worlds.sample.__main__ import make
+from bumpymap.lab.worlds.sample.__main__ import main
 from bumpymap.lab.worlds.sample.files import part_bounds
 
 COMMITTED = Path(__file__).parents[4] / "sample_data"
@@ -127,18 +127,21 @@ def test_failed_write_leaves_nothing_half_done(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["quarry.laz"]
 
 
-def test_command_says_what_it_wrote_and_fails_with_its_code(tmp_path, monkeypatch):
-    from click.testing import CliRunner
-
+def test_command_writes_in_silence_and_fails_with_its_code(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "bumpymap.lab.worlds.sample.__main__.make_quarry_survey",
         lambda folder, seed: make_quarry_survey(folder, seed, density=1.0),
     )
-    done = CliRunner().invoke(make, ["--out", str(tmp_path / "out"), "--seed", "2"])
-    assert done.exit_code == 0
-    assert "quarry.laz" in done.output
-    assert (tmp_path / "out" / "quarry_part.ply").exists()
+    main(["--out", str(tmp_path / "out"), "--seed", "2"])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["quarry.laz", "quarry_part.ply"]
+    assert capsys.readouterr() == ("", "")
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    failed = CliRunner().invoke(make, ["--out", str(tmp_path / "file")])
-    assert failed.exit_code == 3
-    assert "cannot write" in failed.output
+    for arguments, code, words in (
+        (["--out", str(tmp_path / "file")], 3, "Error: cannot write"),
+        (["--out", str(tmp_path / "o"), "--seed", "-1"], 2, "--seed is -1; it must be 0 or more"),
+        (["--seed", "1"], 2, "--out"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == code
+        assert words in capsys.readouterr().err

@@ -1,0 +1,144 @@
+"""The training loop of every network: seeded, on the CPU, restartable from its last whole epoch."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import nn
+
+from bumpymap.lab.train.checkpoint import restore, save
+
+__all__ = ["EpochData", "EpochReport", "LoopSettings", "Training"]
+
+_log = logging.getLogger(__name__)
+Net = TypeVar("Net", bound=nn.Module)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """What the loop needs of the settings of a training."""
+
+    seed: int = 1
+    epochs: int
+    learning_rate: float
+    """Peak, after the warm-up."""
+    weight_decay: float
+    threads: int = 1
+    """CPU threads; part of what decides the last bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpochReport:
+    """How one epoch went."""
+
+    epoch: int
+    """From 1."""
+    epochs: int
+    loss: float
+    """Mean cross-entropy, nats."""
+    accuracy: float
+    """On the training patches of this epoch, while learning."""
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class EpochData:
+    """What one epoch learns from."""
+
+    inputs: tuple[torch.Tensor, ...]
+    """Arguments of the network, (n, ...) each."""
+    labels: torch.Tensor
+    """(n,) the right answers."""
+    bounds: list[int]
+    """Rows where batches begin, and n."""
+
+
+@dataclass(frozen=True, slots=True)
+class Training(Generic[Net]):
+    """All that a training is made of; the same one gives the same bits on the same machine and libraries."""
+
+    settings: LoopSettings
+    make: Callable[[], Net]
+    """Make the network with random weights."""
+    epochs: Callable[[range], Iterator[EpochData]]
+    """Give the data of epochs by number; a restarted training gets the same for the rest of them."""
+    rate: Callable[[float], float]
+    """Share of the training that is done, 0..1 -> learning rate."""
+    smoothing: float = 0.0
+    """Share of each answer that is given to the other classes."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """Plain values that decide the training beside its settings."""
+
+    def run(self, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None) -> Net:
+        """Train the network.
+
+        Parameters
+        ----------
+        checkpoint : Path, optional
+            Rewritten after every epoch; where it exists already, training goes on from it.
+        told : callable, optional
+            Gets a report after every epoch.
+
+        Returns
+        -------
+        Module
+            In evaluation mode.
+
+        Raises
+        ------
+        UsageError
+            The checkpoint belongs to a training with other settings.
+        OutputError
+            The checkpoint cannot be written.
+        """
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self.settings.threads)
+        try:
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(self.settings.seed)
+                net = self.make()
+            optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=self.settings.weight_decay)
+            record = _plain(asdict(self.settings) | self.record)
+            done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
+            for epoch, data in enumerate(self.epochs(range(done, self.settings.epochs)), done):
+                report = self._run_epoch(net, optimizer, data, epoch)
+                _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
+                if checkpoint:
+                    save(checkpoint, record, net, optimizer, epoch + 1)
+                if progress:
+                    progress(report)
+        finally:
+            torch.set_num_threads(threads)
+        return net.eval()
+
+    def _run_epoch(self, net: Net, optimizer: torch.optim.Optimizer, data: EpochData, epoch: int) -> EpochReport:
+        start = time.perf_counter()
+        net.train()
+        loss_sum, hits, count = 0.0, 0, len(data.labels)
+        batches = len(data.bounds) - 1
+        for number in range(batches):
+            rows = slice(data.bounds[number], data.bounds[number + 1])
+            rate = self.rate((epoch + number / batches) / self.settings.epochs)
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+            labels = data.labels[rows]
+            logits = net(*(values[rows] for values in data.inputs))
+            loss = nn.functional.cross_entropy(logits, labels, label_smoothing=self.smoothing)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            loss_sum += loss.item() * len(logits)
+            hits += int((logits.argmax(1) == labels).sum())
+        seconds = time.perf_counter() - start
+        return EpochReport(epoch + 1, self.settings.epochs, loss_sum / count, hits / count, seconds)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, as a checkpoint gives them back."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return list(value) if isinstance(value, tuple) else value
