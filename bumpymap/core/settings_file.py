@@ -20,7 +20,7 @@ _WORDS = {
     int: ("a whole number", "whole numbers"),
     float: ("a number", "numbers"),
 }
-_TEXT = ("a text", "texts")
+_TEXT = ("a string", "strings")
 """One value of a kind, and several."""
 
 

@@ -168,12 +168,12 @@ class ChildDecoder:
         name = signal.Signals(-code).name
         if -code in _FROM_OUTSIDE:
             raise UsageError(
-                f"the process that decodes LAZ was killed ({name}), for want of memory? Lower --memory, or end other "
-                "programs, and run again"
+                f"the process that decodes LAZ was killed ({name}); it may have run out of memory. Lower --memory, or "
+                "end other programs, and run again"
             )
         if -code == signal.SIGPROF:
-            raise DecoderError("the decoder comes to no end")
-        raise DecoderError(f"the decoder breaks down ({name})")
+            raise DecoderError("the decoder did not finish")
+        raise DecoderError(f"the decoder crashed ({name})")
 
     def _runs(self) -> bool:
         return self._child is not None and self._child.poll() is None

@@ -103,11 +103,11 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
             f"{size:,} bytes long. {_AGAIN}"
         )
     if count == 0:
-        raise BadInputError(f"{path} holds no points (its header promises 0): nothing to map. Was it exported fully?")
+        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     compressed = bool(format_byte & 0xC0)
     if not compressed and (size - offset) // point_size < count:
         raise BadInputError(
-            f"{path} promises {count:,} points of {point_size} bytes and can hold {(size - offset) // point_size:,}: "
+            f"{path} declares {count:,} points of {point_size} bytes but can hold {(size - offset) // point_size:,}: "
             "truncated? Copy or download it again"
         )
     plain = _walk(stream, path, records, header_size, offset, extended=False)
@@ -155,7 +155,7 @@ def _walk(stream: BinaryIO, path: Location, count: int, start: int, end: int, *,
         length = struct.unpack_from("<Q" if extended else "<H", head, 20)[0] if head else 0
         if not head or start + head_size + length > end:
             raise BadInputError(
-                f"{path} promises {count:,} {'extended ' if extended else ''}variable length records, and record "
+                f"{path} declares {count:,} {'extended ' if extended else ''}variable length records, and record "
                 f"{index:,} does not fit in. {_AGAIN}"
             )
         user = head[2:18].split(b"\0")[0]

@@ -113,7 +113,7 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
         Of every piece.
     path : Path or str
     promised : int
-        Points that the header promises.
+        Points that the header declares.
     bounds : Bounds or None
         The header's box, m; None: no header to hold the points to.
 
@@ -130,20 +130,20 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
     refuse_count(path, promised, tally.points)
     if tally.nowhere:
         raise BadInputError(
-            f"the points of {path} lie in {box_text(tally.bounds)}, which is no place on Earth: are scale, offset and "
-            "CRS of the file right?"
+            f"the points of {path} lie in {box_text(tally.bounds)}, which is not a location on Earth: are scale, "
+            "offset and CRS of the file right?"
         )
     if tally.highest > NOWHERE:
         raise BadInputError(
-            f"{path} holds heights of up to {tally.highest:g} m from zero, which is no place on Earth: a value that "
-            f"stands for 'no data', or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
+            f"{path} holds heights of up to {tally.highest:g} m from zero, which is not a location on Earth: a nodata "
+            f"value, or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
         )
     if bounds is not None and tally.points:
         _judge_extent(tally, path, bounds)
     if tally.points_outside_node:
         raise BadInputError(
-            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} lie outside the part of the octree that holds "
-            f"them: the file is damaged. Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
+            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} lie outside the octree node that holds "
+            f"them: the file is damaged. Rebuild it, for example with: pdal translate IN OUT.copc.laz. {TRUST}"
         )
 
 

@@ -153,7 +153,7 @@ def _results(jobs: Sequence[AnyJob], idle: list[Connection]) -> Generator[tuple[
                 yield number, result
     except (EOFError, ConnectionError) as error:
         raise BumpymapError(
-            "a simulation process died, perhaps for want of memory; run the same command again to go on, "
+            "a simulation process died, perhaps because memory ran out; run the same command again to continue, "
             "with fewer --workers if it happens again"
         ) from error
 

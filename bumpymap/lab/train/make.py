@@ -53,7 +53,7 @@ def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochRepo
         A checkpoint of other settings is in the way.
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise OutputError(f"cannot write {out}: {out.parent} is no folder that you may write to. Choose another --out")
+        raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
     with locked(out.parent, f".{out.name}.lock"):
         return _make(settings, out, progress)
 

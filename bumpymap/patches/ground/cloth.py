@@ -134,7 +134,7 @@ def _mourn(child: _Child) -> NoReturn:
     code = child.wait()
     how = f"ended by itself (code {code})" if code >= 0 else f"was ended by {signal.Signals(-code).name}"
     raise UsageError(
-        f"the process of the cloth simulation filter {how}. For want of memory: lower --memory or --threads. Else see "
+        f"the process of the cloth simulation filter {how}. If memory ran out, lower --memory or --threads. Else see "
         f"whether it is installed as it should be: {sys.executable} -c 'import CSF'"
     )
 

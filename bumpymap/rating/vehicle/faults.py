@@ -65,11 +65,11 @@ def _unknown(part: dict[str, Any], known: list[str], table: str) -> list[str]:
 
 def _text_faults(record: dict[str, Any], name: str) -> list[str]:
     if name not in record:
-        return [f"missing {name}: a text"]
+        return [f"missing {name}: a string"]
     if record[name] == UNFILLED:
-        return [f"{name} is not filled in: a text"]
+        return [f"{name} is not filled in: a string"]
     if not isinstance(record[name], str) or not record[name].strip() or not record[name].isprintable():
-        return [f"{name} is {shown(record[name])}; it must be a text of one line that is not empty"]
+        return [f"{name} is {shown(record[name])}; it must be a string of one line that is not empty"]
     return []
 
 

@@ -118,7 +118,7 @@ class VehicleProfile:
             return profile
         if len(faults) == 1:
             raise BadInputError(f"{origin}: {faults[0]}")
-        raise BadInputError(f"{origin}: {len(faults)} faults; {_SCHEMA}", *(f"  {fault}" for fault in faults))
+        raise BadInputError(f"{origin}: {len(faults)} errors; {_SCHEMA}", *(f"  {fault}" for fault in faults))
 
 
 def load_profile(name_or_path: str | Path) -> VehicleProfile:
@@ -141,9 +141,9 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
     path = Path(name_or_path)
     if not path.exists():
         raise UsageError(
-            f"no vehicle '{name_or_path}': it is neither a file nor one that ships with bumpymap "
+            f"no vehicle '{name_or_path}': it is neither a file nor an included vehicle "
             f"({', '.join(shipped_profiles())}). Give one of these names, or a TOML file; "
-            "bumpymap vehicle new NAME writes one to fill in"
+            "bumpymap vehicle new NAME writes a template"
         )
     return VehicleProfile.from_dict(read_toml(path, "the vehicle profile", BadInputError), str(path))
 

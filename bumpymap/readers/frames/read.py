@@ -67,7 +67,7 @@ def _read(path: Path) -> RawScan:
     kind = detect_format(path)
     if kind == "las":
         raise BadInputError(
-            f"{path} is a survey (LAS), no scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
+            f"{path} is a survey (LAS) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
             "survey with: bumpymap map"
         )
     from bumpymap.readers.frames.table import read_pcd, read_ply
