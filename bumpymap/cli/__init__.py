@@ -14,14 +14,14 @@ from bumpymap.core import Terminated, interruptible
 __all__ = ["main"]
 
 _COMMANDS = {
-    "calibrate": "drive a vehicle over simulated terrain: what each kind of ground costs it",
-    "demo": "map a made-up quarry: see what bumpymap writes",
-    "evaluate": "hold the map against drives over the same ground",
-    "info": "what is in a survey, and what a run would need",
+    "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
+    "demo": "map a synthetic quarry as an example",
+    "evaluate": "compare predictions with simulated drives over the same ground",
+    "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
-    "scan": "class the ground around a robot in its LiDAR scans, and map its drive",
-    "train": "train the texture network, or that of scans",
-    "vehicle": "check a vehicle profile, or begin one",
+    "scan": "classify the ground in LiDAR scans of a robot, and map its drive",
+    "train": "train the texture network or the scan network",
+    "vehicle": "list, create and check vehicle profiles",
 }
 
 

@@ -101,7 +101,7 @@ def _message(error: Exception) -> tuple[int, list[str]]:
         if isinstance(cause, OSError) and (cause is error or cause.errno in _FULL):
             named = f"{cause.filename!s}: " if cause.filename is not None else ""
             where = " (a disk, or shared memory: /dev/shm)" if cause.errno in _FULL and not named else ""
-            return _BAD, [f"the system refuses: {named}{cause.strerror or cause}{where}"]
+            return _BAD, [f"system error: {named}{cause.strerror or cause}{where}"]
     return _FAULT, [f"{type(error).__name__}: {error}"]
 
 

@@ -74,10 +74,10 @@ class Report:
         if self.info.georeference.crs is None:
             said.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if self.dropped is not None and self.summary is None:
-            said.append("no point counts (all withheld, noise or without return): nothing to map")
+            said.append("no usable points (all are withheld, noise or without return): nothing to map")
         said += self._spread() + self._unknown()
         if size_options(self.grid):
-            said.append(f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels want {made_for(self.grid)}")
+            said.append(f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {made_for(self.grid)}")
         summary = self.summary
         if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
             share = summary.ground_tiles / summary.tiles
@@ -101,8 +101,8 @@ class Report:
         if per_tile >= enough:
             return []
         said = (
-            f"the header promises {per_tile:.0f} points a tile of {self.grid.tile_size:g} m and about {enough} are "
-            "needed: most tiles will be unknown. Leave out --quick to see how many, and what would help"
+            f"according to the header there are {per_tile:.0f} points per {self.grid.tile_size:g} m tile, and about "
+            f"{enough} are needed: most tiles will be unknown. Run without --quick to see how many, and what would help"
         )
         return [said]
 
@@ -111,7 +111,9 @@ class Report:
         side = max(bounds.east - bounds.west, bounds.north - bounds.south) if bounds else 0.0
         if side <= _FAR_APART:
             return []
-        return [f"its points are spread over {side / 1000:,.0f} km: are there stray coordinates, or is the CRS wrong?"]
+        return [
+            f"its points are spread over {side / 1000:,.0f} km: there may be stray coordinates, or the CRS may be wrong"
+        ]
 
 
 def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
@@ -223,14 +225,14 @@ def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
 
 def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
     """Name what a run will take, for people."""
-    unknown = "unknown before the points are read: leave out --quick"
-    scratch = f"at most {decimal(forecast.scratch)} in --scratch; less where blocks are complete before the end"
+    unknown = "unknown until the points are read: run without --quick"
+    scratch = f"at most {decimal(forecast.scratch)} in --scratch; less if blocks are complete early"
     out = None if forecast.out is None else f"at most {decimal(forecast.out)} in --out: finished tiles, and the layers"
     return [
         ("points", f"{forecast.points:,}"),
         ("tiles", unknown if forecast.tiles is None else f"at most {forecast.tiles:,} of {grid.tile_size:g} m"),
         ("memory", f"at most {decimal(forecast.memory)}"),
-        ("scratch", scratch if forecast.scratch else "none: memory holds all points"),
+        ("scratch", scratch if forecast.scratch else "none: all points fit into memory"),
         ("space", out or unknown),
         ("time", _about(forecast.seconds)),
     ]
@@ -245,10 +247,10 @@ def _about(seconds: float) -> str:
 
 def _points(report: Report) -> str:
     if report.info is None or report.dropped is None:
-        return f"{report.info.point_count if report.info else 0:,} promised by the header"
+        return f"{report.info.point_count if report.info else 0:,} according to the header"
     left_out = [f"{count:,} {reason.replace('_', ' ')}" for reason, count in report.dropped.items() if count]
     counted = report.summary.points if report.summary else 0
-    return f"{counted:,}" + (f" that count; left out: {', '.join(left_out)}" if left_out else "")
+    return f"{counted:,}" + (f"; excluded: {', '.join(left_out)}" if left_out else "")
 
 
 def _extent(bounds: Bounds, unit: float) -> str:
@@ -264,7 +266,7 @@ def _size(bounds: Bounds, summary: PointSummary | None) -> str:
 def _density(report: Report, density: float) -> str:
     tile = f"{report.grid.tile_size:g} m tile"
     if report.summary is None:
-        return f"{_short(density)} pts/m2 over the header's box: {density * report.grid.tile_size**2:.0f} per {tile}"
+        return f"{_short(density)} pts/m2 in the header's extent: {density * report.grid.tile_size**2:.0f} per {tile}"
     summary = report.summary
     return (
         f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"

@@ -24,13 +24,11 @@ __all__ = [
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def output_options(what: str = "No progress, no summary.") -> Callable[[_Command], _Command]:
+def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
     """Add ``--quiet`` and ``--log-json``; ``what`` says what is not printed."""
 
     def add(command: _Command) -> _Command:
-        log_json = click.option(
-            "--log-json", is_flag=True, help="Events, warnings and errors as JSON lines, for machines."
-        )
+        log_json = click.option("--log-json", is_flag=True, help="Print events, warnings and errors as JSON lines.")
         return click.option("--quiet", is_flag=True, help=what)(log_json(command))
 
     return add

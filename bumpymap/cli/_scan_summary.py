@@ -21,18 +21,18 @@ def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
         say(f"Already done: {config.out} {ALREADY_DONE}")
     say(
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
-        f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms from file to classes (median), "
-        f"{sum(result.seconds.values()):.1f} s in all"
+        f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
+        f"{sum(result.seconds.values()):.1f} s in total"
     )
     dropped = record["dropped"]
     say(
-        f"left out: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
+        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
     say_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
-        say(f"skipped frames: {len(result.skipped)}; scan.json says why")
-    say(f"Products in {config.out}: {', '.join(result.files)}")
+        say(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
+    say(f"Output in {config.out}: {', '.join(result.files)}")
     if result.drive is not None:
         tiles = result.drive.summary
         say(

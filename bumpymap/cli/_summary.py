@@ -11,7 +11,7 @@ from bumpytiles import Grid
 
 __all__ = ["ALREADY_DONE", "show"]
 
-ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite makes it anew"
+ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite replaces it"
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 _MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
@@ -28,7 +28,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         say(f"Already done: {config.out} {ALREADY_DONE}")
     which = _outcome(result, config).measured
     say(
-        f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from {which}, "
+        f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from "
+        f"{'all points' if which == 'points' else which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
     say_table(_rows(summary), _TITLES)
@@ -37,7 +38,7 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     if advice := _advice(result, config):
         say(advice)
     if result.skipped:
-        say(f"{len(result.skipped)} inputs were skipped; run.json says why")
+        say(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
     say(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
 
 

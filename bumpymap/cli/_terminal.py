@@ -11,7 +11,7 @@ from bumpymap.core import why_no_path
 
 __all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "telling_how_to_go_on"]
 
-DRIVES_KEPT = "The driven patches are kept: give the same command again to go on."
+DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
 
 class _NamedPath(click.Path):

@@ -28,22 +28,20 @@ if TYPE_CHECKING:
     "--vehicle",
     default="warthog",
     metavar="NAME_OR_FILE",
-    help="Vehicle that ships, or its TOML file [default: warthog].",
+    help="Name of an included vehicle, or a TOML file [default: warthog].",
 )
 @click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
-@click.option("--seed", type=int, metavar="N", help="Makes every random choice [default: 1].")
-@workers_option("one for every processor")
-@click.option("--patches", type=int, metavar="N", help="Patches of each texture and z range [default: 8; quick: 4].")
-@click.option("--starts", type=int, metavar="N", help="Drives over each patch [default: 3; quick: 1].")
-@click.option(
-    "--terrains", type=int, metavar="N", help="Terrains of each kind of the library [default: 24; quick: 16]."
-)
-@click.option("--terrain-starts", type=int, metavar="N", help="Drives over each terrain [default: 8; quick: 4].")
-@click.option("--tile-size", type=float, metavar="M", help="Side of a patch [default: 3].")
-@click.option("--pixels", type=int, metavar="N", help="Pixels along a side [default: 15].")
-@click.option("--quick", is_flag=True, help="A rough calibration in some minutes: other defaults, fewer z ranges.")
-@click.option("--overwrite", is_flag=True, help="Replace OUT, and drop the progress of other settings.")
-@click.option("--check", is_flag=True, help="Check the simulation against closed forms instead; writes nothing.")
+@click.option("--seed", type=int, metavar="N", help="Random seed [default: 1].")
+@workers_option("one per core")
+@click.option("--patches", type=int, metavar="N", help="Patches per texture and z range [default: 8; quick: 4].")
+@click.option("--starts", type=int, metavar="N", help="Drives per patch [default: 3; quick: 1].")
+@click.option("--terrains", type=int, metavar="N", help="Library terrains of each kind [default: 24; quick: 16].")
+@click.option("--terrain-starts", type=int, metavar="N", help="Drives per terrain [default: 8; quick: 4].")
+@click.option("--tile-size", type=float, metavar="M", help="Patch size in metres [default: 3].")
+@click.option("--pixels", type=int, metavar="N", help="Heightmap pixels along a side of a patch [default: 15].")
+@click.option("--quick", is_flag=True, help="Rough calibration in a few minutes: other defaults, fewer z ranges.")
+@click.option("--overwrite", is_flag=True, help="Replace the file, and discard progress made with other settings.")
+@click.option("--check", is_flag=True, help="Only check the simulation against analytical solutions; writes no file.")
 @output_options()
 def command(
     *,
@@ -57,9 +55,9 @@ def command(
     log_json: bool,
     **given: Any,
 ) -> None:
-    """Drive a vehicle over simulated terrain: what each kind of ground costs it.
+    """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.
 
-    An interrupted run goes on where it was when the same command is given again.
+    To resume an interrupted run, give the same command again.
     """
     from bumpymap.lab import CalibrationSettings
     from bumpymap.rating import load_profile
@@ -89,7 +87,7 @@ def _refuse_beside_check() -> None:
     """Refuse what has no effect on a check."""
     foreign = set(typed(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
     for name in sorted(foreign):
-        raise UsageError(f"--check drives no calibration and writes nothing: leave {option(name)} out, or --check")
+        raise UsageError(f"--check makes no calibration and writes nothing: leave out {option(name)} or --check")
 
 
 def _calibrate(
@@ -168,5 +166,5 @@ def _check(profile: "VehicleProfile", seed: int) -> None:
         say(f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}")
         failed += not result.ok
     if failed:
-        complain(f"{failed} checks failed: do not trust its calibrations; look for a wrong number in the profile")
+        complain(f"{failed} checks failed: its calibrations are not reliable; look for a wrong number in the profile")
         sys.exit(1)

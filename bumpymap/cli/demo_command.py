@@ -16,17 +16,22 @@ __all__ = ["command"]
 
 @click.command("demo")
 @click.option(
-    "--out", default="demo_out", type=PATH, metavar="DIR", show_default=True, help="Folder for survey and layers."
+    "--out",
+    default="demo_out",
+    type=PATH,
+    metavar="DIR",
+    show_default=True,
+    help="Folder for the survey and the layers.",
 )
 @click.option(
     "--survey",
     type=PATH,
     metavar="FILE",
-    help="Survey to map; without it a made-up quarry is generated into DIR.",
+    help="Survey to map [default: a synthetic quarry, generated in DIR].",
 )
 @output_options()
 def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> None:
-    """Map a made-up quarry and say where the layers are: see what bumpymap writes."""
+    """Map a synthetic quarry as an example."""
     from bumpymap.cli._summary import show
     from bumpymap.survey import map_surveys
 

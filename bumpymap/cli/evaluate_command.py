@@ -27,35 +27,46 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 
 @click.command("evaluate")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@click.option("--library", is_flag=True, help="Evaluate on unseen terrain of the library instead of a survey.")
-@click.option(
-    "--scans", is_flag=True, help="Evaluate the classes of single scans: of the frames given, or of made-up ones."
-)
+@click.option("--library", is_flag=True, help="Evaluate on synthetic library terrain instead of a survey.")
+@click.option("--scans", is_flag=True, help="Evaluate the classes of single scans: given frames, or simulated scenes.")
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
-@click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
-@click.option("--local", is_flag=True, help="Take coordinates without a CRS as metres.")
-@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
-@click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points used.")
+@click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
+@click.option("--local", is_flag=True, help="Treat coordinates without a CRS as metres.")
+@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
+@click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points to use.")
 @click.option(
-    "--vehicle", multiple=True, metavar="NAME_OR_FILE", help="Vehicle that ships, or its TOML file [default: warthog]."
+    "--vehicle",
+    multiple=True,
+    metavar="NAME_OR_FILE",
+    help="Name of an included vehicle, or a TOML file [default: warthog].",
 )
-@click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration of your own vehicle.")
+@click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
 @click.option(
-    "--rating", type=click.Choice(get_args(Rating)), default="ride", show_default=True, help="table: no ride model."
+    "--rating",
+    type=click.Choice(get_args(Rating)),
+    default="ride",
+    show_default=True,
+    help="table: evaluate without the ride model.",
 )
 @click.option("--total-patches", type=int, metavar="N", help="Patches to drive over [default: 300].")
-@click.option("--min-starts", type=int, metavar="N", help="Drives over a patch, at least [default: 16].")
-@click.option("--max-starts", type=int, metavar="N", help="Drives over a patch, at most [default: 48].")
-@click.option("--seed", type=int, default=7, show_default=True, metavar="N", help="Makes every random choice.")
-@workers_option("one for every processor")
+@click.option("--min-starts", type=int, metavar="N", help="Minimum number of drives per patch [default: 16].")
+@click.option("--max-starts", type=int, metavar="N", help="Maximum number of drives per patch [default: 48].")
+@click.option("--seed", type=int, default=7, show_default=True, metavar="N", help="Random seed.")
+@workers_option("one per core")
 @click.option(
-    "--densities", default="100,50,20,10,5", show_default=True, metavar="LIST", help="Points per m2 to thin to."
+    "--densities",
+    default="100,50,20,10,5",
+    show_default=True,
+    metavar="LIST",
+    help="Points per m2 for the test with thinned surveys.",
 )
-@click.option("--scenes", type=int, default=35, show_default=True, metavar="N", help="With --scans: made-up scenes.")
-@click.option("--model", type=PATH, metavar="FILE", help="With --scans: scan network of your own.")
-@click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: stripe classes of your own.")
-@click.option("--skip", default="", metavar="LIST", help="Of drives, density, invariance, noise, timing: leave out.")
-@click.option("--overwrite", is_flag=True, help="Replace the report, and drop drives of other settings.")
+@click.option(
+    "--scenes", type=int, default=35, show_default=True, metavar="N", help="With --scans: number of simulated scenes."
+)
+@click.option("--model", type=PATH, metavar="FILE", help="With --scans: your own scan network.")
+@click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: your own stripe classes.")
+@click.option("--skip", default="", metavar="LIST", help="Parts to omit: drives, density, invariance, noise, timing.")
+@click.option("--overwrite", is_flag=True, help="Replace the report, and discard drives made with other settings.")
 @output_options()
 def command(
     *,
@@ -73,10 +84,10 @@ def command(
     log_json: bool,
     **given: Any,
 ) -> None:
-    """Hold the map of SURVEY files or folders against drives over the same ground.
+    """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
 
-    Give several vehicles to see whether the map puts them in the right order. The first one chooses the patches. An
-    interrupted run goes on where it was when the same command is given again.
+    With several vehicles, the report also compares their order; the first one determines the patches. To resume an
+    interrupted run, give the same command again.
 
     \b
     bumpymap evaluate site.laz --out trust
@@ -89,7 +100,7 @@ def command(
     _refuse_foreign(places=bool(surveys), scans=scans)
     if scans:
         if library:
-            raise UsageError("--scans and --library are evaluations of their own; give one of them")
+            raise UsageError("--scans and --library are separate evaluations; give one of them")
         _evaluate_scans(surveys, out, given, shown, overwrite=overwrite)
         return
     if library == bool(surveys):
@@ -122,12 +133,12 @@ def _refuse_foreign(*, places: bool, scans: bool) -> None:
     for name in given:
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
             raise UsageError(
-                f"{option(name)} is about surveys and vehicles and has no effect with --scans: leave it out"
+                f"{option(name)} applies to surveys and vehicles and has no effect with --scans: leave it out"
             )
         if not scans and name in _OF_SCANS:
-            raise UsageError(f"{option(name)} is about scans: add --scans, or leave it out")
+            raise UsageError(f"{option(name)} applies to scans: add --scans, or leave it out")
     if scans and places and "scenes" in given:
-        raise UsageError("--scenes is about made-up scenes: leave it out, or the frames")
+        raise UsageError("--scenes applies to simulated scenes: leave out --scenes or the frames")
 
 
 def _refuse_idle(settings: "EvaluateSettings", *, library: bool) -> None:
@@ -136,7 +147,7 @@ def _refuse_idle(settings: "EvaluateSettings", *, library: bool) -> None:
     joined({}, given, [ONE_PLACE])
     for name in _OF_SURVEYS if library else ():
         if name in given:
-            raise UsageError(f"{option(name)} is about surveys and has no effect with --library: leave it out")
+            raise UsageError(f"{option(name)} applies to surveys and has no effect with --library: leave it out")
     for part, names in _OF_PARTS.items():
         for name in names:
             if part in settings.skip and name in given:
@@ -239,7 +250,7 @@ def _check_place(out: Path, *, overwrite: bool) -> None:
 
     if (out / REPORT).exists() and not overwrite:
         raise OutputError(
-            f"{out} holds a report; give --overwrite to make it anew (drives that still fit are kept), or another --out"
+            f"{out} holds a report; pass --overwrite to replace it (drives that fit are kept), or choose another --out"
         )
 
 

@@ -30,19 +30,21 @@ _BAD_INPUT = 3
 
 @click.command("info")
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@click.option("--crs", metavar="CRS", help="CRS of surveys that carry none, such as EPSG:32614.")
-@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights, where the CRS does not say.")
-@click.option("--trust-points", is_flag=True, help="Go on where a header's extent contradicts the points.")
+@click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
+@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
+@click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header.")
 @click.option(
     "--ground", type=click.Choice(["auto", "all", "class"]), default="auto", help="As for map [default: auto]."
 )
-@click.option("--tile-size", type=float, default=3.0, metavar="M", help="Side of a tile [default: 3].")
-@click.option("--pixels", type=int, default=15, metavar="N", help="Pixels along a side of a tile [default: 15].")
-@click.option("--memory", default="1GB", metavar="SIZE", help="As for map: what a run would take [default: 1GB].")
-@click.option("--threads", type=int, metavar="N", help="As for map [default: every core].")
-@click.option("--quick", is_flag=True, help="Look at headers alone, read no points.")
-@click.option("--json", "as_json", is_flag=True, help="The report as JSON, for machines.")
-@output_options("No progress.")
+@click.option("--tile-size", type=float, default=3.0, metavar="M", help="Tile size in metres [default: 3].")
+@click.option(
+    "--pixels", type=int, default=15, metavar="N", help="Heightmap pixels along a side of a tile [default: 15]."
+)
+@click.option("--memory", default="1GB", metavar="SIZE", help="As for map, for the estimate [default: 1GB].")
+@click.option("--threads", type=int, metavar="N", help="As for map, for the estimate [default: all cores].")
+@click.option("--quick", is_flag=True, help="Read only the headers, no points.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@output_options("Print no progress.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -62,9 +64,9 @@ def command(
     quiet: bool,
     log_json: bool,
 ) -> None:
-    """Tell what is in SURVEY files or folders, and what `bumpymap map` would need: memory, disk, time.
+    """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
 
-    Reads every point once; the exit code is 3 where a file cannot be read.
+    Every point is read once. The exit code is 3 if a file cannot be read.
 
     \b
     bumpymap info site.laz

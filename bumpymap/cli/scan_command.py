@@ -38,35 +38,40 @@ _NOT_OF_A_FIT = (
 
 @click.command("scan")
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for the products.")
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the output files.")
 @click.option(
-    "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes on the frames; write them alone."
+    "--fit",
+    type=PATH,
+    metavar="FILE",
+    help="Fit the stripe classes of the filter to the frames and write only this file.",
 )
-@click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames: gather and map them like a survey.")
+@click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
 @click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
-@click.option("--method", type=click.Choice(METHODS), help="How sectors are classed [default: learned, if it ships].")
-@click.option("--model", type=PATH, metavar="FILE", help="Scan network of your own (learned).")
-@click.option("--stripes", type=PATH, metavar="FILE", help="Stripe classes of your own, from --fit (filter).")
+@click.option(
+    "--method", type=click.Choice(METHODS), help="How sectors are classified [default: learned if available]."
+)
+@click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own scan network (learned).")
+@click.option("--stripes", type=PATH, metavar="FILE", help="Your own stripe classes, from --fit (filter).")
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
-@click.option("--products", metavar="LIST", help=f"What to write of the frames [default: {','.join(PRODUCTS)}].")
+@click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
 @click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
 @click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
 @click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")
 @click.option(
-    "--robot-radius", type=float, metavar="M", help="Returns nearer than this are on the robot [default: 0.5]."
+    "--robot-radius", type=float, metavar="M", help="Exclude returns nearer than this, as on the robot [default: 0.5]."
 )
-@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle of the map: name or TOML file [default: warthog].")
-@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration of your own vehicle, for the map.")
-@click.option("--config", "config_file", type=PATH, metavar="FILE", help="Settings in TOML.")
-@click.option("--skip-bad", is_flag=True, help="Go on without frames that cannot be read (exit code 4).")
-@click.option("--resume", is_flag=True, help="Go on with a run that was broken off.")
-@click.option("--overwrite", is_flag=True, help="Replace the products of an earlier run.")
+@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle for the map: name or TOML file [default: warthog].")
+@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle, for the map.")
+@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
+@click.option("--skip-bad", is_flag=True, help="Skip frames that cannot be read (exit code 4).")
+@click.option("--resume", is_flag=True, help="Continue an interrupted run.")
+@click.option("--overwrite", is_flag=True, help="Replace the output of an earlier run.")
 @output_options()
 @click.pass_context
 def command(
     ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
 ) -> None:
-    """Class the ground around a robot in its LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
+    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
 
     \b
     bumpymap scan frame.pcd --out out
@@ -106,7 +111,7 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     if fit is not None:
         wrong = [name for name in _NOT_OF_A_FIT if name in options]
         if wrong:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave {option(wrong[0])} out")
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option(wrong[0])}")
     settings = read_settings_file(config_file, ScanConfig) if config_file else {}
     polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
     radius = options.pop("robot_radius", None)

@@ -35,32 +35,39 @@ _OF_SCANS = ("scenes", "sectors_per_class")
     required=True,
     type=FILE,
     metavar="FILE",
-    help="ONNX file to write; the model card goes beside it (.md).",
+    help="ONNX file to write; the model card is written next to it (.md).",
 )
 @click.option(
     "--scans",
     metavar="simulated|DIR",
-    help="Train the network of `bumpymap scan` instead: on made-up scenes, or on a folder in the layout of RELLIS-3D.",
+    help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
 )
-@click.option("--seed", type=int, metavar="N", help="Decides what is learned from and the first weights [default: 1].")
-@click.option("--epochs", type=int, metavar="N", help="Rounds of learning [default: 30; with --scans 20].")
 @click.option(
-    "--patches-per-texture", type=int, metavar="N", help="Textures: training patches of each [default: 6534]."
+    "--seed", type=int, metavar="N", help="Random seed of the training data and initial weights [default: 1]."
 )
-@click.option("--tile-size", type=float, metavar="M", help="Textures: side of the tiles it is for, m [default: 3].")
-@click.option("--pixels", type=int, metavar="N", help="Textures: pixels along a side of a tile [default: 15].")
-@click.option("--scenes", type=int, metavar="N", help="--scans simulated: scenes to learn from [default: 300].")
+@click.option("--epochs", type=int, metavar="N", help="Number of epochs [default: 30; with --scans 20].")
 @click.option(
-    "--sectors-per-class", type=int, metavar="N", help="--scans: sectors of each class in a round [default: 10000]."
+    "--patches-per-texture",
+    type=int,
+    metavar="N",
+    help="Texture network: training patches per texture [default: 6534].",
 )
-@click.option("--threads", type=int, metavar="N", help="CPU threads; part of what decides the last bits [default: 1].")
+@click.option("--tile-size", type=float, metavar="M", help="Texture network: tile size in metres [default: 3].")
+@click.option("--pixels", type=int, metavar="N", help="Texture network: pixels along a side of a tile [default: 15].")
+@click.option("--scenes", type=int, metavar="N", help="With --scans simulated: training scenes [default: 300].")
+@click.option(
+    "--sectors-per-class", type=int, metavar="N", help="With --scans: sectors per class and epoch [default: 10000]."
+)
+@click.option(
+    "--threads", type=int, metavar="N", help="CPU threads; the last bits of the result depend on it [default: 1]."
+)
 @click.option("--overwrite", is_flag=True, help="Replace the network of an earlier training.")
 @output_options()
 def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
-    """Train the texture network on made-up terrain and write it as ONNX; needs no survey.
+    """Train the texture network on synthetic terrain and write it as ONNX; no survey is needed.
 
-    With --scans, train the network for the sectors of LiDAR scans. Interrupted, the same command goes on from its last
-    whole epoch.
+    With --scans, train the scan network instead. To resume an interrupted training after its last complete epoch, give
+    the same command again.
 
     \b
     bumpymap train --out textures.onnx
@@ -75,7 +82,7 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
-    note = "Give the same command again to go on from the last whole epoch."
+    note = "Give the same command again to continue after the last complete epoch."
     with telling_how_to_go_on(note), show_progress(quiet=quiet, as_json=log_json) as progress:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
@@ -94,9 +101,9 @@ def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
     """Refuse options of the other network: they would have no effect."""
     foreign = [option(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
     if foreign and scans is None:
-        raise UsageError(f"{foreign[0]} is about scans: add --scans simulated or --scans DIR, or leave it out")
+        raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
     if foreign:
-        raise UsageError(f"{foreign[0]} is about the texture network and has no effect with --scans: leave it out")
+        raise UsageError(f"{foreign[0]} applies to the texture network and has no effect with --scans: leave it out")
     if scans is not None and not scans.strip():
         raise UsageError(
             "--scans is empty; is a variable unset? Give simulated, or a folder in the layout of RELLIS-3D"
@@ -128,7 +135,7 @@ def _train_scans(
     if folder is None:
         load_open3d("--scans simulated")
     elif "scenes" in options:
-        _log.warning("--scenes is about made-up scenes: it has no effect, as %s brings its own frames", folder)
+        _log.warning("--scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
     scores = made.evaluation
     even = 100 * scores.every.even_accuracy

@@ -17,7 +17,7 @@ __all__ = ["command"]
 
 @click.group("vehicle")
 def command() -> None:
-    """Look at vehicle profiles, or begin one.
+    """List, create and check vehicle profiles.
 
     \b
     bumpymap vehicle list
@@ -28,7 +28,7 @@ def command() -> None:
 
 @command.command("list")
 def list_command() -> None:
-    """List the vehicles that ship with bumpymap."""
+    """List the included vehicles."""
     from bumpymap.rating import load_profile, shipped_profiles
 
     for name in shipped_profiles():
@@ -38,9 +38,9 @@ def list_command() -> None:
 @command.command("check")
 @click.argument("vehicle", metavar="NAME_OR_FILE")
 def check_command(vehicle: str) -> None:
-    """Say all that is wrong with a profile, or what it means.
+    """Report the errors in a profile, or a summary of the vehicle.
 
-    NAME_OR_FILE is a TOML file, or the name of a vehicle that ships. The exit code is 3 where the profile is wrong.
+    NAME_OR_FILE is a TOML file or the name of an included vehicle. The exit code is 3 if the profile has errors.
     """
     from bumpymap.rating import load_profile
 
@@ -52,9 +52,12 @@ def check_command(vehicle: str) -> None:
 @command.command("new")
 @click.argument("name", metavar="NAME")
 @click.option("--out", type=PATH, metavar="FILE", help="File to write [default: NAME.toml].")
-@click.option("--like", metavar="NAME_OR_FILE", help="Begin with the numbers of this vehicle [default: none].")
+@click.option("--like", metavar="NAME_OR_FILE", help="Copy the values of this vehicle [default: none].")
 def new_command(name: str, out: Path | None, like: str | None) -> None:
-    """Write a profile of your vehicle NAME to fill in: every key, its unit and what is allowed."""
+    """Write a template of a vehicle profile.
+
+    It holds every key with its unit and allowed range. NAME is the name of the vehicle.
+    """
     from bumpymap.rating import write_blank
 
     path = out or Path(f"{name}.toml")
@@ -72,8 +75,8 @@ def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:
         ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
         ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
         ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
-        ("ride weight", f"{profile.ride_weight:g} m/rad: a radian of pitching is worth a detour of that length"),
-        ("fail weight", f"{profile.fail_weight:g} m: a certain failure is worth a detour of that length"),
+        ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
+        ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),
     ]
 
 

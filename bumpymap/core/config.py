@@ -29,7 +29,7 @@ NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
 """The path of a file in settings starts at their folder."""
 
 BOTH = (
-    "--resume goes on with a run that was broken off, --overwrite starts anew: give one of them. A run that was begun "
+    "--resume continues an interrupted run, --overwrite starts again: give one of them. A run that was started "
     "with --overwrite goes on with --resume alone"
 )
 _CLASSIFIED_SHARE = 0.5
@@ -121,7 +121,7 @@ class MapConfig:
     overwrite: bool = False
     """Replace the products of an earlier run."""
     resume: bool = False
-    """Go on with a run that was broken off."""
+    """Go on with an interrupted run."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Threads of this machine; ``workers`` share them out."""
     memory: str = "1GB"
@@ -158,7 +158,7 @@ class MapConfig:
         encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
         if encrypted and self.tls_config is None:
             raise UsageError(
-                f"scheduler is {self.scheduler!r}, which wants certificates: give --tls-config FILE, a file that names "
+                f"scheduler is {self.scheduler!r}, which needs certificates: give --tls-config FILE, a file that names "
                 "them (ca, cert, key)"
             )
         if self.tls_config is not None and not encrypted:

@@ -166,6 +166,6 @@ def _no_folder(folder: Path, error: OSError) -> OutputError:
 
 def _no_lock(path: Path) -> OutputError:
     return OutputError(
-        f"{path} is not a lock file but a link or something else, and is left alone. Take it away, or choose another "
+        f"{path} is not a lock file but a link or something else, and was not touched. Remove it, or choose another "
         "--out"
     )

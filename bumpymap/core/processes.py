@@ -1,9 +1,9 @@
 """Child processes: native code that may crash, hang or hold the interpreter's lock works in one of these.
 
-A child is a fresh interpreter that calls functions of one module by name, as its parent asks (`bumpymap.core._child`). It
-is not started through `multiprocessing.Process`: that starts a second process to track resources, imports the user's main
-module again, and is forbidden in the workers of Dask. Messages are those of `multiprocessing.connection`; large arrays
-lie in memory that both sides see (`bumpymap.core.shared_memory`).
+A child is a fresh interpreter that calls functions of one module by name, as its parent requests; its loop is
+`bumpymap.core._child`. It is not started through `multiprocessing.Process`: that starts a second process to track
+resources, imports the user's main module again, and is forbidden in the workers of Dask. Messages are those of
+`multiprocessing.connection`; large arrays lie in memory that both sides see (`bumpymap.core.shared_memory`).
 
 A child ends with its parent, in whatever way that ends, since then the socket between them is closed. It never receives
 SIGINT and SIGTERM, which are for the parent.

@@ -69,7 +69,7 @@ def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
     if resume or overwrite:
         return True
     raise OutputError(
-        f"{out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, or choose "
+        f"{out} holds an interrupted run. Pass --resume to continue it, --overwrite to start again, or choose "
         "another --out"
     )
 
@@ -151,9 +151,9 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
     found = differences(before, json.loads(json.dumps(dict(now))))
     if found:
         raise UsageError(
-            f"the run in {out} cannot go on, since it was begun with something else:",
+            f"the run in {out} cannot be resumed, because it was started with other inputs or settings:",
             *(f"  {difference}" for difference in found),
-            "Give it the same inputs and settings, or pass --overwrite in the place of --resume to start anew",
+            "Use the same inputs and settings, or pass --overwrite instead of --resume to start again",
         )
 
 
@@ -196,8 +196,8 @@ def _make_own(path: Path) -> None:
         path.mkdir(mode=0o700, parents=True)
     if not is_own_folder(path, path.parent):
         raise OutputError(
-            f"{path} is a link, a file or another user's, and is left alone: a run keeps its work there. Take it away, "
-            "or choose another --out"
+            f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its checkpoints "
+            "there. Remove it, or choose another --out"
         )
     path.chmod(0o700)
 

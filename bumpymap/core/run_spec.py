@@ -121,9 +121,9 @@ def _inputs(
     found = []
     for path in dict.fromkeys([*before, *now]):
         if path not in now:
-            found.append(f"{path} was read, and is not given")
+            found.append(f"{path} was an input, but is not given now")
         elif path not in before:
-            found.append(f"{path} is given, and was not read")
+            found.append(f"{path} is given now, but was not an input")
         elif not _is_same(path, before[path], now[path], same):
             found.append(f"{path} has changed since")
     return found

@@ -24,7 +24,7 @@ _WORDS = {
     int: ("a whole number", "whole numbers"),
     float: ("a number", "numbers"),
 }
-_TEXT = ("a text", "texts")
+_TEXT = ("a string", "strings")
 """One value of a kind, and several."""
 _UNFIT = object()
 """In the place of a value that is not of its field's type."""

@@ -51,7 +51,7 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
     """Raise OutputError where the run that is complete in a folder differs from the one that is asked for."""
     if differences:
         raise OutputError(
-            f"{folder} already holds a complete run, but not this one:",
+            f"{folder} already holds a complete run with other inputs or settings:",
             *(f"  {difference}" for difference in differences),
             _REMEDY,
         )

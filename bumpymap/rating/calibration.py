@@ -98,9 +98,9 @@ class Calibration:
         if self.textures != TEXTURES:
             raise ValueError(f"textures are {self.textures}; this version knows {TEXTURES}")
         if not self.z_range or list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
-            raise ValueError("z_range must be positive and rise")
+            raise ValueError("z_range must be positive and increasing")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
-            raise ValueError("class_limits must be positive and rise")
+            raise ValueError("class_limits must be positive and increasing")
         if not isinstance(self.ride, dict | None):
             raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
         self._body()
@@ -184,7 +184,7 @@ class Calibration:
         known = shipped_calibrations()
         if vehicle not in known:
             raise UsageError(
-                f"no calibration for a vehicle named '{vehicle}' ships with bumpymap; there are: {', '.join(known)}. "
+                f"no calibration for a vehicle named '{vehicle}' is included; available are: {', '.join(known)}. "
                 "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then map --calibration FILE"
             )
         resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
@@ -236,7 +236,7 @@ def _check_numbers(calibration: Calibration) -> None:
     vehicle = calibration.vehicle
     rule = calibration.cost_rule
     if not isinstance(vehicle["name"], str):
-        raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a text")  # noqa: TRY004 (of a file)
+        raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a string")  # noqa: TRY004 (of a file)
     if len(calibration.class_limits) != 3 or len(calibration.class_c_r) != 4:
         raise ValueError("there must be 3 class_limits and 4 class_c_r")
     tables = [calibration.p_fail, calibration.drives, calibration.c_r, calibration.c_r_log_sd]

@@ -37,7 +37,7 @@ def refuse_count(path: Location, promised: int, held: int, unit: str = "points")
     """Raise BadInputError where a file holds fewer points than its header promises."""
     if held < promised:
         raise BadInputError(
-            f"{path} promises {promised:,} {unit} and holds {held:,}: truncated? Copy or download it again"
+            f"{path} declares {promised:,} {unit} but holds {held:,}: truncated? Copy or download it again"
         )
 
 

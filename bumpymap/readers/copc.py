@@ -32,7 +32,7 @@ _ON_ANOTHER_PAGE = -1
 _DEEPEST = 30
 """Levels of the tree: more would divide a metre of the largest survey into nanometres."""
 _MOST_PAGES = 100_000
-_ANEW = "Build the file anew, such as with: pdal translate IN.laz OUT.copc.laz"
+_ANEW = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
 
 
 def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_unit: float | None) -> ChunkTable:
@@ -49,12 +49,14 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_
         raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_ANEW}")
     x, y, _, half, _, page_at, page_size = struct.unpack_from("<5d2Q", info)
     if not (np.isfinite([x, y, half]).all() and half > 0):
-        raise BadInputError(f"the octree of {path} has its middle at {x:g}, {y:g} and half a side of {half:g}. {_ANEW}")
+        raise BadInputError(
+            f"the octree of {path} has its centre at {x:g}, {y:g} and a half-width of {half:g}. {_ANEW}"
+        )
     nodes = _read_nodes(stream, path, header, page_at, page_size)
     held = int(nodes["points"].sum(dtype=np.int64))
     if held != header.point_count:
         raise BadInputError(
-            f"{path} promises {header.point_count:,} points in its header and {held:,} in its octree: damaged. {_ANEW}"
+            f"{path} declares {header.point_count:,} points in its header but {held:,} in its octree: damaged. {_ANEW}"
         )
     nodes = nodes[_walk_order(nodes)]
     sizes, counts = nodes["size"].astype(np.int64), nodes["points"].astype(np.int64)
@@ -80,7 +82,7 @@ def _read_nodes(
         pages = [(int(at), int(size)) for at, size in zip(further["offset"], further["size"], strict=True)]
         offsets = {at for at, _ in pages}
         if len(offsets) < len(pages) or offsets & seen or len(seen) + len(pages) > _MOST_PAGES:
-            raise BadInputError(f"the octree of {path} leads round in a circle: damaged. {_ANEW}")
+            raise BadInputError(f"the octree of {path} contains a cycle: damaged. {_ANEW}")
         seen |= offsets
         waiting += pages
         found.append(page[page["points"] > 0])

@@ -205,8 +205,8 @@ def _raise_child_died(error: ChildDiedError) -> NoReturn:
             "other programs, and run again"
         ) from error
     if error.signal == "SIGPROF":
-        raise DecoderError("the decoder comes to no end") from error
-    raise DecoderError(f"the decoder breaks down ({error.signal})") from error
+        raise DecoderError("the decoder did not finish") from error
+    raise DecoderError(f"the decoder crashed ({error.signal})") from error
 
 
 _lock = threading.Lock()

@@ -117,8 +117,8 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
         kind, file = _format_of(path, stream.read(_HEAD)), OpenFile(path, stream)
         if kind == "las":
             raise BadInputError(
-                f"{path} is a survey (LAS), no scan of a robot; scans are PLY, PCD or KITTI-style .bin files. Map a "
-                "survey with: bumpymap map"
+                f"{path} is a survey (LAS) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin files. "
+                "Map a survey with: bumpymap map"
             )
         if kind == "ply":
             from bumpymap.readers.ply import PlyTable

@@ -45,7 +45,7 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
             for file in _files_of(Path(path)):
                 found.setdefault(Path(os.path.realpath(file)), file)
         except OSError as error:
-            raise BadInputError(f"cannot look at {path}: {error.strerror}") from error
+            raise BadInputError(f"cannot access {path}: {error.strerror}") from error
     return [*sorted(found.values()), *sorted(remote)]
 
 

@@ -116,10 +116,10 @@ def _refuse_format(path: Location, point_format: int, point_size: int) -> None:
 
 def _refuse_points(path: Location, count: int, most: int | None, point_size: int) -> None:
     if count == 0:
-        raise BadInputError(f"{path} holds no points (its header promises 0): nothing to map. Was it exported fully?")
+        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     if most is not None and most < count:
         raise BadInputError(
-            f"{path} promises {count:,} points of {point_size} bytes and can hold {most:,}: truncated? Copy or "
+            f"{path} declares {count:,} points of {point_size} bytes but can hold {most:,}: truncated? Copy or "
             "download it again"
         )
 
@@ -137,7 +137,7 @@ def _walk(
             start += length
         if start > end:
             raise BadInputError(
-                f"{path} promises {count:,} {'extended ' if extended else ''}variable length records, and record "
+                f"{path} declares {count:,} {'extended ' if extended else ''}variable length records, and record "
                 f"{index:,} does not fit in. {_AGAIN}"
             )
         user = user.split(b"\0")[0]

@@ -96,7 +96,7 @@ def is_chunked(record: bytes) -> bool:
 
 
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
-    """Read the chunk table and hold it against the file and the number of points that the header promises."""
+    """Read the chunk table and check it against the file and the number of points in the header."""
     table_at, chunks = _table_place(stream, path, header)
     block = decoder().take(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
     stream.seek(table_at)
@@ -129,7 +129,7 @@ def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.
     if (counts > _DENSEST * sizes).any():
         worst = int(np.argmax(counts - _DENSEST * sizes))
         raise BadInputError(
-            f"{path} promises {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which cannot be: damaged "
+            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which cannot be: damaged "
             f"or {_CUT}"
         )
 
@@ -171,5 +171,5 @@ def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[i
     # A chunk holds its first point as it is.
     room = (place - header.offset_to_points) // header.point_size
     if chunks > room or (chunks == 0 and header.point_count):
-        raise BadInputError(f"{path} promises {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
+        raise BadInputError(f"{path} declares {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
     return place, chunks

@@ -116,7 +116,7 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
             "The file is damaged; export it again"
         )
     if head.points == 0:
-        raise BadInputError(f"{path} holds no points (its header promises 0): nothing to map. Was it exported fully?")
+        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     return head
 
 
@@ -144,7 +144,7 @@ def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None
         refuse_count(path, head.points, unpacked // row)
         if unpacked != head.points * row:
             raise BadInputError(
-                f"{path} promises {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
+                f"{path} declares {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
                 "The file is damaged: copy or download it again"
             )
 

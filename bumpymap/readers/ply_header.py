@@ -138,7 +138,7 @@ def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
         case ["format", name, "1.0"] if name in _BYTE_ORDERS:
             byte_order = _BYTE_ORDERS[name]
         case _:
-            raise ValueError(f"{lines[1]!r} is no format of PLY; there are: {', '.join(_BYTE_ORDERS)}, each 1.0")
+            raise ValueError(f"{lines[1]!r} is not a PLY format; allowed are: {', '.join(_BYTE_ORDERS)}, each 1.0")
     elements: list[PlyElement] = []
     for line in lines[2:-1]:
         match line.split():

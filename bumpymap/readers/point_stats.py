@@ -22,7 +22,7 @@ _DROPPED = ("withheld", "noise", "not_a_number")
 OUTSIDE = 1.0
 """How far a point may lie outside the box of its file or its piece, m: headers are rounded."""
 NOWHERE = 3e9
-"""Coordinates beyond this, m, are no place on Earth (40,000 km around) by any datum or unit."""
+"""Coordinates beyond this, m, are not a location on Earth (40,000 km around) by any datum or unit."""
 _FAR_TOO_LARGE, _FAR_TOO_LARGE_RATIO = 10_000.0, 10.0
 """A box longer than this, m, and than so many times the points' own extent was not made from the points."""
 _REMOVE = "Remove them, such as with: pdal translate IN OUT.laz range --filters.range.limits="
@@ -87,7 +87,7 @@ class PointStats:
 
     @property
     def nowhere(self) -> bool:
-        """Whether a point lies at no place on Earth."""
+        """Whether a point lies at not a location on Earth."""
         return max(-self.west, -self.south, self.east, self.north) > NOWHERE
 
     @property
@@ -115,7 +115,7 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
         Of every piece.
     path : Path or str
     promised : int
-        Points that the header promises.
+        Points that the header declares.
     bounds : Bounds or None
         The header's box, m; None: no header to hold the points to.
 
@@ -132,20 +132,20 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
     refuse_count(path, promised, tally.points)
     if tally.nowhere:
         raise BadInputError(
-            f"the points of {path} lie in {box_text(tally.bounds)}, which is no place on Earth: are scale, offset and "
-            "CRS of the file right?"
+            f"the points of {path} lie in {box_text(tally.bounds)}, which is not a location on Earth: are scale, "
+            "offset and CRS of the file right?"
         )
     if tally.highest > NOWHERE:
         raise BadInputError(
-            f"{path} holds heights of up to {tally.highest:g} m from zero, which is no place on Earth: a value that "
-            f"stands for 'no data', or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
+            f"{path} holds heights of up to {tally.highest:g} m from zero, which is not a location on Earth: a nodata "
+            f"value, or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
         )
     if bounds is not None and tally.points:
         _judge_extent(tally, path, bounds)
     if tally.points_outside_node:
         raise BadInputError(
             f"{tally.points_outside_node:,} of {tally.points:,} points of {path} "
-            f"lie outside the part of the octree that holds them: the file is damaged. "
+            f"lie outside the octree node that holds them: the file is damaged. "
             f"Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
         )
 

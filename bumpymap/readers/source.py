@@ -153,7 +153,7 @@ def version_of(location: Location) -> Version:
             return {"size": found.st_size, "mtime_ns": str(found.st_mtime_ns)}
         said = _said_of(location)
     if said.get("size") is None:
-        raise BadInputError(f"the server of {location} does not say how long the file is. Download the file first")
+        raise BadInputError(f"the server of {location} does not report the size of the file. Download the file first")
     return {"size": int(said["size"]), "version": _version_text(said)}
 
 
@@ -268,7 +268,7 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
         return got
     found = files.cat_file(name, start=start, end=start + data.size)
     if len(found) > data.size:
-        raise BadInputError(f"the server of {url} gives whole files alone, no ranges of bytes. Download the file first")
+        raise BadInputError(f"the server of {url} does not support range requests. Download the file first")
     data[: len(found)] = np.frombuffer(found, np.uint8)
     return len(found)
 
@@ -333,7 +333,8 @@ def _remote(url: str) -> tuple[Any, str]:
         raise UsageError(f"{kind}:// needs more ({error}). Install it: pip install 'bumpymap[remote]'") from error
     except ValueError as error:
         raise UsageError(
-            f"{url} is no URL that can be read ({error}). Such as s3://, https:// and gs:// can"
+            f"{url} is not a URL that can be read ({error}). Supported are s3://, https://, gs:// and other protocols "
+            "of fsspec"
         ) from error
     return files, name
 

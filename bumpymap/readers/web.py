@@ -50,7 +50,7 @@ def read_web(files: Any, url: str, start: int, data: NDArray[np.uint8]) -> tuple
     Raises
     ------
     BadInputError
-        The server gives whole files alone, gives other bytes than were asked for, or (`StalledServerError`) none.
+        The server does not support range requests, returns other bytes, or (`StalledServerError`) none.
     """
     got: int
     got, info = _asked(files, url, start, data)
@@ -98,15 +98,15 @@ async def _ask(files: Any, url: str, start: int, data: NDArray[np.uint8] | None)
             return 0, info
         if answer.status != _RANGE and not (start == 0 and total is not None and total <= size):
             raise BadInputError(
-                f"the server of {url} gives whole files alone, no ranges of bytes. Download the file first, such as "
+                f"the server of {url} does not support range requests. Download the file first, such as "
                 f"with: curl -O {shlex.quote(url)}"
             )
         if first != start:
-            raise BadInputError(f"the server of {url} was asked for byte {start:,} and gives byte {first:,}")
+            raise BadInputError(f"the server of {url} returned byte {first:,} instead of byte {start:,}")
         got = 0
         async for part in answer.content.iter_any():
             if got + len(part) > size:
-                raise BadInputError(f"the server of {url} gives more bytes than it was asked for")
+                raise BadInputError(f"the server of {url} returned more bytes than requested")
             data[got : got + len(part)] = np.frombuffer(part, np.uint8)
             got += len(part)
     return got, info

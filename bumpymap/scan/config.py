@@ -44,7 +44,7 @@ class ScanConfig:
     overwrite: bool = False
     """Replace the products of an earlier run."""
     resume: bool = False
-    """Go on with a run that was broken off."""
+    """Go on with an interrupted run."""
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
 
@@ -66,5 +66,5 @@ class ScanConfig:
         maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
         if maps and self.poses is None:
             raise UsageError(
-                f"--{maps[0]} is about the map of a drive, which needs the place of every frame: add --poses FILE"
+                f"--{maps[0]} applies to the map of a drive, which needs the pose of every frame: add --poses FILE"
             )

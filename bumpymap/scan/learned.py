@@ -102,7 +102,7 @@ class ScanModel:
         metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
             raise BadInputError(
-                f"{origin} looks at sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
+                f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
                 f"those of version {SECTOR_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, metadata["grid"])

@@ -52,7 +52,7 @@ def choose_method(config: ScanConfig) -> Method:
 def _learned(config: ScanConfig) -> Method:
     model = _shipped_network() if config.model is None else ScanModel.load(config.model)
     if model is None:
-        raise UsageError("no scan network ships with this bumpymap; name one with --model, or use --method filter")
+        raise UsageError("no scan network is included for this; name one with --model, or use --method filter")
     model.require_grid(config.polar)
     basis = f"scan network {model.id}"
     return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar), model))
@@ -74,5 +74,5 @@ def _require_pixels(pixels: int, grid: PolarSettings) -> None:
     if pixels != grid.pixels:
         raise UsageError(
             f"the stripe classes were fitted on heightmaps of {pixels} pixels, and pixels is {grid.pixels}. Fit them "
-            "anew with: bumpymap scan --fit"
+            "again with: bumpymap scan --fit"
         )

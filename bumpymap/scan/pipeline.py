@@ -201,7 +201,7 @@ def _scan_frames(
     reports: list[FrameReport] = []
     skipped: dict[str, str] = {}
     how = "in the place of --overwrite" if config.overwrite else "to the same command"
-    advice = f"Pass --resume {how} to go on from the finished frames."
+    advice = f"Pass --resume {how} to continue from the finished frames."
     with (
         RunFolder.opened(
             config.out, run_spec, resume=config.resume, finished=finished_parts, advice=advice, judge=lambda _: Kept.ALL
@@ -287,7 +287,7 @@ def _classed(frame: Frame, config: ScanConfig, method: Method) -> tuple[Scan, Cl
         classed = method.classify(scan)
     seconds = time.perf_counter() - begin
     if reason := why_empty(scan, classed):
-        _log.warning("%s gives no classed ground: %s", frame.path, reason)
+        _log.warning("no ground was classified in %s: %s", frame.path, reason)
     return scan, classed, seconds
 
 
@@ -310,7 +310,7 @@ def _about(frame: Frame) -> Iterator[None]:
     try:
         yield
     except BadInputError as error:
-        raise BadInputError(f"cannot class {frame.path}: {error}") from error
+        raise BadInputError(f"cannot classify {frame.path}: {error}") from error
 
 
 @contextmanager
@@ -383,7 +383,7 @@ def _map(drive: MapConfig, gathered: dict[str, int], progress: Progress) -> MapR
         _log.warning("no map was made: none of the %d gathered points lies in a traversable sector", gathered["points"])
         return None
     if drive.out.is_symlink():
-        raise OutputError(f"{drive.out} is a link, and is left alone. Take it away, or pass --overwrite to replace it")
+        raise OutputError(f"{drive.out} is a link and was not touched. Remove it, or pass --overwrite to replace it")
     try:
         return map_surveys(drive, progress)
     except BaseException as end:

@@ -219,7 +219,7 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
     if model.pixels != stack.settings.pixels:
         raise UsageError(
             f"the stripe classes were fitted on heightmaps of {model.pixels} pixels; this scan was cut into "
-            f"{stack.settings.pixels}. Fit them anew with: bumpymap scan --fit"
+            f"{stack.settings.pixels}. Fit them again with: bumpymap scan --fit"
         )
     stripes = count_stripes(stack.heights, model.filter)
     return nearest_class(stack, stripes, model.centres)
@@ -276,5 +276,5 @@ def _parse(text: str, name: str) -> StripeModel:
     if kind != _FORMAT:
         raise BadInputError(f"{name} has the format '{kind}'; '{_FORMAT}' is read. Else {advice}")
     if not smooth > middle > rough:
-        raise BadInputError(f"{name} gives class centres of {smooth}, {middle} and {rough} stripes; they must fall")
+        raise BadInputError(f"{name} has class centres of {smooth}, {middle} and {rough} stripes; they must decrease")
     return model

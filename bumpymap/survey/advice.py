@@ -75,7 +75,7 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold:
         Reason.TOO_MANY_HOLES: _holes,
         Reason.OUTLIER_RELIEF: _outliers,
     }.get(most, _too_few)(outcome, grid, settings)
-    return f"{head}, most for {REASON_TEXT[most]}: {why}. {help_}"
+    return f"{head}, mostly because of {REASON_TEXT[most]}: {why}. {help_}"
 
 
 def made_for(grid: Grid) -> str:
@@ -98,12 +98,12 @@ def size_options(grid: Grid) -> str:
 def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str, str]:
     enough = enough_points(grid, settings)
     why = (
-        f"{outcome.points_per_tile:.0f} {outcome.measured} a tile in the median; at least {settings.min_points} are "
+        f"{outcome.points_per_tile:.0f} {outcome.measured} per tile (median); at least {settings.min_points} are "
         f"needed, and about {enough} to leave few holes"
     )
     if outcome.measured == "points":
         return why, _larger_tiles(outcome, grid, enough)
-    every = f"{outcome.all_points_per_tile:.0f} a tile on average"
+    every = f"{outcome.all_points_per_tile:.0f} per tile on average"
     if outcome.all_points_per_tile < enough:
         return why, f"All points (--ground all) are too few as well, {every}. {_larger_tiles(outcome, grid, enough)}"
     return why, _all_points(outcome, every)
@@ -112,7 +112,7 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
 def _all_points(outcome: Outcome, every: str) -> str:
     said = f"--ground all measures every point, {every}, vegetation too"
     if outcome.measured == "ground points (class 2)":
-        said += "; --ground csf looks for ground by itself, and finds it where points reached it"
+        said += "; --ground csf detects ground points where the survey has any"
     return said
 
 
@@ -121,11 +121,11 @@ def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
     held = outcome.points_per_tile if outcome.measured == "points" else outcome.all_points_per_tile
     size = math.ceil(grid.tile_size * math.sqrt(enough / max(held, 1.0)))
     if size > _LARGEST_TILE:
-        return "The survey is too sparse to tell what a wheel meets: a denser one is needed"
+        return "The survey is too sparse for this purpose: a denser one is needed"
     larger = Grid(max(size, math.floor(grid.tile_size) + 1), grid.pixels)
     option = size_options(larger) + ("" if outcome.measured == "points" else " --ground all")
     return (
-        f"A denser survey would help, or larger tiles: bumpymap info {option} says what they would give; they want "
+        f"A denser survey would help, or larger tiles: bumpymap info {option} says what they would give; they need "
         f"{made_for(larger)}"
     )
 
@@ -138,11 +138,11 @@ def _holes(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str
     if outcome.tiles <= _SMALL:
         return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them on its rim"
     if outcome.measured != "points" and outcome.all_points_per_tile >= enough_points(grid, settings):
-        return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} a tile on average")
+        return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} per tile on average")
     without_holes = _WITHOUT_HOLES * enough_points(grid, settings)
     if outcome.points_per_tile < without_holes:
         return why, _larger_tiles(outcome, grid, without_holes)
-    return why, "Points from more sides would help, or a larger max_hole in [features] of --config"
+    return why, "Points from more directions would help, or a larger max_hole in [features] of --config"
 
 
 def _outliers(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str, str]:  # noqa: ARG001

@@ -150,8 +150,8 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         if csf is not None:
             require_filter(csf, grid)
             _log.warning(
-                "--ground csf takes away whatever stands more than %g m above the ground, boulders and posts as well "
-                "as trees. The layers say how rough the ground is, not whether the way is free",
+                "--ground csf removes everything that stands more than %g m above the ground, boulders and posts as "
+                "well as trees. The layers show how rough the ground is, not whether it is free of obstacles",
                 csf.class_threshold,
             )
         calibration = find_calibration(config.vehicle, config.calibration)
@@ -298,7 +298,7 @@ def _open(config: MapConfig) -> _Inputs:
         _log.warning("--local is not needed: the survey has a CRS (%s)", georeference.crs.name)
     if georeference.crs is None and not config.local:
         raise BadInputError(
-            f"{readers[0].info.path} has no CRS, so its place on Earth is unknown. Pass --crs EPSG:CODE, "
+            f"{readers[0].info.path} has no CRS, so its location on Earth is unknown. Pass --crs EPSG:CODE, "
             "or --local to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
         )
     return _Inputs(readers, georeference, skipped)
@@ -311,7 +311,7 @@ def _check_span(inputs: _Inputs, grid: Grid, window: TileWindow) -> None:
     except BadInputError as error:
         paths = [str(reader.info.path) for reader in inputs.readers if str(reader.info.path) not in inputs.skipped]
         shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]
-        raise BadInputError(f"{error}. Read were: {', '.join(shown)}") from error
+        raise BadInputError(f"{error}. The files read are: {', '.join(shown)}") from error
 
 
 def _skip(inputs: _Inputs, config: MapConfig, reader: SurveyReader, error: BadInputError) -> None:

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["BEGIN", "END", "keep", "machine", "tables"]
+__all__ = ["keep", "machine", "tables"]
 
-BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 Results = dict[str, Any]
 """``machine``, ``surveys``, ``titles``, ``samples`` (case -> side -> records), ``patch``, ``same_bits``."""
 
@@ -54,11 +53,12 @@ def tables(results: Results) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def keep(page: Path, text: str) -> None:
-    """Put the tables between the marks of a page."""
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.split(END)[1]
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
+def keep(page: Path, text: str, section: str = "figures") -> None:
+    """Put the tables between the marks of a section of a page."""
+    begin, end = f"<!-- {section}: begin -->", f"<!-- {section}: end -->"
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    after = rest.split(end)[1]
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
 
 
 def _machine_text(results: Results) -> str:
@@ -90,7 +90,7 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 def _goals(results: Results) -> str:
     rows = [*_speed(results), *_growth(results), *_start(results), *_patch_goals(results)]
     shown = [(label, text, goal, met) for label, text, goal, met in rows if text]
-    return _table(("measure", "measured", "to reach", "reached"), shown)
+    return _table(("measure", "measured", "target", "met"), shown)
 
 
 def _goal(
@@ -118,10 +118,10 @@ def _speed(results: Results) -> list[tuple[str, str, str, str]]:
     for case, title in results["titles"].items():
         most = 1.3 if case.startswith("real") else {"20m-laz": 1.25, "20m-las": 4.0}.get(case)
         if most is not None:
-            label = f"{title}: `map`, time over reading alone"
+            label = f"{title}: `map`, time relative to reading alone"
             rows.append(_goal(label, (wall(case, "map"), wall(case, "read")), _ratio, "", ("at most", most)))
     for side, name in (("pdal", "PDAL"), ("pdal_bin", "PDAL with `binmode`")):
-        label = f"{results['titles'].get('20m-las', '')}: {name}, time over `map`"
+        label = f"{results['titles'].get('20m-las', '')}: {name}, time relative to `map`"
         rows.append(_goal(label, (wall("20m-las", side), wall("20m-las", "map")), _ratio, "", ("at least", 4.0)))
     return rows
 
@@ -134,10 +134,10 @@ def _growth(results: Results) -> list[tuple[str, str, str, str]]:
             label = f"peak memory, {size} million points, {order}"
             rows.append(_goal(label, (peak,), lambda value: value / 1e9, " GB", ("at most", 1.3)))
         walls = tuple(_median(results, case, "map", "wall_s") for case in (large, small))
-        rows.append(_goal(f"time at 200 over 20 million points, {order}", walls, _ratio, "", ("at most", 10.5)))
+        rows.append(_goal(f"time for 200 relative to 20 million points, {order}", walls, _ratio, "", ("at most", 10.5)))
     if results["same_bits"] is not None:
         same = all(results["same_bits"])
-        label = "layers of a shuffled survey against those of the sorted one"
+        label = "layers of a shuffled survey compared with the sorted one"
         rows.append((label, "same bits" if same else "other bits", "same bits", "yes" if same else "no"))
     return rows
 
@@ -149,7 +149,7 @@ def _start(results: Results) -> list[tuple[str, str, str, str]]:
     return [
         _goal("`bumpymap --help`", (help_text,), float, " s", ("at most", 0.3)),
         _goal(
-            "first run ever (no compiled kernels), beyond the second",
+            "first run (kernels are compiled), longer than the second by",
             (first, second),
             lambda once, again: once - again,
             " s",
@@ -164,7 +164,7 @@ def _patch_goals(results: Results) -> list[tuple[str, str, str, str]]:
         ours = statistics.median(record["ours_ms"] for record in records)
         for way in records[0]["ways_ms"]:
             theirs = statistics.median(record["ways_ms"][way] for record in records)
-            label = f"a patch of {title}: the paper's way with {_WAYS[way]}, time over ours"
+            label = f"a patch of {title}: the paper's method with {_WAYS[way]}, time relative to ours"
             rows.append(_goal(label, (theirs, ours), _ratio, "", ("at least", 100.0)))
     return rows
 
@@ -207,7 +207,7 @@ def _sides(results: Results) -> str:
                     f"{statistics.median(peak) / 1e9:.2f}",
                 )
             )
-    return _table(("case", "side", "wall time [s]", "processor [s]", "peak memory [GB]"), rows)
+    return _table(("case", "program", "wall time [s]", "processor time [s]", "peak memory [GB]"), rows)
 
 
 def _patches(results: Results) -> str:

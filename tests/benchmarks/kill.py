@@ -23,7 +23,7 @@ from typing import Any
 
 from _page import keep
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "engine.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "benchmarks.md"
 _WHOLE_RUNS = 3
 _TWICE = 0.3
 """Share of the runs that are killed once more after --resume."""
@@ -197,6 +197,26 @@ def table(title: str, whole: float, trials: list[Trial]) -> str:
     return "\n".join(lines)
 
 
+def summary(kept: dict[str, Any]) -> str:
+    """Return the Markdown of all surveys that were tried, one row each."""
+    lines = [
+        (
+            "| survey | killed while starting / reading or measuring / writing layers / done | killed twice "
+            "| identical | uninterrupted [s] |"
+        ),
+        "|---|---|---|---|---|",
+    ]
+    for title, survey in kept.items():
+        trials = [Trial(**trial) for trial in survey["trials"]]
+        first = [trial.stages[0] for trial in trials]
+        stages = ("starting", ("reading", "measuring", "between"), "writing", "at the end")
+        counts = " / ".join(str(sum(stage.startswith(begin) for stage in first)) for begin in stages)
+        twice = sum(len(trial.stages) > 1 for trial in trials)
+        same = sum(not trial.faults for trial in trials)
+        lines.append(f"| {title} | {counts} | {twice} | {same} of {len(trials)} | {survey['whole_s']:.1f} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Run the trials of one survey; print all surveys that were tried with this --data, as tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -206,7 +226,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")
-    parser.add_argument("--page", action="store_true", help=f"put the tables into {PAGE.name}")
+    parser.add_argument("--page", action="store_true", help=f"put a summary into {PAGE.name}")
     given = parser.parse_args()
     whole, trials = run(Killer(given.surveys, given.data, shlex.split(given.map_options)), given.kills, given.seed)
     results = given.data / "kills.json"
@@ -218,7 +238,7 @@ def main() -> None:
     )
     print(text)
     if given.page:
-        keep(PAGE, text)
+        keep(PAGE, summary(kept), "kills")
     if any(trial.faults for trial in trials):
         sys.exit(1)
 

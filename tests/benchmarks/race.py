@@ -2,7 +2,7 @@
 
 python tests/benchmarks/race.py --data FOLDER [--races 20]
 
-Three races take turns: two `scan`, two `map --overwrite`, two `map --resume` over a run that was broken off. The second
+Three races take turns: two `scan`, two `map --overwrite`, two `map --resume` over an interrupted run. The second
 starts after a delay drawn over the time of a whole run. Exit code 1 where the files are not those of a lone run, both
 fail, or the loser does not name the winner's process.
 """

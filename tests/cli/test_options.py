@@ -125,16 +125,16 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         (["map", "a.laz", "--out", "o", "--compat", "paper", "--rating", "ride"], "--compat and --rating"),
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
-        (["evaluate", "--library", "--out", "o", "--crs", "EPSG:32614"], "--crs is about surveys"),
-        (["evaluate", "--library", "--out", "o", "--ground", "all"], "--ground is about surveys"),
-        (["evaluate", "--library", "--out", "o", "--local"], "--local is about surveys"),
-        (["evaluate", "--library", "--out", "o", "--z-unit", "ft"], "--z-unit is about surveys"),
-        (["evaluate", "--library", "--out", "o", "--densities", "5"], "--densities is about surveys"),
+        (["evaluate", "--library", "--out", "o", "--crs", "EPSG:32614"], "--crs applies to surveys"),
+        (["evaluate", "--library", "--out", "o", "--ground", "all"], "--ground applies to surveys"),
+        (["evaluate", "--library", "--out", "o", "--local"], "--local applies to surveys"),
+        (["evaluate", "--library", "--out", "o", "--z-unit", "ft"], "--z-unit applies to surveys"),
+        (["evaluate", "--library", "--out", "o", "--densities", "5"], "--densities applies to surveys"),
         (["evaluate", "a.laz", "--out", "o", "--skip", "density", "--densities", "5"], "--densities has no effect"),
         (["evaluate", "a.laz", "--out", "o", "--skip", "drives", "--workers", "1"], "--workers has no effect"),
         (["evaluate", "a.laz", "--out", "o", "--min-starts", "60"], "more than max_starts, which is 48"),
-        (["calibrate", "--check", "--patches", "4"], "leave --patches out"),
-        (["calibrate", "--check", "--out", "c.json"], "leave --out out"),
+        (["calibrate", "--check", "--patches", "4"], "leave out --patches"),
+        (["calibrate", "--check", "--out", "c.json"], "leave out --out"),
     ],
 )
 def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch):
@@ -219,8 +219,8 @@ def test_every_long_command_can_be_quiet_and_speak_json(name):
 
 SAME = {
     "--workers": r"Worker processes on this machine \[default: .*\]\.",
-    "--patches": r"Patches of each texture and z range .*",
-    "--starts": r"Drives over each patch .*",
+    "--patches": r"Patches per texture and z range .*",
+    "--starts": r"Drives per patch .*",
     "--overwrite": r"Replace .*",
 }
 

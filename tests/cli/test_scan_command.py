@@ -74,7 +74,7 @@ def test_one_scan(scan, frame, tmp_path):
         assert int(row[2]) == table["class"].count(class_id)
         points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
         assert int(row[-1].replace(",", "")) == points
-    assert f"Products in {tmp_path / 'out'}: frames, sectors.parquet, scan.json" in result.stdout
+    assert f"Output in {tmp_path / 'out'}: frames, sectors.parquet, scan.json" in result.stdout
     assert out_files(tmp_path) == [
         "frames/frame.json",
         "frames/frame.ply",
@@ -217,8 +217,8 @@ def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points,
         (["--products", "cloud,map"], "give one or more of polygons"),
         (["--crs", "EPSG:32614"], "add --poses"),
         (["--compat", "paper", "--method", "learned"], "options of one"),
-        (["--fit", "a.json", "--poses", "p.txt"], "leave --poses out"),
-        (["--fit", "a.json", "--out", "x"], "leave --out out"),
+        (["--fit", "a.json", "--poses", "p.txt"], "leave out --poses"),
+        (["--fit", "a.json", "--out", "x"], "leave out --out"),
         (["--nothing"], "No such option"),
         (["--method", "magic"], "is not one of"),
     ],
@@ -310,7 +310,7 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
         ("[robot]\nbox_m = [1, 2]", "must be a list of 4 numbers"),
         ('method = "magic"', "must be one of filter, learned"),
         ('products = ["maps"]', "must be one of polygons"),
-        ("frames = [1]", "must be a text"),
+        ("frames = [1]", "must be a string"),
         ('frames = "drive"', "must be a list of texts"),
         ("skip_bad = 1", "must be true or false"),
         ("[robot]\nradius_m = true", "must be a number"),

@@ -61,7 +61,7 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     late = ended(name, out, after_tiles=True)
     assert late.returncode == code, late.stderr
     assert late.stderr.strip() == (
-        f"{word} No file is half-written. Pass --resume to the same command to go on from the finished tiles."
+        f"{word} No file is half-written. Pass --resume to the same command to continue from the finished tiles."
     )
     assert [path.name for path in out.iterdir()] == [".bumpymap-run"]
     assert list((tmp_path / "tmp").iterdir()) == []
@@ -163,7 +163,7 @@ from bumpymap.cli import main
 sys.argv[0] = "bumpymap"
 main()
 """
-KEPT = "No file is half-written. The driven patches are kept: give the same command again to go on."
+KEPT = "No file is half-written. The driven patches are kept: give the same command again to continue."
 
 
 @pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])

@@ -101,7 +101,7 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
     assert settings.options == " ".join(map(str, words))
     assert (out, scans) == (tmp_path / "a.onnx", None)
     own = train("--scans", folder, "--out", tmp_path / "a.onnx", *words)
-    assert "--scenes is about made-up scenes" in own.stderr  # the model's own command names it, so it is not refused
+    assert "--scenes applies to simulated scenes" in own.stderr  # the model's own command names it: not refused
     assert called[1] == (settings, out, folder)
 
 
@@ -121,7 +121,7 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
         patch.setattr(trainer, "draw_epoch", stop_at_the_second)
         ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert ended.exit_code == 130
-    assert ended.stderr.endswith("Give the same command again to go on from the last whole epoch.\n")
+    assert ended.stderr.endswith("Give the same command again to continue after the last complete epoch.\n")
     again = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert again.exit_code == 0
     assert [line.split(":")[0] for line in again.stderr.splitlines()] == ["epoch 2/2"]
@@ -130,11 +130,11 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (["--scenes", "9"], 2, "--scenes is about scans: add --scans simulated"),
-        (["--sectors-per-class", "9"], 2, "--sectors-per-class is about scans"),
-        (["--scans", "simulated", "--pixels", "15"], 2, "--pixels is about the texture network"),
-        (["--scans", "simulated", "--tile-size", "3"], 2, "--tile-size is about the texture network"),
-        (["--scans", "here", "--patches-per-texture", "9"], 2, "--patches-per-texture is about the texture network"),
+        (["--scenes", "9"], 2, "--scenes applies to scans: add --scans simulated"),
+        (["--sectors-per-class", "9"], 2, "--sectors-per-class applies to scans"),
+        (["--scans", "simulated", "--pixels", "15"], 2, "--pixels applies to the texture network"),
+        (["--scans", "simulated", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
+        (["--scans", "here", "--patches-per-texture", "9"], 2, "--patches-per-texture applies to the texture network"),
         (["--scans", ""], 2, "--scans is empty"),
         (["--scans", "nowhere"], 3, "nowhere does not exist"),
         (["--scans", ".", "--epochs", "0"], 2, "epochs is 0"),

@@ -57,7 +57,7 @@ def test_nothing_is_overwritten(tmp_path):
     assert vehicle("new", "mine", "--out", "none/a.toml").exit_code == 3
 
 
-@pytest.mark.parametrize(("name", "word"), [("car", "ships with bumpymap"), ("../x", "letters"), ("", "letters")])
+@pytest.mark.parametrize(("name", "word"), [("car", "is included in bumpymap"), ("../x", "letters"), ("", "letters")])
 def test_a_name_that_will_not_do(name, word):
     result = vehicle("new", name)
     assert (result.exit_code, word in result.stderr) == (2, True)
@@ -101,7 +101,7 @@ def test_a_profile_in_a_settings_file_is_beside_it(tmp_path):
     (folder / "run.toml").write_text('surveys = ["a.laz"]\nout = "o"\nvehicle = "mine.toml"\n')
     result = CliRunner().invoke(main, ["map", "--config", "site/run.toml"])
     assert result.exit_code == 3
-    assert "site/mine.toml: 20 faults" in result.stderr
+    assert "site/mine.toml: 20 errors" in result.stderr
 
 
 def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tmp_path):

@@ -111,16 +111,16 @@ def test_a_piece_reads_its_own_bytes_alone(tree, monkeypatch):
 @pytest.mark.parametrize(
     ("place", "layout", "value", "says"),
     [
-        (INFO, "<d", np.nan, "middle"),
-        (INFO + 24, "<d", 0.0, "half a side"),
-        (INFO + 24, "<d", -5.0, "half a side"),
+        (INFO, "<d", np.nan, "centre"),
+        (INFO + 24, "<d", 0.0, "half-width"),
+        (INFO + 24, "<d", -5.0, "half-width"),
         (INFO + 40, "<Q", 2**63, "page"),
         (INFO + 40, "<Q", 0, "page"),
         (INFO + 48, "<Q", 2**40, "page"),
         (INFO + 48, "<Q", 0, "page"),
         (INFO + 48, "<Q", 33, "page"),
         (INFO + 48, "<Q", 32, "in its octree"),
-        (247, "<Q", 3999, "promises 3,999 points in its header and 4,000 in its octree"),
+        (247, "<Q", 3999, "declares 3,999 points in its header but 4,000 in its octree"),
         (247, "<Q", 2**60, "octree"),
     ],
 )
@@ -145,7 +145,7 @@ def test_records_that_lie(las, tree, place, layout, value, says):
         (28, "<i", 2**31 - 1, "octree"),
         (28, "<i", -2, "octree"),
         (28, "<i", 0, "octree"),
-        (28, "<i", -1, "page|circle"),
+        (28, "<i", -1, "page|cycle"),
     ],
 )
 @pytest.mark.parametrize("entry", [0, 7])
@@ -162,7 +162,7 @@ def test_an_octree_that_leads_round_in_a_circle(las, tree):
     start, entries = root_page(path)
     data = path.read_bytes()
     page = next(start + 32 * i for i in range(entries) if struct.unpack_from("<i", data, start + 32 * i + 28)[0] == -1)
-    with pytest.raises(BadInputError, match="circle"):
+    with pytest.raises(BadInputError, match="contains a cycle"):
         open_survey(las.patch(path, page + 16, "<Qi", start, 32 * entries))
 
 
@@ -182,7 +182,7 @@ def test_nodes_that_hold_fewer_points_than_they_promise(las, tree):
     counts = [struct.unpack_from("<i", data, start + 32 * i + 28)[0] for i in (0, 1)]
     las.patch(path, start + 28, "<i", counts[0] + 1)
     las.patch(path, start + 32 + 28, "<i", counts[1] - 1)
-    with pytest.raises(BadInputError, match="points in a LAZ chunk and holds"):
+    with pytest.raises(BadInputError, match="points in a LAZ chunk but holds"):
         exhaust(path)
 
 
@@ -198,7 +198,7 @@ def test_a_file_that_ends_early(tree, length):
 def test_an_octree_built_around_another_place(las, tree, read):
     """Regions would be taken for complete while their points are still to come."""
     path = las.patch(tree(), INFO, "<d", 500_300.0)
-    with pytest.raises(BadInputError, match=r"points of .* lie outside the part of the octree.*--trust-points"):
+    with pytest.raises(BadInputError, match=r"points of .* lie outside the octree node.*--trust-points"):
         exhaust(path)
     trusted = open_survey(path, ReadOptions(trust_points=True))
     assert {chunk.bounds for chunk in trusted.chunks(300)} == {None}

@@ -106,7 +106,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
 
     monkeypatch.setattr(child, "_running", lambda: child._child)  # does not look whether it lives
     monkeypatch.setattr(child, "_ask", die)
-    with pytest.raises(BadInputError, match=r"bad\.laz: the decoder breaks down \(SIGSEGV\).*damaged"):
+    with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
     monkeypatch.undo()
     monkeypatch.setattr(decoder, "_current", child)
@@ -128,7 +128,7 @@ def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
     (chunk,) = reader.chunks()
     monkeypatch.setattr(decoder, "_SECONDS", 1e-6)
     monkeypatch.setattr(decoder, "_SECONDS_PER_BYTE", 0.0)
-    with pytest.raises(BadInputError, match=r"a\.laz: the decoder comes to no end"):
+    with pytest.raises(BadInputError, match=r"a\.laz: the decoder did not finish"):
         reader.fetch(chunk)
     monkeypatch.undo()
     monkeypatch.setattr(decoder, "_current", child)

@@ -234,7 +234,7 @@ def test_degrees_are_refused_with_the_command_that_helps(las, middle, code, how)
 
 
 def test_metres_that_are_said_to_be_degrees(las):
-    with pytest.raises(BadInputError, match=r"no such place.*--crs"):
+    with pytest.raises(BadInputError, match=r"not such a place.*--crs"):
         open_survey(las.write(wkt=CRS(4326).to_wkt("WKT1_GDAL")))
 
 

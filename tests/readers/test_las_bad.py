@@ -33,8 +33,8 @@ def refused(path, *says, options=DEFAULT):
 @pytest.mark.parametrize(
     ("place", "layout", "value", "says"),
     [
-        (107, "<I", 8, "promises 8 points"),
-        (107, "<I", 0xFFFFFFFF, "promises 4,294,967,295 points"),
+        (107, "<I", 8, "declares 8 points"),
+        (107, "<I", 0xFFFFFFFF, "declares 4,294,967,295 points"),
         (107, "<I", 0, "holds no points"),
         (100, "<I", 0xFFFFFFFF, "variable length records"),
         (100, "<I", 1, "variable length records"),
@@ -53,7 +53,7 @@ def refused(path, *says, options=DEFAULT):
         (155, "<d", np.nan, "offset"),
         (171, "<d", -np.inf, "offset"),
         (131, "<d", 1e300, "not a number or infinite"),
-        (131, "<d", 1e8, "no place on Earth"),
+        (131, "<d", 1e8, "not a location on Earth"),
     ],
 )
 def test_a_header_that_cannot_be(las, place, layout, value, says):
@@ -73,7 +73,7 @@ def test_a_file_that_ends_inside_the_header(las, length):
 def test_a_file_that_ends_inside_the_points(las, fmt):
     path = las.write(version="1.4", fmt=fmt)
     path.write_bytes(path.read_bytes()[:-1])
-    refused(path, "promises 7 points", "can hold 6", "truncated?")
+    refused(path, "declares 7 points", "can hold 6", "truncated?")
 
 
 @pytest.mark.parametrize("fmt", [1, 7])
@@ -264,7 +264,7 @@ def test_a_chunk_of_fewer_points_than_its_table_promises(las, held):
     """The decoder does not look at the count that a chunk of layers carries, and makes points up."""
     path = las.write("a.laz", version="1.4", fmt=6)
     points_at, _ = chunk_table(path)
-    refused(las.patch(path, points_at + 8 + 30, "<I", held), f"promises 7 points in a LAZ chunk and holds {held}")
+    refused(las.patch(path, points_at + 8 + 30, "<I", held), f"declares 7 points in a LAZ chunk but holds {held}")
 
 
 @pytest.mark.parametrize("layer", range(9))

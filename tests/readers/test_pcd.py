@@ -94,7 +94,7 @@ def test_units_come_from_the_options(tmp_path, read):
 def test_more_points_promised_than_there_are(tmp_path, encoding, promised):
     path = write(tmp_path / "a.pcd", encoding=encoding)
     path.write_bytes(path.read_bytes().replace(b"POINTS 4", b"POINTS %d" % promised))
-    with pytest.raises(BadInputError, match=f"promises {promised:,} points and holds"):
+    with pytest.raises(BadInputError, match=f"declares {promised:,} points but holds"):
         list(open_survey(path).clouds())
 
 
@@ -155,7 +155,7 @@ def test_a_compressed_file_that_memory_cannot_hold_is_refused(tmp_path, read):
 @pytest.mark.parametrize("claimed", [1_600_016, 1_700_000])
 def test_a_compressed_file_unpacks_to_its_points(tmp_path, claimed):
     with pytest.raises(
-        BadInputError, match=rf"promises {claimed:,} bytes of unpacked points, and 100,000 points of 16"
+        BadInputError, match=rf"declares {claimed:,} bytes of unpacked points, and 100,000 points of 16"
     ):
         open_survey(bomb(tmp_path / "a.pcd", 100_000, claimed))
 

@@ -98,7 +98,7 @@ def test_a_file_that_ends_in_its_last_list(tmp_path, order):
     lists[:] = [[1, 2], [3], [4, 5, 6]]
     path = write(tmp_path / "a.ply", columns() | {"seen_by": lists}, order=order)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(BadInputError, match="promises 3 points and holds 2"):
+    with pytest.raises(BadInputError, match="declares 3 points but holds 2"):
         list(open_survey(path).clouds())
 
 
@@ -107,7 +107,7 @@ def test_a_list_before_the_vertices_that_claims_too_much(tmp_path, order):
     path = write(tmp_path / "a.ply", columns(), before=[faces(count=1)], order=order)
     head, _, body = path.read_bytes().partition(b"end_header\n")
     path.write_bytes(head + b"end_header\n\xff" + body[1:])
-    with pytest.raises(BadInputError, match="promises 1 'face' and holds 0"):
+    with pytest.raises(BadInputError, match="declares 1 'face' but holds 0"):
         list(open_survey(path).clouds())
 
 
@@ -212,7 +212,7 @@ def test_no_height(tmp_path):
 def test_more_vertices_promised_than_there_are(tmp_path, name, order, promised):
     path = write(tmp_path / "a.ply", columns(), order=order)
     path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex %d" % promised))
-    with pytest.raises(BadInputError, match=f"promises {promised:,} points and holds"):
+    with pytest.raises(BadInputError, match=f"declares {promised:,} points but holds"):
         list(open_survey(path).clouds())
 
 
@@ -222,7 +222,7 @@ def test_a_text_that_ends_early(tmp_path):
     )
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]))
-    with pytest.raises(BadInputError, match="promises 50 points and holds 49"):
+    with pytest.raises(BadInputError, match="declares 50 points but holds 49"):
         list(open_survey(path).clouds(7))
 
 

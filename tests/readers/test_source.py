@@ -130,7 +130,7 @@ def test_a_server_that_knows_no_ranges(las, server):
     handler.whole_files_alone = True
     with pytest.raises(BadInputError, match=path.name):
         list(open_survey(f"{address}/{path.name}").clouds())
-    with pytest.raises(BadInputError, match="no ranges"):
+    with pytest.raises(BadInputError, match="does not support range requests"):
         read_range(f"{address}/{path.name}", 3, 5)
 
 
@@ -168,7 +168,7 @@ def test_a_large_file_on_a_server_without_ranges_is_not_fetched(las, server):
     path = las.write()
     with path.open("ab") as file:
         file.truncate(200_000_000)
-    with pytest.raises(BadInputError, match="whole files alone"):
+    with pytest.raises(BadInputError, match="does not support range requests"):
         open_survey(f"{address}/{path.name}")
     assert handler.sent < 50_000_000
 
@@ -193,7 +193,7 @@ def test_a_server_that_gives_other_bytes(las, server):
     address, handler = server
     path = las.write()
     handler.shift = 5
-    with pytest.raises(BadInputError, match="was asked for byte 100 and gives byte 105"):
+    with pytest.raises(BadInputError, match="returned byte 105 instead of byte 100"):
         read_range(f"{address}/{path.name}", 100, 50)
 
 

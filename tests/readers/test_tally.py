@@ -89,10 +89,10 @@ GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"points": 4}, "promises 5 points and holds 4"),
+        ({"points": 4}, "declares 5 points but holds 4"),
         ({"not_finite": 2, "first_not_finite": 3}, r"2 points .* not a number or infinite; the first is point 3"),
-        ({"east": NOWHERE * 2}, "no place on Earth"),
-        ({"south": -NOWHERE * 2}, "no place on Earth"),
+        ({"east": NOWHERE * 2}, "not a location on Earth"),
+        ({"south": -NOWHERE * 2}, "not a location on Earth"),
         ({"highest": NOWHERE * 2}, "heights of up to 6e"),
         ({"outside": 2, "east": 120.0}, r"2 of 5 points are outside.*--trust-points"),
         ({"points_outside_node": 3}, r"3 of 5 points .* octree.*--trust-points"),

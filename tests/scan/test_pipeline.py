@@ -225,10 +225,10 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     with pytest.raises(KeyboardInterrupt) as end:
         scan_frames(replace(config, overwrite=older), _Ends(after))
     how = "in the place of --overwrite" if older else "to the same command"
-    assert end.value.__notes__ == [f"Pass --resume {how} to go on from the finished frames."]
+    assert end.value.__notes__ == [f"Pass --resume {how} to continue from the finished frames."]
     assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
     assert (out / ".bumpymap-run").is_dir()
-    with pytest.raises(OutputError, match=r"broken off\. Pass --resume"):
+    with pytest.raises(OutputError, match=r"an interrupted run\. Pass --resume"):
         scan_frames(config)
     with pytest.raises(UsageError, match="products was polygons, table, cloud, picture, is table"):
         scan_frames(replace(config, resume=True, products=("table",)))
@@ -287,9 +287,9 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     assert scan_frames(config).already_done
     for other, words in (
         (replace(config, robot=Robot(1.0)), "robot.radius_m was 0.5, is 1.0"),
-        (replace(config, frames=(frames / "0.bin",)), "1.bin was read, and is not given"),
+        (replace(config, frames=(frames / "0.bin",)), "1.bin was an input, but is not given now"),
         (replace(config, compat="paper"), "compat was none, is paper"),
-        (replace(config, poses=drive / "poses.txt"), "poses.txt is given, and was not read"),
+        (replace(config, poses=drive / "poses.txt"), "poses.txt is given now, but was not an input"),
     ):
         with pytest.raises(OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*--overwrite"):
             scan_frames(other)
@@ -332,7 +332,7 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
         patch.setattr("bumpymap.layers.scan.frame.sync", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
-    assert failed.value.__notes__ == ["Pass --resume to the same command to go on from the finished frames."]
+    assert failed.value.__notes__ == ["Pass --resume to the same command to continue from the finished frames."]
     done_frames.clear()
     scan_frames(replace(config, resume=True))
     assert done_frames == ["1"]
@@ -404,7 +404,7 @@ def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_the
         scan_frames(config)
     assert failed.value.__notes__ == [
         "--skip-bad goes on without such frames.",
-        "Pass --resume to the same command to go on from the finished frames.",
+        "Pass --resume to the same command to continue from the finished frames.",
     ]
     result = scan_frames(replace(config, skip_bad=True, resume=True))
     assert list(result.skipped) == [str(tmp_path / "1.bin")]
@@ -584,7 +584,7 @@ def test_learned_classes_and_no_stripes_where_a_network_ships(drive, tmp_path):
 
     config = ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", products=("table",))
     if choose_method(config).name == "filter":
-        with pytest.raises(UsageError, match="no scan network ships"):
+        with pytest.raises(UsageError, match="no scan network is included"):
             choose_method(replace(config, method="learned"))
         return
     scan_frames(config)

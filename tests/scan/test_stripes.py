@@ -144,7 +144,7 @@ def test_the_model_that_ships_falls_from_nearly_all_stripes():
     ("change", "message"),
     [
         ({"format": "other"}, "format"),
-        ({"centres": [1, 2, 3]}, "fall"),
+        ({"centres": [1, 2, 3]}, "decrease"),
         ({"centres": [3, 2]}, "no stripe classes"),
         ({"extra": 1}, "no stripe classes"),
         ({"filter": {"gamma": -1}}, "positive"),

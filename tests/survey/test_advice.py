@@ -51,8 +51,8 @@ def foretold_and_found(out, *words):
         (1.5, 0.0, "larger tiles: bumpymap info --tile-size 7 says"),
         (4.5, 0.0, "too many holes"),
         (8.0, 0.0, ""),
-        (14.0, 0.08, "--ground all measures every point, 126 a tile"),
-        (5.0, 0.5, "All points (--ground all) are too few as well, 45 a tile"),
+        (14.0, 0.08, "--ground all measures every point, 126 per tile"),
+        (5.0, 0.5, "All points (--ground all) are too few as well, 45 per tile"),
         (60.0, 0.5, ""),
     ],
 )
@@ -88,7 +88,7 @@ def outcome(reason, share, measured="points", held=20.0, every=200.0, tiles=100)
         (outcome(Reason.TOO_FEW_POINTS, 0.1), ""),
         (outcome(Reason.TOO_FEW_POINTS, 0.9, held=0.1), "a denser one is needed"),
         (outcome(Reason.TOO_FEW_POINTS, 0.9, held=20.0), "bumpymap train --tile-size 6 --out my.onnx"),
-        (outcome(Reason.NO_GROUND, 0.9, CLASS_2), "--ground csf looks for ground by itself"),
+        (outcome(Reason.NO_GROUND, 0.9, CLASS_2), "--ground csf detects ground points"),
         (outcome(Reason.NO_GROUND, 0.9, CLASS_2, every=10.0), "bumpymap info --tile-size 8 --ground all says"),
         (
             outcome(Reason.TOO_MANY_HOLES, 0.9, "ground points (found by the cloth)"),

@@ -193,7 +193,7 @@ def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey
     more = write_las(tmp_path / "more.laz", *site)
     for given, words in (
         ((moved,), [f"{moved} has changed since"]),
-        ((more,), [f"{moved} was read, and is not given", f"{more} is given, and was not read"]),
+        ((more,), [f"{moved} was an input, but is not given now", f"{more} is given now, but was not an input"]),
         ((survey, "--vehicle", "car", "--crs", "EPSG:32614"), ["vehicle was warthog, is car", "crs was not given, is"]),
     ):
         refused = run("map", *given, "--out", out)
@@ -390,7 +390,7 @@ def test_a_map_without_classes_says_what_to_do(site, tmp_path):
     sparse = write_las(tmp_path / "sparse.laz", x, y, z)
     result = run("map", sparse, "--out", tmp_path / "sparse")
     assert result.exit_code == 0
-    assert "of the tiles are unknown, most for too few points: 6 points a tile in the median" in result.output
+    assert "of the tiles are unknown, mostly because of too few points: 6 points per tile (median)" in result.output
     few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
     wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
     assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
@@ -441,7 +441,7 @@ def test_info_judges_the_points_that_map_will_measure(site, tmp_path):
     few = np.where(np.arange(len(site[0])) % 50 == 0, 2, 5).astype(np.uint8)
     wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
     told = " ".join(run("info", wooded).output.split())
-    assert "100% of the tiles will be unknown, most for too few points: 12 ground points (class 2) a tile" in told
+    assert "100% of the tiles will be unknown, mostly because of too few points: 12 ground points (class 2)" in told
     assert "ready" not in told
 
 
@@ -452,7 +452,7 @@ def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
     (tmp_path / "a.ply").write_bytes(head + b"property float z\nend_header\n" + points.tobytes())
     result = run("map", tmp_path / "a.ply", "--out", tmp_path / "layers", "--local")
     assert result.exit_code == 3
-    assert "stands for 'no data'" in result.output
+    assert "a nodata value, or a wrong scale?" in result.output
 
 
 def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):

@@ -204,7 +204,7 @@ def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(NUMBERS)
     (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("the kernels are compiled anew in every run")
+    assert line.startswith("the numerical kernels are compiled in every run")
     assert "__pycache__ (Not a directory)" in line
     assert "Set NUMBA_CACHE_DIR to a folder of your own" in line
 

@@ -145,8 +145,8 @@ def _say_once(where: str) -> None:
         return
     _said.append(where)
     _log.warning(
-        "the kernels are compiled anew in every run, which takes many seconds, for they cannot be kept%s. Set "
-        "NUMBA_CACHE_DIR to a folder of your own that nobody else can write to",
+        "the numerical kernels are compiled in every run, which takes many seconds, because they cannot be cached%s. "
+        "Set NUMBA_CACHE_DIR to a folder of your own that nobody else can write to",
         f": {where}" if where else "",
     )
 

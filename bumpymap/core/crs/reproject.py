@@ -49,14 +49,14 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
     if base.is_projected or base.type_name == "Engineering CRS":
         return
     if base.is_vertical:
-        raise BadInputError(f"{describe_crs(crs)} says what heights mean, not where {place.path} lies. {SAY_CRS}")
+        raise BadInputError(f"{describe_crs(crs)} is a vertical CRS and does not locate {place.path}. {SAY_CRS}")
     what = "Earth-centred coordinates" if base.is_geocentric else "degrees"
     longitude_latitude = _longitude_latitude(place, base)
     if longitude_latitude is None and place.middle is not None:
         shown = ", ".join(f"{value:.10g}" for value in place.middle[:2])
         raise BadInputError(
-            f"{place.path} is said to be in {what} ({describe_crs(crs)}), but its middle lies at {shown}, which is no "
-            f"such place. {SAY_CRS}"
+            f"{place.path} is stated to be in {what} ({describe_crs(crs)}), but its centre lies at {shown}, which is "
+            f"not such a place. {SAY_CRS}"
         )
     source = crs.to_string() if from_user else None
     raise BadInputError(
@@ -68,7 +68,7 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
 
 
 def _longitude_latitude(place: Place, crs: CRS) -> tuple[float, float] | None:
-    """Middle of the file, degrees; None where it is not known or is no place on Earth."""
+    """Middle of the file, degrees; None where it is not known or is not a location on Earth."""
     if place.middle is None:
         return None
     longitude, latitude, height = place.middle

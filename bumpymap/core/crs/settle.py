@@ -179,11 +179,11 @@ def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
         return
     if from_user:
         raise UsageError(
-            f"--crs '{crs.name}' has a unit of {wrong:g} m, which is none. Give a code such as EPSG:32614, a PROJ "
+            f"--crs '{crs.name}' has an invalid unit of {wrong:g} m. Give a code such as EPSG:32614, a PROJ "
             "string or WKT with units"
         )
     raise BadInputError(
-        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has a unit of {wrong:g} m, which is none. {SAY_CRS}"
+        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has an invalid unit of {wrong:g} m. {SAY_CRS}"
     )
 
 

@@ -180,7 +180,7 @@ def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Til
     if not len(joined["col"]):
         listed = ", ".join(f"{name}: {count}" for name, count in unknown.items())
         raise BadInputError(
-            f"no tile of the survey can be judged ({listed}), so there is nothing to evaluate"
+            f"no tile of the survey can be classified ({listed}), so there is nothing to evaluate"
             + (". Points of class 2 alone were measured; try --ground all" if survey.ground_only else "")
         )
     return _Tiles(

@@ -138,7 +138,7 @@ def gather(
                 raise BadInputError("no point is left: every point is withheld, noise or without return")
             yield MeasuredSurvey(buckets, _ground_only(buckets, ground), features)
     except OSError as error:
-        raise OutputError(f"cannot keep points in {folder} meanwhile: {error}. Choose another --out") from error
+        raise OutputError(f"cannot write temporary points to {folder}: {error}. Choose another --out") from error
 
 
 @contextmanager

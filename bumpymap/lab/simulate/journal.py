@@ -47,7 +47,7 @@ class Journal:
                 if not discard_other:
                     raise OutputError(
                         f"{self._path} holds the progress of a run with other settings or versions; "
-                        "go on with those settings, or start anew with --overwrite"
+                        "use those settings, or start again with --overwrite"
                     )
                 lines = []
             driven = _read_patches(lines[1:])
@@ -57,7 +57,7 @@ class Journal:
         except (OSError, UnicodeDecodeError) as error:
             raise OutputError(f"cannot use the progress file {self._path}: {error}") from error
         if driven:
-            _LOG.info("going on with %d driven patches of %s", len(driven), self._path)
+            _LOG.info("continuing with %d driven patches of %s", len(driven), self._path)
         return driven
 
     def add(self, key: Key, drives: PatchDrives) -> None:
@@ -89,12 +89,12 @@ class Journal:
             if error.errno != errno.ELOOP:
                 raise
             raise OutputError(
-                f"{self._path} is a link, and is left alone: the progress of a run is noted there. Take it away, or "
+                f"{self._path} is a link and was not touched: the progress of a run is stored there. Remove it, or "
                 "choose another --out"
             ) from error
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             os.close(descriptor)
-            raise OutputError(f"{self._path} is no file. Take it away, or choose another --out")
+            raise OutputError(f"{self._path} is not a file. Remove it, or choose another --out")
         return os.fdopen(descriptor, "a" if flags & os.O_APPEND else "r", encoding="utf-8")
 
 

@@ -25,7 +25,7 @@ class Effort:
 
     def __post_init__(self) -> None:
         if not 1 <= self.least <= self.most:
-            raise UsageError(f"{self.least} to {self.most} drives a patch; it must be 1 at least, and not fall")
+            raise UsageError(f"{self.least} to {self.most} drives a patch; it must be at least 1 and not decrease")
         if not self.target_error > 0:
             raise UsageError(f"target error is {self.target_error}; it must be above 0, such as 0.05")
 

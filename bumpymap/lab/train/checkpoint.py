@@ -58,5 +58,5 @@ def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer:
         raise UsageError(f"{checkpoint} is of a training with other settings: {different}. {remedy}")
     net.load_state_dict(state["network"])
     optimizer.load_state_dict(state["optimizer"])
-    _log.info("going on from epoch %d in %s", done, checkpoint)
+    _log.info("continuing after epoch %d of %s", done, checkpoint)
     return done

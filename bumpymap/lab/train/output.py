@@ -62,7 +62,9 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
         Its folder cannot be written, or is in use.
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise OutputError(f"cannot write {out}: {out.parent} is no folder that you may write to. Choose another --out")
+        raise OutputError(
+            f"cannot write {out}: {out.parent} is not a folder that you can write to. Choose another --out"
+        )
     with locked(out.parent, f".{out.name}.lock"):
         yield ModelFiles(out)
 

@@ -36,7 +36,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
     if inside is not None:
-        raise OutputError(f"{inside} is read by this run, and lies where it would write. Choose another --out")
+        raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another --out")
     check_folder(folder, overwrite=True)
     present = [name for name in _NAMES if lexists(folder / name)]
     if present and not (overwrite or unfinished):
@@ -50,7 +50,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     strange = _strange(folder, unfinished=unfinished)
     if strange:
         raise OutputError(
-            f"{strange} was not written by a scan run that ended, and would go with --overwrite. Move it away, or "
+            f"{strange} was not written by a complete scan run and would be deleted by --overwrite. Move it away, or "
             "choose another --out"
         )
 

@@ -61,7 +61,8 @@ class Gathered:
             record.x, record.y, record.z = world.T
         except OverflowError as error:
             raise BadInputError(
-                f"the frame {name} lies more than 2,000 km from the first one, by its pose. Are they of one drive?"
+                f"according to its pose, the frame {name} lies more than 2,000 km from the first one. Are they from "
+                "one drive?"
             ) from error
         record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
         record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)

@@ -27,7 +27,7 @@ def write_blank(name: str, path: Path, like: str | None) -> None:
     if not _NAME.fullmatch(name):
         raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
     if name in shipped_profiles():
-        raise UsageError(f"a vehicle named {name} ships with bumpymap: choose another name, or --like {name}")
+        raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
     text = blank_profile(name, like)
     try:
         with path.open("x", encoding="utf-8") as file:  # a link in its place is not followed either
@@ -61,10 +61,10 @@ def blank_profile(name: str, like: str | None) -> str:
     model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
     lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
     if like is None:
-        lines.append(f'# Put a number in the place of each "{UNFILLED}".')
+        lines.append(f'# Replace each "{UNFILLED}" by a value.')
     else:
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
-    lines += [f"name = {json.dumps(name)}", "# One line for people."]
+    lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps('like ' + model['name'] if model else UNFILLED, ensure_ascii=False)}")
     table = ""
     for key in KEYS:

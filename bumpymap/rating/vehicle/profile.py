@@ -145,9 +145,9 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
     path = Path(name_or_path)
     if not path.exists():
         raise UsageError(
-            f"no vehicle '{name_or_path}': it is neither a file nor one that ships with bumpymap "
+            f"no vehicle '{name_or_path}': it is neither a file nor an included vehicle "
             f"({', '.join(shipped_profiles())}). Give one of these names, or a TOML file; "
-            "bumpymap vehicle new NAME writes one to fill in"
+            "bumpymap vehicle new NAME writes a template"
         )
     return VehicleProfile.from_dict(read_toml(path, "the vehicle profile", BadInputError), str(path))
 

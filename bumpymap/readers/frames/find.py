@@ -43,7 +43,7 @@ def find_frames(paths: Sequence[Path]) -> list[Path]:
             for file in _files_of(path):
                 found.setdefault(os.path.realpath(file), file)
         except OSError as error:
-            raise BadInputError(f"cannot look at {path}: {error.strerror}") from error
+            raise BadInputError(f"cannot access {path}: {error.strerror}") from error
     return sorted(found.values(), key=natural_key)
 
 
@@ -72,8 +72,8 @@ def _files_of(path: Path) -> list[Path]:
         if files:
             return files
     raise BadInputError(
-        f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are looked for, also in its folders "
-        f"{' and '.join(POINT_FOLDERS)}"
+        f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are searched for, also in its "
+        f"folders {' and '.join(POINT_FOLDERS)}"
     )
 
 

@@ -66,7 +66,7 @@ def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
     if size != _LABEL_BYTES * count:
         raise BadInputError(
             f"{labels} has {size:,} bytes; {path} has {count:,} points, whose labels take {_LABEL_BYTES * count:,}. "
-            "They do not belong together: copy both again, or take the label file away"
+            "They do not belong together: copy both again, or remove the label file"
         )
     with held_to(labels, version):
         ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
@@ -81,6 +81,6 @@ def _refuse_nonsense(path: Path, table: NDArray[np.float32]) -> None:
         sane = np.isnan(xyz) | (np.abs(xyz) < _FARTHEST_M) & ((xyz == 0.0) | (np.abs(xyz) > 1e-12))
     if sane.all(axis=1).mean() < 0.5:
         raise BadInputError(
-            f"{path} holds no float32 x, y, z, intensity: most of its numbers are no places within "
+            f"{path} holds no float32 x, y, z, intensity: most of its coordinates are not within "
             f"{_FARTHEST_M:,.0f} m. Is it another kind of file?"
         )

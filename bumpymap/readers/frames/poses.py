@@ -40,7 +40,7 @@ def read_poses(path: Path, count: int) -> NDArray[np.float64]:
         text = stream.read().decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
-        raise BadInputError(f"{path} is empty; a line for each frame is wanted")
+        raise BadInputError(f"{path} is empty; it must have one line per frame")
     has_header = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in lines[0])
     words = [line.split() for line in lines]
     poses = _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, words, 12))

@@ -31,5 +31,5 @@ def read_table(path: Path) -> RawScan:
 def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:
     ids = column.astype(np.float64)
     if not bool(((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all()):
-        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: no semantic ids")
+        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
     return ids.astype(np.uint16)

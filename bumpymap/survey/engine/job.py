@@ -129,10 +129,10 @@ def failures(budget: Budget) -> Iterator[None]:
         ) from error
     except OSError as error:
         raise OutputError(
-            f"cannot keep points on disk meanwhile: {error}. Free some space, choose a larger disk with --scratch, "
+            f"cannot write temporary points to disk: {error}. Free some space, choose a larger disk with --scratch, "
             "or raise --memory"
         ) from error
     except PackError as error:
         raise OutputError(
-            f"what the run kept on disk meanwhile is gone or damaged: {error}. Run it again, with --overwrite"
+            f"temporary files of the run are missing or damaged: {error}. Run it again, with --overwrite"
         ) from error

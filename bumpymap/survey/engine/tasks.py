@@ -70,7 +70,7 @@ class Order:
                 word = ""
             if word != self.word:
                 raise OutputError(
-                    f"{folder} is not to be seen on {gethostname()}. --out, and --scratch where it is given, must be "
+                    f"{folder} is not visible on {gethostname()}. --out, and --scratch where it is given, must be "
                     "folders that every worker sees under the same name"
                 )
 
@@ -270,9 +270,9 @@ def _opened(path: Location, options: ReadOptions, known: tuple[int, str], _word:
     try:
         reader, here = reopen_survey(path, options), identity(path)
     except BadInputError as error:
-        raise UsageError(f"a worker on {gethostname()} cannot open what the client could: {error}. {remedy}") from error
+        raise UsageError(f"a worker on {gethostname()} cannot open a file of the client: {error}. {remedy}") from error
     if (here["size"], here["digest"]) != known:
-        raise UsageError(f"{path} on {gethostname()} is another file than the client's. {remedy}")
+        raise UsageError(f"{path} on {gethostname()} differs from the file on the client. {remedy}")
     return reader
 
 

@@ -19,7 +19,7 @@ from bumpytiles import Pack, PackError
 
 __all__ = ["ADVICE", "Workspace"]
 
-ADVICE = "Pass --resume to the same command to go on from the finished tiles."
+ADVICE = "Pass --resume to the same command to continue from the finished tiles."
 _READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
 _POINTS = "points"
 _PREFIX = "bumpymap-"

@@ -200,7 +200,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
     (tmp_path / "folder").mkdir()
     path = tmp_path / "progress"
     path.symlink_to(tmp_path / target)
-    with pytest.raises(OutputError, match="is a link, and is left alone"):
+    with pytest.raises(OutputError, match="is a link and was not touched"):
         calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
     assert (tmp_path / "mine").read_text() == "mine"
     assert not (tmp_path / "none").exists()
@@ -209,7 +209,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
     driven = journal.resume(discard_other=False)
     path.unlink()
     path.symlink_to(tmp_path / "mine")  # swapped while the run is under way
-    with pytest.raises(OutputError, match="is a link, and is left alone"):
+    with pytest.raises(OutputError, match="is a link and was not touched"):
         journal.add(("a", 1), PatchDrives(("completed",), (0.1,)))
     assert driven == {}
     assert (tmp_path / "mine").read_text() == "mine"

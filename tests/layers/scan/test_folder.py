@@ -36,13 +36,13 @@ def test_products_of_an_earlier_run_need_a_word(tmp_path, name):
 
 def test_files_of_somebody_else_would_go_with_the_frames_and_are_refused(tmp_path):
     fill(tmp_path, "scan.json", "frames/a.png", "frames/notes.txt")
-    with pytest.raises(OutputError, match=r"notes\.txt was not written by a scan run"):
+    with pytest.raises(OutputError, match=r"notes\.txt was not written by a complete scan run"):
         check_scan_folder(tmp_path, overwrite=True)
 
 
 def test_a_folder_of_frames_that_no_run_wrote_is_not_replaced(tmp_path):
     fill(tmp_path, "frames/0.ply")
-    with pytest.raises(OutputError, match="frames was not written by a scan run"):
+    with pytest.raises(OutputError, match="frames was not written by a complete scan run"):
         check_scan_folder(tmp_path, overwrite=True)
 
 
@@ -50,7 +50,7 @@ def test_a_folder_of_frames_that_no_run_wrote_is_not_replaced(tmp_path):
 def test_the_scans_that_are_read_are_not_replaced(tmp_path, ended):
     fill(tmp_path, "drive/frames/0.ply", *(["drive/scan.json"] if ended else []))
     (tmp_path / "link").symlink_to(tmp_path / "drive")
-    with pytest.raises(OutputError, match="is read by this run"):
+    with pytest.raises(OutputError, match="is an input of this run"):
         check_scan_folder(tmp_path / "drive", [tmp_path / "link" / "frames" / "0.ply"], overwrite=True)
     check_scan_folder(tmp_path / "out", [tmp_path / "link" / "frames" / "0.ply"], overwrite=True)
 

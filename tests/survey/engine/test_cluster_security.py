@@ -163,7 +163,7 @@ def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(tm
         (lambda folder: (folder / "tls.toml").unlink(), "cannot read settings from"),
         (lambda folder: (folder / "tls.toml").write_text('ca = "ca.pem"'), "does not name cert, key"),
         (lambda folder: (folder / "tls.toml").write_text("password = 1"), "unknown setting password; there are: ca"),
-        (lambda folder: (folder / "tls.toml").write_text("ca = 1"), "ca is 1; it must be a text"),
+        (lambda folder: (folder / "tls.toml").write_text("ca = 1"), "ca is 1; it must be a string"),
         (lambda folder: (folder / "key.pem").unlink(), "key.pem cannot be read: No such file"),
         (lambda folder: ((folder / "cert.pem").unlink(), (folder / "cert.pem").mkdir()), "cert.pem cannot be read"),
         (lambda folder: (folder / "ca.pem").write_text("-"), "ca.pem holds no certificate in PEM format"),

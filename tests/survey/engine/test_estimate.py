@@ -119,7 +119,7 @@ def test_info_says_what_a_run_takes(tmp_path):
         return CliRunner().invoke(main, ["info", str(QUARRY), "--quick", *words], env={"COLUMNS": "200"}).output
 
     assert "a run with --memory 1GB on 3 threads" in told("--threads", "3")
-    assert "none: memory holds all points" in told()
+    assert "none: all points fit into memory" in told()
     small = told("--memory", "128MB", "--threads", "1")
     assert "on 1 thread\n" in small
     assert "scratch  none" in small
@@ -130,7 +130,7 @@ def test_info_says_what_a_run_takes(tmp_path):
     axes = "".join(f"property double {axis}\n" for axis in "xyz")
     ply.write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n1 2 3\n")
     both = CliRunner().invoke(main, ["info", str(cloud), str(ply), "--quick"], env={"COLUMNS": "200"}).output
-    assert "unknown before the points are read: leave out --quick" in both
+    assert "unknown until the points are read: run without --quick" in both
     read = json.loads(CliRunner().invoke(main, ["info", str(cloud), str(ply), "--json"]).stdout)["run"]
     assert (read["points"], read["scratch_bytes_at_most"]) == (101, 0)
     assert 2 <= read["tiles_at_most"] <= 10

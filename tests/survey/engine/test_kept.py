@@ -15,7 +15,7 @@ from bumpymap.core.run_folder import Kept, what_is_kept
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.survey.engine.sink import TileSink
 
-GO_ON = "Pass --resume to the same command to go on from the finished tiles."
+GO_ON = "Pass --resume to the same command to continue from the finished tiles."
 
 
 def run(*arguments):

@@ -170,7 +170,11 @@ def test_other_settings_are_named_in_words(tmp_path):
     with pytest.raises(UsageError) as refused, Workspace.opened(tmp_path, None, other, resume=True):
         pass
     lines = refused.value.args
-    for words in ("a.laz has changed since", "b.laz is given, and was not read", "local was not given, is true"):
+    for words in (
+        "a.laz has changed since",
+        "b.laz is given now, but was not an input",
+        "local was not given, is true",
+    ):
         assert f"  {words}" in lines
     assert "chunk_points" not in str(refused.value)
     with Workspace.opened(tmp_path, None, ASKED | {"cut": {"chunk_points": 7}}, resume=True) as space:

@@ -94,7 +94,7 @@ def evaluate_scans(
         progress.advance(1)
     table = join_sectors(classed)
     if fullest is None or not len(table.truth):
-        raise BadInputError("no scan has a sector that can be classed, so there is nothing to evaluate")
+        raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
     progress.start("timing rounds of both methods", settings.repeats)
     facts = {"scans": count, "sectors": len(table.truth), "labelled": int((table.truth >= 0).sum())}
     return ScanFindings(

@@ -148,7 +148,7 @@ def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
 
 def _keep(file: Path, sectors: Sectors) -> None:
     if file.parent.is_symlink():
-        raise OutputError(f"{file.parent} is a link, and is left alone. Take it away, or choose another --out")
+        raise OutputError(f"{file.parent} is a link and was not touched. Remove it, or choose another --out")
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic(file) as beside:
         np.savez(beside, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})

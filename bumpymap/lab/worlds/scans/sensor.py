@@ -38,7 +38,7 @@ class Sensor:
         if self.lines < 2 or self.columns < 8:
             raise UsageError(f"a sensor of {self.lines} lines and {self.columns} columns; it has 2 and 8 at least")
         if not -90.0 < self.lowest_deg < self.highest_deg < 90.0:
-            raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} degrees; they must rise in -90 to 90")
+            raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} deg; they must rise within -90 to 90")
         if not (min(self.height_m, self.reach_m) > 0 and self.noise_m >= 0 and self.end_m > 1 and 0 <= self.lost < 1):
             raise UsageError(
                 f"height_m is {self.height_m}, noise_m {self.noise_m}, reach_m {self.reach_m}, end_m {self.end_m}, "

@@ -184,7 +184,7 @@ def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
 
 
 def test_bad_places_and_folders_are_refused(tmp_path):
-    with pytest.raises(OutputError, match="no folder"):
+    with pytest.raises(OutputError, match="not a writable folder"):
         make_scan_model(SMALL, tmp_path / "nowhere" / "m.onnx", tmp_path)
     with pytest.raises(BadInputError, match="holds no scans"):
         make_scan_model(SMALL, tmp_path / "m.onnx", tmp_path)
