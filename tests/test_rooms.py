@@ -41,7 +41,7 @@ ROOMS = {
     "cost": ({"calibration", "kernels"}, {"bumpytiles", "numpy"}),
     "products": (
         set(),
-        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"},
+        {"bumpytiles", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "geopandas", "xarray"},
     ),
     "engine": ({"readers", "settings_file"}, {"bumpytiles", "numpy"}),
     "pipeline": (
@@ -79,6 +79,8 @@ ROOMS = {
     ),
     "scan": ({"onnx_file"}, {"bumpytiles", "numpy", "skimage", "sklearn"}),
     "scan_world": (set(), {"numpy", "open3d"}),
+    "scan_classifier": ({"frames", "scan", "scan_config", "scan_methods", "settings_file"}, {"numpy"}),
+    "survey_api": ({"pipeline", "products", "settings_file"}, set()),
     "scan_config": ({"frames", "scan"}, set()),
     "scan_methods": ({"scan", "scan_config"}, set()),
     "scan_products": ({"ply_file", "products", "scan"}, {"laspy", "lazrs", "numpy", "pyarrow", "pyproj", "rasterio"}),
@@ -105,7 +107,7 @@ HEAVY = {
     "CSF",
     "bumpytiles", "dartpy", "dask", "distributed", "geopandas", "laspy", "lazrs", "llvmlite", "matplotlib", "numba",
     "numpy", "onnx", "onnxruntime", "open3d", "pandas", "pyarrow", "pyogrio", "pypcd4", "pyproj", "rasterio",
-    "scipy", "shapely", "skimage", "sklearn", "torch",
+    "rioxarray", "scipy", "shapely", "skimage", "sklearn", "torch", "xarray",
 }  # fmt: skip
 
 
@@ -175,7 +177,9 @@ def test_the_engine_does_not_know_bumpymap():
 def test_the_main_job_loads_no_workshop():
     code = "import bumpymap.survey.pipeline, bumpymap.cli.map_command, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"torch", "dask", "open3d", "dartpy", "sklearn", "geopandas", "pandas", "matplotlib"} & set(loaded)
+    assert not {"torch", "dask", "open3d", "dartpy", "sklearn", "geopandas", "pandas", "matplotlib", "xarray"} & set(
+        loaded
+    )
 
 
 def test_help_loads_nothing_heavy():

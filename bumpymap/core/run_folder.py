@@ -69,8 +69,8 @@ def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
     if resume or overwrite:
         return True
     raise OutputError(
-        f"{out} holds a run that was broken off. Pass --resume to go on with it, --overwrite to start anew, or choose "
-        "another --out"
+        f"{out} holds a run that was broken off. Pass `resume=True` to go on with it, `overwrite=True` to start "
+        "anew, or choose another `out`"
     )
 
 
@@ -153,7 +153,7 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
         raise UsageError(
             f"the run in {out} cannot go on, since it was begun with something else:",
             *(f"  {difference}" for difference in found),
-            "Give it the same inputs and settings, or pass --overwrite in the place of --resume to start anew",
+            "Give it the same inputs and settings, or `overwrite=True` in the place of `resume=True` to start anew",
         )
 
 
@@ -197,7 +197,7 @@ def _make_own(path: Path) -> None:
     if not is_own_folder(path, path.parent):
         raise OutputError(
             f"{path} is a link, a file or another user's, and is left alone: a run keeps its work there. Take it away, "
-            "or choose another --out"
+            "or choose another `out`"
         )
     path.chmod(0o700)
 
@@ -214,7 +214,7 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def writing_in(folder: Path, options: str = "--out") -> Iterator[None]:
+def writing_in(folder: Path, options: str = "`out`") -> Iterator[None]:
     """Turn what goes wrong while a folder is written to into an OutputError; ``options`` name another one."""
     try:
         yield

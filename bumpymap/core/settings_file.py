@@ -1,7 +1,9 @@
 """Settings from a TOML file, by the fields of the dataclass that they are for. Unknown keys are refused."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
@@ -10,7 +12,7 @@ from bumpymap.core.config import NameOrFile, names_a_file
 from bumpymap.core.errors import UsageError
 from bumpymap.core.toml_file import read_toml, shown, shown_names
 
-__all__ = ["read_settings_file", "why_no_path"]
+__all__ = ["read_settings_file", "settings_of_call", "why_no_path"]
 
 _LONGEST_NAME = 255
 """Bytes of one name of a path: the file systems in use take no more."""
@@ -49,6 +51,45 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     return _settings(read_toml(path, "settings", UsageError), owner, str(path), path.parent)
 
 
+def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> dict[str, Any]:
+    """Check the keyword arguments of a Python call as those of a file are checked.
+
+    Parameters
+    ----------
+    given : mapping
+        Name -> value. Tables may be dicts or records, paths any path-like object; None is left out.
+    owner : type
+        Dataclass that the settings are for, see `read_settings_file`.
+    function : str
+        What is called, for messages.
+
+    Returns
+    -------
+    dict
+        Arguments of ``owner``.
+
+    Raises
+    ------
+    UsageError
+        A value of the wrong type or out of bounds.
+    """
+    record = {name: _plain(value) for name, value in given.items() if value is not None}
+    return _settings(record, owner, function, Path())
+
+
+def _plain(value: Any) -> Any:
+    """Turn a value of Python into what a TOML file would give."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)  # numpy's numbers too
+
+
 def _settings(record: dict[str, Any], owner: type, origin: str, folder: Path) -> dict[str, Any]:
     known: dict[str, Any] = {f.name: f.type for f in fields(owner)}
     unknown = sorted(set(record) - set(known))
@@ -74,7 +115,7 @@ def _value(value: Any, kind: Any, name: str, origin: str, folder: Path) -> Any:
         if reason := why_no_path(value):
             raise UsageError(f"{origin}: {name}: {reason}")
         return _placed(value, kind, folder)
-    if type(value) is kind:
+    if type(value) is kind:  # of a Python call: records too
         return value
     if kind is float and type(value) is int and abs(value) < 2**1023:
         return float(value)

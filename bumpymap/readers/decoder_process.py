@@ -168,7 +168,7 @@ class ChildDecoder:
         name = signal.Signals(-code).name
         if -code in _FROM_OUTSIDE:
             raise UsageError(
-                f"the process that decodes LAZ was killed ({name}), for want of memory? Lower --memory, or end other "
+                f"the process that decodes LAZ was killed ({name}), for want of memory? Lower `memory`, or end other "
                 "programs, and run again"
             )
         if -code == signal.SIGPROF:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, sector_bounds
 from bumpymap.layers.scan._glyphs import HEIGHT, word
-from bumpymap.layers.scan.geometry import sector_bounds
 from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
 
 __all__ = ["SIDE", "paint", "reach_of", "write_picture"]

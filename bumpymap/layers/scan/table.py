@@ -9,9 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 from bumpymap.layers._arrow import numbers, texts
-from bumpymap.layers.scan.geometry import sector_bounds
 
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 

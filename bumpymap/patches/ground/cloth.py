@@ -54,7 +54,7 @@ def require_filter(settings: CsfSettings, grid: Grid) -> None:
     """
     if importlib.util.find_spec("CSF") is None:
         raise UsageError(
-            "--ground csf needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
+            "`ground='csf'` needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
             "Install it: pip install 'bumpymap[csf]'"
         )
     side = grid.tile_size * BLOCK_TILES
@@ -134,7 +134,7 @@ def _mourn(child: _Child) -> NoReturn:
     code = child.wait()
     how = f"ended by itself (code {code})" if code >= 0 else f"was ended by {signal.Signals(-code).name}"
     raise UsageError(
-        f"the process of the cloth simulation filter {how}. For want of memory: lower --memory or --threads. Else see "
+        f"the process of the cloth simulation filter {how}. For want of memory: lower `memory` or `threads`. Else see "
         f"whether it is installed as it should be: {sys.executable} -c 'import CSF'"
     )
 

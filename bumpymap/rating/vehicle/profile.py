@@ -97,6 +97,11 @@ class VehicleProfile:
         """Width of the whole vehicle, over belly and wheels."""
         return max(self.belly.width_m, self.track_m + self.wheel.width_m)
 
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> "VehicleProfile":
+        """Read a profile: the name of one that ships (``warthog``), or a TOML file; see `load_profile`."""
+        return load_profile(name_or_path)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the nested dictionary that a TOML file of this profile would hold."""
         return {key: _plain(value) for key, value in asdict(self).items()}

@@ -10,4 +10,5 @@ from .poses import (
 from .read import (
     Robot as Robot,
     read_scan as read_scan,
+    scene_points as scene_points,
 )

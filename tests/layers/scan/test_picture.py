@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from bumpymap.core import PolarSettings, Scan
+from bumpymap.core import PolarSettings, Scan, sector_bounds
 from bumpymap.layers import COLOURS, NAMES
 from bumpymap.layers.scan._glyphs import HEIGHT, word
-from bumpymap.layers.scan.geometry import sector_bounds
 from bumpymap.layers.scan.picture import SIDE, paint, reach_of, write_picture
 from bumpymap.scan import classify_filter, point_classes, polar_sectors
 
