@@ -1,19 +1,14 @@
 """Options that commands share, and what was typed: a given option counts, whatever its value is."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
-from bumpymap.core import UsageError
+from bumpymap.core import Clash, refuse_clashes
 
 __all__ = [
-    "COMPAT_WINS",
-    "ONE_PLACE",
-    "ONE_VEHICLE",
-    "Clash",
     "joined",
     "option",
     "output_options",
@@ -57,24 +52,6 @@ def option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-@dataclass(frozen=True, slots=True)
-class Clash:
-    """Two settings that contradict each other."""
-
-    first: str
-    second: str
-    why: str
-
-    def held(self, settings: Mapping[str, Any]) -> bool:
-        """Whether both are there and say something; a flag that is off, and ``none``, say nothing."""
-        return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
-
-
-ONE_VEHICLE = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-COMPAT_WINS = Clash("compat", "rating", "the paper has a rating of its own")
-ONE_PLACE = Clash("crs", "local", "coordinates in a CRS are not local")
-
-
 def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Join the settings of a file and those typed, which win: also over what contradicts them.
 
@@ -83,11 +60,8 @@ def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[C
     UsageError
         Settings of one origin contradict each other.
     """
-    for settings, spelled in ((from_file, str), (given, option)):
-        for clash in clashes:
-            if clash.held(settings):
-                first, second = spelled(clash.first), spelled(clash.second)
-                raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+    refuse_clashes(from_file, clashes)
+    refuse_clashes(given, clashes, option)
     both = from_file | given
     lost = {name for clash in clashes if clash.held(both) for name in (clash.first, clash.second) if name not in given}
     return {name: value for name, value in both.items() if name not in lost}

@@ -6,12 +6,12 @@ from typing import Any
 
 from bumpymap.cli._summary import ALREADY_DONE
 from bumpymap.cli._text import say, say_json, say_table
-from bumpymap.scan import ScanConfig, ScanResult, StripeModel
+from bumpymap.scan import ScanConfig, ScanRun, StripeModel
 
 __all__ = ["show", "show_fit"]
 
 
-def show(result: ScanResult, config: ScanConfig, *, as_json: bool) -> None:
+def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     """Print what a run did: as a table, or as one JSON object."""
     record = _record(result, config)
     if as_json:
@@ -59,7 +59,7 @@ def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str
         yield shown, f"{count:,}", f"{count / total:.1%}", f"{points[name]:,}" if name in points else ""
 
 
-def _record(result: ScanResult, config: ScanConfig) -> dict[str, Any]:
+def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:
     frames = [frame.record() for frame in result.frames]
     return {
         "out": str(config.out),

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bumpymap.cli._wording import as_options
 from bumpymap.core import OutputError
 
 __all__ = [
@@ -67,6 +68,10 @@ def safe(text: str) -> str:
     return text if text.isprintable() else "".join(map(_shown, text))
 
 
+def _spelled(text: str) -> str:
+    return safe(as_options(text))
+
+
 def _shown(letter: str) -> str:
     if unicodedata.category(letter) not in _SHOWN_ESCAPED:
         return letter
@@ -77,12 +82,12 @@ def _shown(letter: str) -> str:
 
 def say(text: str = "", style: str = "") -> None:
     """Print one line to standard output; ``style`` is rich's, for terminals."""
-    _print(Text(safe(text), style))
+    _print(Text(_spelled(text), style))
 
 
 def say_labelled(label: str, text: str, style: str) -> None:
     """Print a line whose beginning is styled."""
-    _print(Text(safe(label), style).append(safe(text), "default"))
+    _print(Text(safe(label), style).append(_spelled(text), "default"))
 
 
 def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
@@ -96,14 +101,14 @@ def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None
         table.add_column(style="cyan", no_wrap=True)
         table.add_column(overflow="fold")
     for row in rows:
-        first, *others = (Text(safe(cell)) for cell in row)
+        first, *others = (Text(_spelled(cell)) for cell in row)
         table.add_row(first if titles else Text("  ").append_text(first), *others)
     _print(table)
 
 
 def say_json(record: Any, indent: int | None = None) -> None:
     """Print JSON to standard output, in ASCII."""
-    _write(json.dumps(record, indent=indent) + "\n")
+    _write(as_options(json.dumps(record, indent=indent)) + "\n")
 
 
 def complain(text: str) -> None:
@@ -112,7 +117,7 @@ def complain(text: str) -> None:
     if stream is None:
         return
     try:
-        stream.write(_encodable(safe(text), stream) + "\n")
+        stream.write(_encodable(_spelled(text), stream) + "\n")
         stream.flush()
     except (OSError, ValueError):  # full, or closed
         _silence(stream)

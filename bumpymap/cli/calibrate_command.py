@@ -20,7 +20,7 @@ from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 
 if TYPE_CHECKING:
     from bumpymap.lab import CalibrationSettings
-    from bumpymap.rating import Calibration, VehicleProfile
+    from bumpymap.rating import Calibration, Vehicle
 
 
 @click.command("calibrate")
@@ -156,7 +156,7 @@ def _summary(calibration: "Calibration", out: Path) -> None:
     say(f"wrote {out}")
 
 
-def _check(profile: "VehicleProfile", seed: int) -> None:
+def _check(profile: "Vehicle", seed: int) -> None:
     """Print a table of the checks; exit code 1 where one fails."""
     from bumpymap.lab import all_checks
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import ONE_PLACE, joined, option, output_options, typed, workers_option
+from bumpymap.cli._options import joined, option, output_options, typed, workers_option
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
-from bumpymap.core import Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
+from bumpymap.core import ONE_PLACE, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 
 if TYPE_CHECKING:
     from bumpymap.lab import EvaluateSettings, Findings, Subject

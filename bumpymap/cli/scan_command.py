@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import ONE_VEHICLE, joined, option, output_options, typed
+from bumpymap.cli._options import joined, option, output_options, typed
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
-from bumpymap.core import Compat, UsageError
+from bumpymap.core import ONE_VEHICLE, Compat, UsageError
 
 if TYPE_CHECKING:
     from bumpymap.core import PolarSettings

@@ -10,7 +10,7 @@ from bumpymap.cli._terminal import PATH
 from bumpymap.cli._text import say
 
 if TYPE_CHECKING:
-    from bumpymap.rating import VehicleProfile
+    from bumpymap.rating import Vehicle
 
 __all__ = ["command"]
 
@@ -66,7 +66,7 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
     say(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
 
 
-def _meaning(profile: "VehicleProfile") -> list[tuple[str, str]]:
+def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
     wheel, belly = profile.wheel, profile.belly
     return [
         ("vehicle", f"{profile.name}: {profile.description}"),

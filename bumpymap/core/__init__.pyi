@@ -1,5 +1,9 @@
 from .config import (
     BOTH as BOTH,
+    CLASHES as CLASHES,
+    ONE_PLACE as ONE_PLACE,
+    ONE_VEHICLE as ONE_VEHICLE,
+    Clash as Clash,
     Compat as Compat,
     CsfSettings as CsfSettings,
     FeatureSettings as FeatureSettings,
@@ -9,6 +13,7 @@ from .config import (
     Rating as Rating,
     ZUnit as ZUnit,
     decide_ground as decide_ground,
+    refuse_clashes as refuse_clashes,
 )
 from .crs.reproject import (
     Place as Place,
@@ -114,12 +119,17 @@ from .scan_types import (
     SectorStack as SectorStack,
     point_classes as point_classes,
 )
+from .sector_geometry import (
+    SectorBounds as SectorBounds,
+    sector_bounds as sector_bounds,
+)
 from .settings_file import (
     UNFILLED as UNFILLED,
     field_rule as field_rule,
     parse_record as parse_record,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
+    settings_of_call as settings_of_call,
     why_no_path as why_no_path,
 )
 from .shared_memory import (
@@ -137,6 +147,7 @@ from .types import (
     PASSABLE_COLUMNS as PASSABLE_COLUMNS,
     REASON_TEXT as REASON_TEXT,
     TEXTURES as TEXTURES,
+    Band as Band,
     CostMap as CostMap,
     CostRule as CostRule,
     CostTable as CostTable,

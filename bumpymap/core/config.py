@@ -1,14 +1,19 @@
 """Settings: one tree of defaults that works with no file. Unknown keys are refused; nothing changes during a run."""
 
 import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from bumpymap.core.errors import BadInputError, UsageError
 
 __all__ = [
     "BOTH",
+    "CLASHES",
+    "ONE_PLACE",
+    "ONE_VEHICLE",
+    "Clash",
     "Compat",
     "CsfSettings",
     "FeatureSettings",
@@ -19,6 +24,7 @@ __all__ = [
     "ZUnit",
     "decide_ground",
     "names_a_file",
+    "refuse_clashes",
 ]
 
 Ground = Literal["auto", "all", "class", "csf"]
@@ -29,11 +35,30 @@ NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
 """The path of a file in settings starts at their folder."""
 
 BOTH = (
-    "--resume continues an interrupted run, --overwrite starts again: give one of them. A run that was started "
-    "with --overwrite goes on with --resume alone"
+    "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
+    "started with `overwrite=True` is resumed with `resume=True` alone"
 )
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clash:
+    """Two settings that contradict each other."""
+
+    first: str
+    second: str
+    why: str
+
+    def held(self, settings: Mapping[str, Any]) -> bool:
+        """Whether both are there and say something; a flag that is off, and ``none``, say nothing."""
+        return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
+
+
+ONE_VEHICLE = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
+ONE_PLACE = Clash("crs", "local", "coordinates in a CRS are not local")
+CLASHES = (ONE_VEHICLE, Clash("compat", "rating", "the paper has a rating of its own"), ONE_PLACE)
+"""Of the settings of a map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +183,8 @@ class MapConfig:
         encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
         if encrypted and self.tls_config is None:
             raise UsageError(
-                f"scheduler is {self.scheduler!r}, which needs certificates: give --tls-config FILE, a file that names "
-                "them (ca, cert, key)"
+                f"scheduler is {self.scheduler!r}, which needs certificates: give `tls_config='FILE'`, a file that "
+                "names them (ca, cert, key)"
             )
         if self.tls_config is not None and not encrypted:
             raise UsageError(
@@ -173,12 +198,20 @@ def names_a_file(text: str) -> bool:
     return text.endswith(".toml") or "/" in text
 
 
+def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:
+    """Raise UsageError where settings of one origin contradict each other; ``spelled`` gives the name of a setting."""
+    for clash in clashes:
+        if clash.held(settings):
+            first, second = spelled(clash.first), spelled(clash.second)
+            raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+
+
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
     if ground == "all":
         return False
     if ground == "class" and not flagged:
-        raise BadInputError("--ground class: no point of the survey has class 2 (ground). Use --ground all")
+        raise BadInputError("`ground='class'`: no point of the survey has class 2 (ground). Use `ground='all'`")
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
 
 

@@ -47,7 +47,7 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
     except (OSError, *failures) as error:  # type: ignore[misc]
         raise OutputError(
             f"cannot write {target}: {error}. Free some space, or choose a folder that can be written, "
-            "with --out; nothing half-written was left there"
+            "with `out`; nothing half-written was left there"
         ) from error
     finally:
         for left in list(target.parent.glob(f"{escape(temporary.stem)}*")) if target.parent.is_dir() else []:
@@ -139,7 +139,7 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(mode=0o700)
     except OSError as error:
-        raise OutputError(f"cannot write to the folder {folder.parent}: {error}. Choose another with --out") from error
+        raise OutputError(f"cannot write to the folder {folder.parent}: {error}. Choose another with `out`") from error
 
 
 def move_together(staged: Path, folder: Path, last: str) -> None:
@@ -162,7 +162,7 @@ def move_together(staged: Path, folder: Path, last: str) -> None:
         if not isinstance(error, OSError):
             raise
         raise OutputError(
-            f"cannot move the new files to {folder}: {error}. Nothing was replaced; choose another --out"
+            f"cannot move the new files to {folder}: {error}. Nothing was replaced; choose another `out`"
         ) from error
 
 

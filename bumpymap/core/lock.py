@@ -75,7 +75,7 @@ def _taken(folder: Path, name: str) -> tuple[int, int]:
                 _note_holder(descriptor)
                 opened.pop_all()
                 return place, descriptor
-    raise OutputError(f"cannot lock the folder {folder}: it comes and goes. Choose another --out")
+    raise OutputError(f"cannot lock the folder {folder}: it comes and goes. Choose another `out`")
 
 
 def _opened_folder(folder: Path) -> int:
@@ -83,7 +83,7 @@ def _opened_folder(folder: Path) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except FileExistsError as error:
-        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another --out") from error
+        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`") from error
     except OSError as error:
         raise _no_folder(folder, error) from error
 
@@ -106,7 +106,7 @@ def _opened_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]
     except PermissionError as error:
         raise OutputError(
             f"{folder / name} belongs to another user: a run of theirs writes there, or was killed. Choose another "
-            "--out, or have them take the file away"
+            "`out`, or have them take the file away"
         ) from error
     except OSError as error:
         raise _no_lock(folder / name) from error
@@ -155,17 +155,17 @@ def _held(descriptor: int, path: Path) -> str:
         who = f": pid {holder['pid']} on {holder['host']} since {holder['since']}: {command}"
     except (OSError, ValueError, KeyError, TypeError):  # it took the lock this moment
         who = ""
-    return f"another run is writing to {path.parent}{who}. Wait until it has ended, or choose another --out"
+    return f"another run is writing to {path.parent}{who}. Wait until it has ended, or choose another `out`"
 
 
 def _no_folder(folder: Path, error: OSError) -> OutputError:
     return OutputError(
-        f"cannot write to the folder {folder}: {error.strerror or error}. Choose one that can be written, with --out"
+        f"cannot write to the folder {folder}: {error.strerror or error}. Choose one that can be written, with `out`"
     )
 
 
 def _no_lock(path: Path) -> OutputError:
     return OutputError(
         f"{path} is not a lock file but a link or something else, and was not touched. Remove it, or choose another "
-        "--out"
+        "`out`"
     )

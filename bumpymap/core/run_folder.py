@@ -69,8 +69,8 @@ def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
     if resume or overwrite:
         return True
     raise OutputError(
-        f"{out} holds an interrupted run. Pass --resume to continue it, --overwrite to start again, or choose "
-        "another --out"
+        f"{out} holds an interrupted run. Pass `resume=True` to continue it, `overwrite=True` to start again, or "
+        "choose another `out`"
     )
 
 
@@ -153,7 +153,7 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
         raise UsageError(
             f"the run in {out} cannot be resumed, because it was started with other inputs or settings:",
             *(f"  {difference}" for difference in found),
-            "Use the same inputs and settings, or pass --overwrite instead of --resume to start again",
+            "Use the same inputs and settings, or pass `overwrite=True` instead of `resume=True` to start again",
         )
 
 
@@ -197,7 +197,7 @@ def _make_own(path: Path) -> None:
     if not is_own_folder(path, path.parent):
         raise OutputError(
             f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its checkpoints "
-            "there. Remove it, or choose another --out"
+            "there. Remove it, or choose another `out`"
         )
     path.chmod(0o700)
 
@@ -214,7 +214,7 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def writing_in(folder: Path, options: str = "--out") -> Iterator[None]:
+def writing_in(folder: Path, options: str = "`out`") -> Iterator[None]:
     """Turn what goes wrong while a folder is written to into an OutputError; ``options`` name another one."""
     try:
         yield

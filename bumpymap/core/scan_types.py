@@ -170,6 +170,8 @@ class ClassedSectors:
     """(n,) stripe count of the filter method; None from the learned one."""
     method: ScanMethod
     """How they were found."""
+    confidence: NDArray[np.float32] | None = None
+    """(n,) probability of the class by the learned method, NaN where not traversable; None from the filter method."""
 
 
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:

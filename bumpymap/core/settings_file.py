@@ -1,7 +1,9 @@
 """Dataclasses from TOML files, by the types of their fields: settings of a run and vehicle profiles."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, runtime_checkable
@@ -10,7 +12,16 @@ from bumpymap.core.config import NameOrFile, names_a_file
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.toml_file import read_toml, shown, shown_names
 
-__all__ = ["UNFILLED", "FieldRule", "field_rule", "parse_record", "read_settings_file", "refuse_faults", "why_no_path"]
+__all__ = [
+    "UNFILLED",
+    "FieldRule",
+    "field_rule",
+    "parse_record",
+    "read_settings_file",
+    "refuse_faults",
+    "settings_of_call",
+    "why_no_path",
+]
 
 UNFILLED = "?"
 """What a file to fill in has where a value with a `FieldRule` is wanted."""
@@ -67,6 +78,47 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     return arguments
 
 
+def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> dict[str, Any]:
+    """Check the keyword arguments of a Python call as those of a file are checked.
+
+    Parameters
+    ----------
+    given : mapping
+        Name -> value. Tables may be dicts or records, paths any path-like object; None is left out.
+    owner : type
+        Dataclass that the settings are for, see `parse_record`.
+    function : str
+        What is called, for messages.
+
+    Returns
+    -------
+    dict
+        Arguments of ``owner``.
+
+    Raises
+    ------
+    UsageError
+        Values of the wrong type or out of bounds; all of them are said.
+    """
+    record = {name: _plain(value) for name, value in given.items() if value is not None}
+    arguments, faults = parse_record(record, owner, Path())
+    refuse_faults(faults, function, UsageError)
+    return arguments
+
+
+def _plain(value: Any) -> Any:
+    """Turn a value of Python into what a TOML file would give."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)  # numpy's numbers too
+
+
 def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = False) -> tuple[dict[str, Any], list[str]]:
     """Turn nested dictionaries into the arguments of a dataclass.
 
@@ -103,7 +155,7 @@ def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], mo
     if faults:
         lines = [f"  {fault}" for fault in faults[:_MOST_FAULTS]]
         left = len(faults) - len(lines)
-        raise error(f"{origin}: {len(faults)} faults{more}", *lines, *([f"  and {left} more"] if left else []))
+        raise error(f"{origin}: {len(faults)} errors{more}", *lines, *([f"  and {left} more"] if left else []))
 
 
 def field_rule(kind: Any) -> FieldRule | None:

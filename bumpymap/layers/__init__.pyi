@@ -26,6 +26,11 @@ from .manifest import (
     software_versions as software_versions,
     write_manifest as write_manifest,
 )
+from .opened import (
+    Layers as Layers,
+    open_layers as open_layers,
+    temporary_folder as temporary_folder,
+)
 from .placement import (
     MAX_PIXELS as MAX_PIXELS,
     MAX_TILES as MAX_TILES,

@@ -11,7 +11,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
 __all__ = ["complete_record", "is_complete", "refuse_replacing"]
 
-_REMEDY = "Choose another --out, or pass --overwrite to replace it"
+_REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
 
 
 def is_complete(folder: Path, manifest: str = MANIFEST_NAME) -> bool:

@@ -58,7 +58,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         It cannot be created or written, or it holds products that may not be replaced.
     """
     if folder.exists() and not folder.is_dir():
-        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another --out")
+        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".bumpymap-{uuid4().hex}"
@@ -70,17 +70,17 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
     except OSError as error:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. "
-            "Choose one that can be written, with --out"
+            "Choose one that can be written, with `out`"
         ) from error
     blocked = [name for name in present if not (folder / name).is_symlink() and not (folder / name).is_file()]
     if blocked:
-        raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another --out")
+        raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
     finished = MANIFEST_NAME in present
     if present and not overwrite and (finished or not resume):
         unfinished = "" if finished else " of a run that did not end"
         raise OutputError(
-            f"{folder} already holds {', '.join(present)}{unfinished}. Choose another --out, "
-            "or pass --overwrite to replace them"
+            f"{folder} already holds {', '.join(present)}{unfinished}. Choose another `out`, "
+            "or pass `overwrite=True` to replace them"
         )
 
 

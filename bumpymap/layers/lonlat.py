@@ -104,22 +104,22 @@ class BoundingBox:
 def _outside(placement: Placement) -> BadInputError:
     return BadInputError(
         f"the survey's coordinates lie outside of what its CRS ({placement.horizontal_crs}) can turn into "
-        "longitude and latitude. Pass the right one with --crs EPSG:CODE, or --local"
+        "longitude and latitude. Pass the right one with `crs='EPSG:CODE'`, or `local=True`"
     )
 
 
 def _transformer(crs: CRS | None) -> Transformer:
     if crs is None:
         raise BadInputError(
-            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass --crs EPSG:CODE, "
-            "or --local to write it in the survey's own coordinates"
+            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` to write it in the survey's own coordinates"
         )
     try:
         return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
     except ProjError as error:
         raise BadInputError(
             f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
-            "say where on Earth it is. Pass another with --crs EPSG:CODE, or --local to keep its own coordinates"
+            "say where on Earth it is. Pass another with `crs='EPSG:CODE'`, or `local=True` to keep its own coordinates"
         ) from error
 
 

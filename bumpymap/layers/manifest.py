@@ -20,6 +20,7 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.summary import MapSummary
 
 __all__ = [
+    "MANIFEST_FORMAT",
     "MANIFEST_NAME",
     "complete_manifest",
     "describe_file",
@@ -29,7 +30,7 @@ __all__ = [
 ]
 
 MANIFEST_NAME = "run.json"
-_FORMAT = "bumpymap-run"
+MANIFEST_FORMAT = "bumpymap-run"
 _VERSION = 1
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
@@ -82,7 +83,7 @@ def complete_manifest(
     place, grid = table.georeference, table.tiles.grid
     crs = Placement.of(table).crs_of_heights
     return {
-        "format": _FORMAT,
+        "format": MANIFEST_FORMAT,
         "version": _VERSION,
         **manifest,
         "inputs": list(inputs),

@@ -48,7 +48,7 @@ from .vehicle.blank import (
     write_blank as write_blank,
 )
 from .vehicle.profile import (
-    VehicleProfile as VehicleProfile,
+    Vehicle as Vehicle,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,
 )

@@ -168,10 +168,10 @@ class Calibration:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
 
     @classmethod
-    def load(cls, path: Path) -> "Calibration":
+    def load(cls, path: str | Path) -> "Calibration":
         """Read a calibration file. Raises BadInputError where it is none."""
         try:
-            text = path.read_text(encoding="utf-8")
+            text = Path(path).read_text(encoding="utf-8")
         except OSError as error:
             raise BadInputError(f"cannot read the calibration {path}: {error.strerror}") from error
         except UnicodeDecodeError:
@@ -185,7 +185,7 @@ class Calibration:
         if vehicle not in known:
             raise UsageError(
                 f"no calibration for a vehicle named '{vehicle}' is included; available are: {', '.join(known)}. "
-                "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then map --calibration FILE"
+                "For others: bumpymap calibrate `vehicle` NAME_OR_FILE `out='FILE'`, then map `calibration='FILE'`"
             )
         resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bumpymap.core import BadInputError
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle import VehicleProfile, load_profile
+from bumpymap.rating.vehicle import Vehicle, load_profile
 
 __all__ = ["calibration_beside", "find_calibration"]
 
@@ -60,5 +60,5 @@ def calibration_beside(profile: Path) -> Path:
 
 def _checked(calibration: Calibration, origin: str) -> Calibration:
     """Hold the stored vehicle to the bounds of profiles, before anything is built of it."""
-    VehicleProfile.from_dict(calibration.vehicle, f"{origin}, vehicle")
+    Vehicle.from_dict(calibration.vehicle, f"{origin}, vehicle")
     return calibration

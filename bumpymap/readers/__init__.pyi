@@ -20,6 +20,7 @@ from .frames.poses import (
 from .frames.read import (
     Robot as Robot,
     read_scan as read_scan,
+    scene_points as scene_points,
 )
 from .point_stats import (
     PointStats as PointStats,

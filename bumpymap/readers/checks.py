@@ -11,7 +11,7 @@ from bumpytiles import Bounds
 
 __all__ = ["TRUST", "box_text", "decoding", "refuse_count", "refuse_header_bounds"]
 
-TRUST = "--trust-points goes on with the points' own extent"
+TRUST = "`trust_points=True` goes on with the points' own extent"
 
 
 @contextmanager

@@ -201,7 +201,7 @@ def _raise_child_died(error: ChildDiedError) -> NoReturn:
         ) from error
     if error.signal in _FROM_OUTSIDE:
         raise UsageError(
-            f"the process that decodes LAZ was killed ({error.signal}), for want of memory? Lower --memory, or end "
+            f"the process that decodes LAZ was killed ({error.signal}), for want of memory? Lower `memory`, or end "
             "other programs, and run again"
         ) from error
     if error.signal == "SIGPROF":

@@ -114,7 +114,7 @@ def _statement_from_keys(keys: dict[int, int], citation: str) -> CrsStatement | 
     notes: tuple[str, ...] = ()
     if keys.get(_MODEL) == 1 or keys.get(_PROJECTED) == _USER_DEFINED:
         named = f" ('{citation}')" if citation else ""
-        notes = (f"its GeoTIFF keys describe a CRS without a code{named}; pass --crs to place it on Earth",)
+        notes = (f"its GeoTIFF keys describe a CRS without a code{named}; pass `crs` to place it on Earth",)
     return CrsStatement(None, unit, unit_z, notes=notes)
 
 

@@ -124,4 +124,6 @@ def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:
     inside = max(map(abs, (raw.mins[0], raw.maxs[0]))) <= 180 and max(map(abs, (raw.mins[1], raw.maxs[1]))) <= 90
     if place.crs is not None or not inside or max(raw.scales[:2]) > 1e-6:
         return ()
-    return ("its coordinates look like degrees; if they are, pass --crs EPSG:4326 for the command that reprojects it",)
+    return (
+        "its coordinates look like degrees; if they are, pass `crs='EPSG:4326'` for the command that reprojects it",
+    )

@@ -160,5 +160,5 @@ def _refuse_unpacking(stream: BinaryIO, path: Location, data_at: int, head: Any,
         raise BadInputError(
             f"{path} is compressed, so it must be unpacked whole, which takes {wanted / 1e6:,.0f} MB; "
             f"{memory / 1e6:,.0f} MB are given. Write it uncompressed (DATA binary), which is read in pieces: "
-            "pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1; or raise --memory"
+            "pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1; or raise `memory`"
         )

@@ -1,3 +1,8 @@
+from .classifier import (
+    ScanClassifier as ScanClassifier,
+    ScanResult as ScanResult,
+    classify_scan as classify_scan,
+)
 from .config import (
     ScanConfig as ScanConfig,
 )
@@ -17,7 +22,7 @@ from .paper import (
     paper_settings as paper_settings,
 )
 from .pipeline import (
-    ScanResult as ScanResult,
+    ScanRun as ScanRun,
     fit_frames as fit_frames,
     scan_frames as scan_frames,
 )

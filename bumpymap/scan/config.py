@@ -59,12 +59,13 @@ class ScanConfig:
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
         if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
             raise UsageError(
-                "--model belongs to the learned method, --stripes and --compat paper to the filter; give options of one"
+                "`model` belongs to the learned method, `stripes` and `compat='paper'` to the filter; give options "
+                "of one"
             )
         if self.stripes is not None and self.compat == "paper":
-            raise UsageError("--compat paper fits stripe classes in every scan, so it cannot use those of --stripes")
+            raise UsageError("`compat='paper'` fits stripe classes in every scan, so it cannot use those of `stripes`")
         maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
         if maps and self.poses is None:
             raise UsageError(
-                f"--{maps[0]} applies to the map of a drive, which needs the pose of every frame: add --poses FILE"
+                f"`{maps[0]}` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
             )

@@ -205,7 +205,7 @@ def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> Clas
     probability = probabilities(stack, model or ScanModel.shipped(), stack.traversable)
     class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
     class_id[stack.traversable] = probability[stack.traversable].argmax(axis=1)
-    return ClassedSectors(stack, class_id, None, "learned")
+    return ClassedSectors(stack, class_id, None, "learned", probability.max(axis=1))
 
 
 def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]) -> NDArray[np.float32]:

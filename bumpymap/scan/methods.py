@@ -8,7 +8,7 @@ from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, Usage
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.learned import ScanModel, classify_learned, grid_record
 from bumpymap.scan.paper import classify_paper
-from bumpymap.scan.polar import polar_sectors
+from bumpymap.scan.polar import SectorBuffers, polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
 
 __all__ = ["Method", "choose_method"]
@@ -22,7 +22,7 @@ class Method:
     basis: str
     """What the classes come from, in words."""
     classify: Callable[[Scan], ClassedSectors]
-    """Cut a scan into sectors and class them."""
+    """Cut a scan into sectors and class them; keeps its buffers for the next scan: for one thread at a time."""
 
 
 def choose_method(config: ScanConfig) -> Method:
@@ -46,16 +46,18 @@ def choose_method(config: ScanConfig) -> Method:
     _require_pixels(stripes.pixels, config.polar)
     centres = ", ".join(f"{centre:.2f}" for centre in stripes.centres)
     basis = f"stripe classes of {'bumpymap' if config.stripes is None else config.stripes}: {centres}"
-    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, config.polar), stripes))
+    buffers = SectorBuffers()
+    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, config.polar, buffers), stripes))
 
 
 def _learned(config: ScanConfig) -> Method:
     model = _shipped_network() if config.model is None else ScanModel.load(config.model)
     if model is None:
-        raise UsageError("no scan network is included for this; name one with --model, or use --method filter")
+        raise UsageError("no scan network is included for this; name one with `model`, or use `method='filter'`")
     model.require_grid(config.polar)
     basis = f"scan network {model.id}"
-    return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar), model))
+    buffers = SectorBuffers()
+    return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar, buffers), model))
 
 
 def _by_network(config: ScanConfig) -> bool:

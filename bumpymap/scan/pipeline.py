@@ -78,7 +78,7 @@ from bumpymap.scan.run_spec import DoneFrames, done_frames, scan_asked, side_fil
 from bumpymap.scan.stripes import StripeModel, fit_stripes, save_stripes as write_stripes
 from bumpymap.survey import MapResult, map_surveys
 
-__all__ = ["ScanResult", "fit_frames", "scan_frames"]
+__all__ = ["ScanRun", "fit_frames", "scan_frames"]
 
 _log = logging.getLogger(__name__)
 
@@ -91,7 +91,7 @@ _MOST_FITTED = 500
 
 
 @dataclass(frozen=True, slots=True)
-class ScanResult:
+class ScanRun:
     """What a run did."""
 
     files: tuple[str, ...]
@@ -117,7 +117,7 @@ class _Sinks:
     gathered: Gathered | None
 
 
-def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanResult:
+def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun:
     """Class the ground of each frame and write the products; with poses, map the drive.
 
     Raises
@@ -163,7 +163,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
     return model, skipped
 
 
-def _scan(config: ScanConfig, progress: Progress) -> ScanResult:
+def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
     clock = Stopwatch()
     with clock.stage("prepare"):
         unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
@@ -185,7 +185,7 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanResult:
             mapped = _map(drive, done.gathered, progress)
     seconds = {**done.seconds, **({} if is_there else clock.seconds)}
     already_done = is_there and (mapped is None or mapped.already_done)
-    return ScanResult(done.files, done.method, done.reports, done.skipped, seconds, mapped, already_done)
+    return ScanRun(done.files, done.method, done.reports, done.skipped, seconds, mapped, already_done)
 
 
 def _scan_frames(
@@ -200,8 +200,8 @@ def _scan_frames(
     """Class the frames that are not done yet; put the products in their places when all are."""
     reports: list[FrameReport] = []
     skipped: dict[str, str] = {}
-    how = "in the place of --overwrite" if config.overwrite else "to the same command"
-    advice = f"Pass --resume {how} to continue from the finished frames."
+    how = "in the place of `overwrite=True`" if config.overwrite else "to the same command"
+    advice = f"Pass `resume=True` {how} to continue from the finished frames."
     with (
         RunFolder.opened(
             config.out, run_spec, resume=config.resume, finished=finished_parts, advice=advice, judge=lambda _: Kept.ALL
@@ -320,7 +320,7 @@ def _skipping(frame: Frame, config: ScanConfig, skipped: dict[str, str]) -> Iter
         yield
     except BadInputError as error:
         if not config.skip_bad:
-            error.add_note("--skip-bad goes on without such frames.")
+            error.add_note("`skip_bad=True` goes on without such frames.")
             raise
         _log.warning("skipped %s: %s", frame.path, error)
         skipped[str(frame.path)] = str(error)
@@ -354,7 +354,7 @@ def _world(config: ScanConfig) -> CRS | None:
         return None
     crs = parse_crs(config.crs)
     if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
-        raise UsageError(f"--crs {config.crs} is {crs.name}; poses are in metres, so give a projected CRS in metres")
+        raise UsageError(f"`crs='{config.crs}'` is {crs.name}; poses are in metres, so give a projected CRS in metres")
     return crs
 
 
@@ -383,12 +383,14 @@ def _map(drive: MapConfig, gathered: dict[str, int], progress: Progress) -> MapR
         _log.warning("no map was made: none of the %d gathered points lies in a traversable sector", gathered["points"])
         return None
     if drive.out.is_symlink():
-        raise OutputError(f"{drive.out} is a link and was not touched. Remove it, or pass --overwrite to replace it")
+        raise OutputError(
+            f"{drive.out} is a link and was not touched. Remove it, or pass `overwrite=True` to replace it"
+        )
     try:
         return map_surveys(drive, progress)
     except BaseException as end:
         note = "The products of the frames are complete; the map of the drive is missing."
-        end.__notes__ = [note + (" Pass --resume to make it." if what_is_kept(end) is not Kept.NOTHING else "")]
+        end.__notes__ = [note + (" Pass `resume=True` to make it." if what_is_kept(end) is not Kept.NOTHING else "")]
         raise
 
 
@@ -396,6 +398,6 @@ def _check_fit(config: ScanConfig) -> None:
     if find_spec("sklearn") is None:
         raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'")
     if config.out.exists() and not config.overwrite:
-        raise OutputError(f"{config.out} exists already. Choose another --fit, or pass --overwrite to replace it")
+        raise OutputError(f"{config.out} exists already. Choose another `fit`, or pass `overwrite=True` to replace it")
     if not config.out.parent.is_dir():
-        raise OutputError(f"cannot write {config.out}: there is no folder {config.out.parent}. Choose another --fit")
+        raise OutputError(f"cannot write {config.out}: there is no folder {config.out.parent}. Choose another `fit`")

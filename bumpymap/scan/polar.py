@@ -6,6 +6,7 @@ direction of its points, and turns with them. A robot that turns on the spot kee
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
 from bumpymap.scan._place_kernels import count_labels, place_points, point_directions, sort_points
 from bumpymap.scan._sector_kernels import SAMPLE, measure_sectors
 
-__all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
+__all__ = ["RANSAC_THRESHOLD_M", "SectorBuffers", "anchor_of", "polar_sectors"]
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -23,7 +24,25 @@ _BLOCK = 512
 """Points whose distance and direction are found at once: they stay in the nearest cache."""
 
 
-def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorStack:
+class SectorBuffers:
+    """Scratch arrays that grow to the largest scan seen and are used again for the next; for one thread at a time."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, NDArray[Any]] = {}
+
+    def empty(self, name: str, length: int, dtype: type, rows: int = 1) -> NDArray[Any]:
+        """Give an array (length,), or (rows, length) where there is more than one row, with anything in it."""
+        size = rows * length
+        kept = self._arrays.get(name)
+        if kept is None or len(kept) < size:
+            kept = self._arrays[name] = np.empty(size, dtype)
+        part = kept[:size]
+        return part if rows == 1 else part.reshape(rows, length)
+
+
+def polar_sectors(
+    scan: Scan, settings: PolarSettings | None = None, buffers: SectorBuffers | None = None
+) -> SectorStack:
     """Cut a scan into sectors and measure those that hold enough points.
 
     Parameters
@@ -31,6 +50,8 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     scan : Scan
     settings : PolarSettings, optional
         The paper's grid, where none is given.
+    buffers : SectorBuffers, optional
+        Of earlier scans; nothing of what is returned lies in them.
 
     Returns
     -------
@@ -46,15 +67,16 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     points = np.ascontiguousarray(scan.points, np.float32)
     start = anchor_of(points, settings) if settings.anchored else 0.0
     sectors, rings = np.array(settings.sectors, np.int64), np.array(settings.rings, np.int64)
-    cell, pixel = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
+    buffers = buffers or SectorBuffers()
+    cell, pixel, order = (buffers.empty(name, len(points), np.int32) for name in ("cell", "pixel", "order"))
     polar = np.empty((2, _BLOCK))
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     place_points(points, edges, sectors, rings, start / (2.0 * math.pi), settings.pixels, polar, cell, pixel)
-    starts, order = np.zeros(int(sectors @ rings) + 2, np.int64), np.empty(len(points), np.int32)
+    starts = np.zeros(int(sectors @ rings) + 2, np.int64)
     sort_points(cell, starts, order)
     counts = np.diff(starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    scalars, normal, heights = _measure(points, pixel, order, starts, cells, settings.pixels)
+    scalars, normal, heights = _measure(points, pixel, order, starts, cells, settings.pixels, buffers)
     zone, ring, sector = _places(cells, sectors, rings)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
     rows[cells] = np.arange(len(cells), dtype=np.int32)
@@ -90,6 +112,7 @@ def _measure(
     starts: NDArray[np.int64],
     cells: NDArray[np.int64],
     pixels: int,
+    buffers: SectorBuffers,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """Scalars, normals and heightmaps, as ``measure_sectors`` fills them."""
     scalars, normal = np.empty((len(cells), 4)), np.empty((len(cells), 3), np.float32)
@@ -105,7 +128,7 @@ def _measure(
         scalars,
         normal,
         heights,
-        np.empty((3, most)),
+        buffers.empty("sector", most, np.float64, rows=3),
         np.empty((3, SAMPLE), np.float32),
         np.empty((2, pixels * pixels)),
         np.empty(pixels * pixels, np.int32),

@@ -86,5 +86,5 @@ def _refuse_missing(config: ScanConfig, reports: Sequence[FrameReport]) -> None:
         if not has_files(report.frame.name, config.out, config.products):
             raise OutputError(
                 f"{config.out} already holds a complete run, but files of the frame {report.frame.name} are missing. "
-                "Choose another --out, or pass --overwrite to replace it"
+                "Choose another `out`, or pass `overwrite=True` to replace it"
             )

@@ -6,6 +6,9 @@ from .advice import (
     made_for as made_for,
     size_options as size_options,
 )
+from .api import (
+    map_survey as map_survey,
+)
 from .engine.budget import (
     Budget as Budget,
     memory_bytes as memory_bytes,

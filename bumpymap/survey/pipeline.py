@@ -150,7 +150,7 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         if csf is not None:
             require_filter(csf, grid)
             _log.warning(
-                "--ground csf removes everything that stands more than %g m above the ground, boulders and posts as "
+                "`ground='csf'` removes everything that stands more than %g m above the ground, boulders and posts as "
                 "well as trees. The layers show how rough the ground is, not whether it is free of obstacles",
                 csf.class_threshold,
             )
@@ -224,7 +224,7 @@ def _done_before(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
 
 
 def _advice(config: MapConfig) -> str:
-    return ADVICE.replace("to the same command", "in the place of --overwrite") if config.overwrite else ADVICE
+    return ADVICE.replace("to the same command", "in the place of `overwrite=True`") if config.overwrite else ADVICE
 
 
 def _asked(
@@ -295,11 +295,11 @@ def _open(config: MapConfig) -> _Inputs:
         raise BadInputError("none of the inputs could be read:", *skipped.values())
     georeference = common_georeference([reader.info for reader in readers])
     if georeference.crs is not None and config.local:
-        _log.warning("--local is not needed: the survey has a CRS (%s)", georeference.crs.name)
+        _log.warning("`local=True` is not needed: the survey has a CRS (%s)", georeference.crs.name)
     if georeference.crs is None and not config.local:
         raise BadInputError(
-            f"{readers[0].info.path} has no CRS, so its location on Earth is unknown. Pass --crs EPSG:CODE, "
-            "or --local to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
+            f"{readers[0].info.path} has no CRS, so its location on Earth is unknown. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
         )
     return _Inputs(readers, georeference, skipped)
 

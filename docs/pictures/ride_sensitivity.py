@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from bumpymap.lab import DriveSettings, PatchGround, Physics
 from bumpymap.lab.simulate.drive import drive
-from bumpymap.rating import VehicleProfile, load_profile
+from bumpymap.rating import Vehicle, load_profile
 from bumpymap.rating.textures import make_textures
 
 PATCHES = 24
 Z_RANGE_M = 0.3
 
 
-def mean_c_r(profile: VehicleProfile, settings: DriveSettings, patches: NDArray[np.floating]) -> tuple[float, int]:
+def mean_c_r(profile: Vehicle, settings: DriveSettings, patches: NDArray[np.floating]) -> tuple[float, int]:
     """Mean C_r over patches, (n, pixels, pixels) m, and the number of completed drives."""
     drives = [
         drive(profile, PatchGround.from_heights(patch, 3.0), seed, settings) for seed, patch in enumerate(patches)

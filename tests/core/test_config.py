@@ -65,7 +65,7 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
         ({"compat": "other"}, "compat"),
         ({"workers": 0}, "workers is 0; it must be a whole number, at least 1"),
         ({"workers": 2, "scheduler": "tcp://a:1"}, "give one of them"),
-        ({"scheduler": "tls://a:1"}, "needs certificates: give --tls-config FILE"),
+        ({"scheduler": "tls://a:1"}, "needs certificates: give `tls_config='FILE'`"),
         ({"scheduler": "tcp://a:1", "tls_config": Path("t.toml")}, "address starts with tls://"),
         ({"workers": 2, "tls_config": Path("t.toml")}, "scheduler is None; certificates are for a scheduler"),
     ],

@@ -42,7 +42,7 @@ def test_the_loser_says_who_holds_it(tmp_path, holder):
     said = str(refused.value)
     assert re.search(rf"another run is writing to {re.escape(str(out))}: pid {holder.pid} on \S+ since \d\d\d\d-", said)
     assert "'a word'" in said
-    assert "--out" in said
+    assert "`out`" in said
     assert (out / LOCK).read_bytes() == before
 
 
@@ -114,7 +114,7 @@ def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch)
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
     for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"), locked(place):
+        with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"), locked(place):
             pass
 
 

@@ -79,7 +79,7 @@ def test_failure_keeps_the_old_file_and_leaves_no_scratch(tmp_path):
 
 
 def test_failure_to_write_names_the_file_and_what_to_do(tmp_path):
-    with pytest.raises(OutputError, match=r"cannot write .*a\.txt.*--out"), atomic(tmp_path / "no" / "a.txt") as path:
+    with pytest.raises(OutputError, match=r"cannot write .*a\.txt.*`out`"), atomic(tmp_path / "no" / "a.txt") as path:
         path.write_text("x")
     with pytest.raises(OutputError, match="broken pipe of a library"), atomic(tmp_path / "a", (KeyError,)):
         raise KeyError("broken pipe of a library")
@@ -193,5 +193,5 @@ def test_failure_while_writing_leaves_the_folder_as_it_was(tmp_path):
     with pytest.raises(ZeroDivisionError):
         write_half()
     assert content(tmp_path) == OLD
-    with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"), together(tmp_path / "no", "run.json"):
+    with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"), together(tmp_path / "no", "run.json"):
         pass

@@ -115,7 +115,7 @@ def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     (tmp_path / "notes.txt").write_text("not ours")
     check_folder(tmp_path, overwrite=False)
     (tmp_path / name).write_text("ours")
-    with pytest.raises(OutputError, match=f"already holds {name}.*--overwrite"):
+    with pytest.raises(OutputError, match=f"already holds {name}.*`overwrite=True`"):
         check_folder(tmp_path, overwrite=False)
     check_folder(tmp_path, overwrite=True)
     if name == "run.json":
@@ -129,7 +129,7 @@ def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
 def test_places_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("x")
     for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(OutputError, match=r"cannot write to the folder .*--out"):
+        with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"):
             check_folder(place, overwrite=True)
     (tmp_path / "out" / "class.tif").mkdir(parents=True)
     with pytest.raises(OutputError, match="is not a file"):
@@ -151,7 +151,7 @@ def test_a_run_that_breaks_leaves_the_folder_as_it_was(tmp_path, cost_map, monke
 
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
-    with pytest.raises(BadInputError, match="--local"):
+    with pytest.raises(BadInputError, match="`local=True`"):
         write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
     assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES)

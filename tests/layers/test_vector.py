@@ -202,7 +202,7 @@ def test_antimeridian_is_cut(tmp_path, make_map):
 def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
     regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
-    with pytest.raises(BadInputError, match=r"no CRS.*--crs EPSG:CODE.*--local"):
+    with pytest.raises(BadInputError, match=r"no CRS.*`crs='EPSG:CODE'`.*`local=True`"):
         write_geojson(regions, path, local=False)
     assert not path.exists()
     write_geojson(regions, path, local=True)
@@ -220,7 +220,7 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
     site = CRS.from_wkt('ENGCRS["mine grid",EDATUM["mine"],CS[Cartesian,2],'
                         'AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]')  # fmt: skip
     regions = regions_of(make_field(5, 5, georeference=Georeference(site)))
-    with pytest.raises(BadInputError, match=r"mine grid.*no known relation.*--local"):
+    with pytest.raises(BadInputError, match=r"mine grid.*no known relation.*`local=True`"):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
     write_geojson(regions, tmp_path / "cost.geojson", local=True)
     assert "local_coordinates" in json.loads((tmp_path / "cost.geojson").read_text())
@@ -228,7 +228,7 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
-    with pytest.raises(BadInputError, match=r"outside of what its CRS.*--crs"):
+    with pytest.raises(BadInputError, match=r"outside of what its CRS.*`crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
 
 

@@ -176,7 +176,7 @@ def test_a_filter_that_died_is_told_and_replaced(wood):
     (child,) = cloth._idle
     child.process.kill()
     child.process.wait()
-    with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower --memory"):
+    with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower `memory`"):
         mark_ground(block, CsfSettings())
     np.testing.assert_array_equal(mark_ground(block, CsfSettings()), marks)
 

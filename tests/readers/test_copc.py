@@ -198,7 +198,7 @@ def test_a_file_that_ends_early(tree, length):
 def test_an_octree_built_around_another_place(las, tree, read):
     """Regions would be taken for complete while their points are still to come."""
     path = las.patch(tree(), INFO, "<d", 500_300.0)
-    with pytest.raises(BadInputError, match=r"points of .* lie outside the octree node.*--trust-points"):
+    with pytest.raises(BadInputError, match=r"points of .* lie outside the octree node.*`trust_points=True`"):
         exhaust(path)
     trusted = open_survey(path, ReadOptions(trust_points=True))
     assert {chunk.bounds for chunk in trusted.chunks(300)} == {None}

@@ -191,7 +191,7 @@ def test_given_crs_fills_in_and_wins(las, read, caplog):
 
 def test_unreadable_wkt_is_refused_unless_a_crs_is_given(las):
     path = las.write(version="1.4", fmt=6, wkt="PROJCS[oh no", wkt_bit=True)
-    with pytest.raises(BadInputError, match=r"WKT.*--crs"):
+    with pytest.raises(BadInputError, match=r"WKT.*`crs`"):
         open_survey(path)
     assert open_survey(path, ReadOptions(crs="EPSG:32614")).info.georeference.crs.to_epsg() == 32614
 
@@ -206,7 +206,7 @@ def test_unreadable_wkt_is_refused_unless_a_crs_is_given(las):
 )
 def test_geotiff_keys_that_contradict_themselves_are_refused(las, geokeys, says):
     path = las.write(geokeys=geokeys)
-    with pytest.raises(BadInputError, match=f"{says}.*--crs"):
+    with pytest.raises(BadInputError, match=f"{says}.*`crs`"):
         open_survey(path)
     assert open_survey(path, ReadOptions(crs="EPSG:32614")).info.georeference.crs.to_epsg() == 32614
 
@@ -234,7 +234,7 @@ def test_degrees_are_refused_with_the_command_that_helps(las, middle, code, how)
 
 
 def test_metres_that_are_said_to_be_degrees(las):
-    with pytest.raises(BadInputError, match=r"not such a place.*--crs"):
+    with pytest.raises(BadInputError, match=r"not such a place.*`crs`"):
         open_survey(las.write(wkt=CRS(4326).to_wkt("WKT1_GDAL")))
 
 

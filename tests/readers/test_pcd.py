@@ -146,7 +146,7 @@ def bomb(path, points, claimed=0):
 def test_a_compressed_file_that_memory_cannot_hold_is_refused(tmp_path, read):
     path = bomb(tmp_path / "a.pcd", 100_000)
     wanted = 2 * 1_600_000 + 3 * (path.stat().st_size - 200)
-    with pytest.raises(BadInputError, match=r"unpacked whole, which takes 3 MB; 3 MB are given.*DATA binary.*--memory"):
+    with pytest.raises(BadInputError, match=r"unpacked whole, which takes 3 MB; 3 MB are given.*DATA binary.*`memory`"):
         open_survey(path, ReadOptions(memory=wanted - 1000))
     points, _ = read(open_survey(path, ReadOptions(memory=wanted + 10_000)))
     assert len(points) == 100_000

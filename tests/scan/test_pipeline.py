@@ -224,11 +224,11 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     before = checksums(out) if older else {}
     with pytest.raises(KeyboardInterrupt) as end:
         scan_frames(replace(config, overwrite=older), _Ends(after))
-    how = "in the place of --overwrite" if older else "to the same command"
-    assert end.value.__notes__ == [f"Pass --resume {how} to continue from the finished frames."]
+    how = "in the place of `overwrite=True`" if older else "to the same command"
+    assert end.value.__notes__ == [f"Pass `resume=True` {how} to continue from the finished frames."]
     assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
     assert (out / ".bumpymap-run").is_dir()
-    with pytest.raises(OutputError, match=r"an interrupted run\. Pass --resume"):
+    with pytest.raises(OutputError, match=r"an interrupted run\. Pass `resume=True`"):
         scan_frames(config)
     with pytest.raises(UsageError, match="products was polygons, table, cloud, picture, is table"):
         scan_frames(replace(config, resume=True, products=("table",)))
@@ -291,7 +291,9 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
         (replace(config, compat="paper"), "compat was none, is paper"),
         (replace(config, poses=drive / "poses.txt"), "poses.txt is given now, but was not an input"),
     ):
-        with pytest.raises(OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*--overwrite"):
+        with pytest.raises(
+            OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*`overwrite=True`"
+        ):
             scan_frames(other)
     write_bin(frames / "0.bin", world()[::-1] - POSES[0][1])
     with pytest.raises(OutputError, match=r"0\.bin has changed since"):
@@ -311,7 +313,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mappe
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == [
-        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+        "The products of the frames are complete; the map of the drive is missing. Pass `resume=True` to make it."
     ]
     done_frames.clear()
     result = scan_frames(replace(config, resume=True))
@@ -332,7 +334,7 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
         patch.setattr("bumpymap.layers.scan.frame.sync", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
-    assert failed.value.__notes__ == ["Pass --resume to the same command to continue from the finished frames."]
+    assert failed.value.__notes__ == ["Pass `resume=True` to the same command to continue from the finished frames."]
     done_frames.clear()
     scan_frames(replace(config, resume=True))
     assert done_frames == ["1"]
@@ -375,7 +377,7 @@ def test_an_interrupt_while_the_drive_is_mapped_keeps_the_frames(drive, tmp_path
     with pytest.raises(KeyboardInterrupt) as end:
         scan_frames(config, _Ends(3))
     assert end.value.__notes__ == [
-        "The products of the frames are complete; the map of the drive is missing. Pass --resume to make it."
+        "The products of the frames are complete; the map of the drive is missing. Pass `resume=True` to make it."
     ]
     assert {"gathered.laz", "sectors.parquet", "scan.json"} <= set(files(out))
     assert "map/run.json" not in files(out)
@@ -387,7 +389,7 @@ def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, ma
     scan_frames(config)
     before = checksums(out)
     assert scan_frames(config).already_done
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         scan_frames(replace(config, products=("table",)))
     assert checksums(out) == before
     scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=("picture",), method="filter"))
@@ -403,8 +405,8 @@ def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_the
     with pytest.raises(BadInputError, match=r"1\.bin has 3 bytes") as failed:
         scan_frames(config)
     assert failed.value.__notes__ == [
-        "--skip-bad goes on without such frames.",
-        "Pass --resume to the same command to continue from the finished frames.",
+        "`skip_bad=True` goes on without such frames.",
+        "Pass `resume=True` to the same command to continue from the finished frames.",
     ]
     result = scan_frames(replace(config, skip_bad=True, resume=True))
     assert list(result.skipped) == [str(tmp_path / "1.bin")]
@@ -516,14 +518,14 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"crs": "EPSG:32614"}, "add --poses"),
-        ({"vehicle": "warthog"}, "add --poses"),
+        ({"crs": "EPSG:32614"}, "add `poses="),
+        ({"vehicle": "warthog"}, "add `poses="),
         ({"products": ("tables",)}, "polygons, table, cloud, picture"),
         ({"products": ()}, "give one or more"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
         ({"method": "filter", "model": "a.onnx"}, "options of one"),
         ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),
-        ({"stripes": "a.json", "compat": "paper"}, "cannot use those of --stripes"),
+        ({"stripes": "a.json", "compat": "paper"}, "cannot use those of `stripes`"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):
@@ -534,7 +536,7 @@ def test_settings_that_do_not_go_together(tmp_path, settings, words):
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2264", "EPSG:4978", "nonsense"])
 def test_a_crs_that_is_not_in_metres_is_refused_before_the_work(drive, tmp_path, crs):
     config = ScanConfig((drive / "frames",), tmp_path / "out", poses=drive / "poses.txt", crs=crs, method="filter")
-    with pytest.raises(UsageError, match="--crs"):
+    with pytest.raises(UsageError, match=r"`crs[`=]"):
         scan_frames(config)
     assert not (tmp_path / "out").exists()
 

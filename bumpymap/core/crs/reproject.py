@@ -11,7 +11,7 @@ from bumpymap.core.errors import BadInputError
 __all__ = ["SAY_CRS", "Place", "describe_crs", "refuse_unprojected", "reproject_command", "utm_epsg"]
 
 _ZONE = "where ZZ is the UTM zone, (longitude + 180) / 6 + 1 (327ZZ in the south)"
-SAY_CRS = "Say which CRS the coordinates are in with --crs, such as --crs EPSG:32614"
+SAY_CRS = "Say which CRS the coordinates are in with `crs`, such as `crs='EPSG:32614'`"
 
 
 @dataclass(frozen=True, slots=True)

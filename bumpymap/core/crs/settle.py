@@ -72,7 +72,7 @@ def parse_crs(text: str) -> CRS:
         return CRS.from_user_input(text)
     except CRSError as error:
         raise UsageError(
-            f"--crs '{text}' is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or WKT"
+            f"`crs='{text}'` is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or WKT"
         ) from error
 
 
@@ -179,7 +179,7 @@ def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
         return
     if from_user:
         raise UsageError(
-            f"--crs '{crs.name}' has an invalid unit of {wrong:g} m. Give a code such as EPSG:32614, a PROJ "
+            f"`crs='{crs.name}'` has an invalid unit of {wrong:g} m. Give a code such as EPSG:32614, a PROJ "
             "string or WKT with units"
         )
     raise BadInputError(
@@ -189,13 +189,13 @@ def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
 
 def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
     if statement.trouble:
-        return [f"its own CRS was set aside for --crs: {statement.trouble}"]
+        return [f"its own CRS was set aside for `crs`: {statement.trouble}"]
     if statement.crs is None:
         return []
     ours, theirs = horizontal_of(user), horizontal_of(statement.crs)
     if ours is not None and theirs is not None and same_crs(ours, theirs):
         return []
-    return [f"the file says its CRS is {describe_crs(statement.crs)}; --crs says {describe_crs(user)}, and wins"]
+    return [f"the file says its CRS is {describe_crs(statement.crs)}; `crs` says {describe_crs(user)}, and wins"]
 
 
 def same_crs(first: CRS, second: CRS) -> bool:
@@ -288,7 +288,7 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     advice = (
         f"{SAY_CRS} if that is right for all of them"
         if any(crs is None for crs in held)
-        else "Reproject them to one CRS, or map them in separate runs; --crs sets one for all if the files are wrong"
+        else "Reproject them to one CRS, or map them in separate runs; `crs` sets one for all if the files are wrong"
     )
     raise BadInputError("the files are not in one CRS:", *_listed(ordered, held), advice)
 
@@ -301,12 +301,12 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
         raise BadInputError(
             "the heights of the files are not in one vertical CRS:",
             *_listed(ordered, held),
-            "Reproject them to one, or map them in separate runs; --crs with a vertical part, such as "
+            "Reproject them to one, or map them in separate runs; `crs` with a vertical part, such as "
             "EPSG:32614+5703, sets one for all if the files are wrong",
         )
     if stated and len(stated) < len(held):
         _log.warning(
-            "%d of %d files state a vertical CRS (%s), so the layers carry none. --crs with a vertical part, such as "
+            "%d of %d files state a vertical CRS (%s), so the layers carry none. `crs` with a vertical part, such as "
             "EPSG:32614+5703, sets one for all",
             len(stated),
             len(held),

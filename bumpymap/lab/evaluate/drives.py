@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import PatchStack
 from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.simulate import PatchDrives
-from bumpymap.rating import VehicleProfile
+from bumpymap.rating import Vehicle
 
 __all__ = ["MOST_FAILED", "Driven", "ground_of", "journal_settings"]
 
@@ -79,7 +79,7 @@ def ground_of(patches: PatchStack) -> Floats:
 
 
 def journal_settings(
-    profile: VehicleProfile, settings: EvaluateSettings, tile_size: float, pixels: int, ground: dict[str, Any]
+    profile: Vehicle, settings: EvaluateSettings, tile_size: float, pixels: int, ground: dict[str, Any]
 ) -> dict[str, Any]:
     """All that decides the drives of a patch, as JSON: not which patches are chosen, nor how they are rated."""
     return {

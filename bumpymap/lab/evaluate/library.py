@@ -6,7 +6,7 @@ from bumpymap.core import FeatureSettings, PatchStack, UsageError
 from bumpymap.lab.simulate import CalibrationSettings, library_terrain
 from bumpymap.lab.worlds import FINE, KINDS, Terrain
 from bumpymap.patches import join_stacks, measure
-from bumpymap.rating import Calibration, VehicleProfile
+from bumpymap.rating import Calibration, Vehicle
 from bumpytiles import TileBuckets, TilePoints
 
 __all__ = ["bucketed", "dead_flat", "library_terrains", "require_unseen", "stack_of"]
@@ -20,7 +20,7 @@ def require_unseen(calibration: Calibration, seed: int) -> None:
         )
 
 
-def library_terrains(calibration: Calibration, profile: VehicleProfile, seed: int, each: int) -> list[Terrain]:
+def library_terrains(calibration: Calibration, profile: Vehicle, seed: int, each: int) -> list[Terrain]:
     """Make terrain as high and as steep as suits a vehicle: ``each`` of every kind, kind by kind."""
     made = CalibrationSettings(profile, seed=seed, tile_size=calibration.tile_size, pixels=calibration.pixels)
     return [library_terrain(made, kind, index) for kind in KINDS for index in range(each)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CostMap, Georeference, PatchStack, Rating, TextureMap
-from bumpymap.rating import Calibration, Prediction, RideModel, TextureModel, VehicleProfile, classify, rate, roll_over
+from bumpymap.rating import Calibration, Prediction, RideModel, TextureModel, Vehicle, classify, rate, roll_over
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +66,7 @@ class Subject:
     """A calibrated vehicle and its ratings."""
 
     calibration: Calibration
-    profile: VehicleProfile
+    profile: Vehicle
     ratings: Mapping[str, Rate]
     """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``."""
     textures: TextureModel
@@ -83,7 +83,7 @@ class Subject:
             It holds no ride model and that is wanted, or the texture network is for other tiles.
         """
         textures.require_grid(calibration.tile_size, calibration.pixels)
-        profile = VehicleProfile.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+        profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
 
         def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:
             return rate(patches, seen, calibration, place)

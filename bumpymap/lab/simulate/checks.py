@@ -10,7 +10,7 @@ import numpy as np
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.pool import run_in_processes
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround
-from bumpymap.rating import VehicleProfile, make_textures
+from bumpymap.rating import Vehicle, make_textures
 
 __all__ = ["CheckResult", "all_checks", "check_plane", "check_repeat", "check_sine", "check_step", "sine_c_r"]
 
@@ -29,7 +29,7 @@ class CheckResult:
     ok: bool
 
 
-def all_checks(profile: VehicleProfile, seed: int = 1) -> Iterator[CheckResult]:
+def all_checks(profile: Vehicle, seed: int = 1) -> Iterator[CheckResult]:
     """Every check in full, one at a time as they finish; planes up to 30 degrees or what the vehicle is meant for."""
     yield check_plane(profile, 0.0)
     for degrees in (10.0, 20.0, 30.0):
@@ -45,7 +45,7 @@ def all_checks(profile: VehicleProfile, seed: int = 1) -> Iterator[CheckResult]:
 
 
 def check_plane(
-    profile: VehicleProfile, degrees: float, heading_deg: float = 0.0, settings: DriveSettings | None = None
+    profile: Vehicle, degrees: float, heading_deg: float = 0.0, settings: DriveSettings | None = None
 ) -> CheckResult:
     """Planes shake nothing: C_r stays below 0.001 rad/m. Heading 0 goes straight up the slope, 90 along it."""
     ground = PlaneGround((math.tan(math.radians(degrees)), 0.0))
@@ -54,7 +54,7 @@ def check_plane(
     return CheckResult(name, result.c_r, "< 0.001", result.c_r < 0.001)
 
 
-def sine_c_r(profile: VehicleProfile, amplitude: float, wavelength: float) -> float:
+def sine_c_r(profile: Vehicle, amplitude: float, wavelength: float) -> float:
     """C_r of a vehicle whose axles follow a sine, rad/m.
 
     The axles are W apart, so the pitch is a sine of amplitude ``2 A sin(pi W / L) / W`` (small angles), which turns by
@@ -64,7 +64,7 @@ def sine_c_r(profile: VehicleProfile, amplitude: float, wavelength: float) -> fl
     return 8 * amplitude * math.sin(math.pi * base / wavelength) / (base * wavelength)
 
 
-def check_sine(profile: VehicleProfile, wavelength: float, settings: DriveSettings | None = None) -> CheckResult:
+def check_sine(profile: Vehicle, wavelength: float, settings: DriveSettings | None = None) -> CheckResult:
     """Waves longer than twice the wheelbase: within 5 % of the closed form.
 
     Driven at 1 m/s at most: the closed form knows no springs, and a fast vehicle on soft ones swings further, rightly.
@@ -75,13 +75,11 @@ def check_sine(profile: VehicleProfile, wavelength: float, settings: DriveSettin
     return CheckResult(f"sine of 2 cm, L = {wavelength:.3g} m: error [%]", error, "+-5", abs(error) <= 5)
 
 
-def _sine_speed(profile: VehicleProfile) -> float:
+def _sine_speed(profile: Vehicle) -> float:
     return min(profile.speed_mps, _SINE_SPEED_MPS)
 
 
-def check_step(
-    profile: VehicleProfile, patches: int, seed: int = 1, settings: DriveSettings | None = None
-) -> CheckResult:
+def check_step(profile: Vehicle, patches: int, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
     """Half the time step changes the mean C_r over rough patches by less than 3 %."""
     settings = settings or DriveSettings()
     finer = replace(settings, physics=replace(settings.physics, time_step=settings.physics.time_step / 2))
@@ -98,7 +96,7 @@ def check_step(
     return CheckResult(f"half the time step, {patches} rough patches: change [%]", change, "+-3", abs(change) < 3)
 
 
-def check_repeat(profile: VehicleProfile, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
+def check_repeat(profile: Vehicle, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
     """Demand the same bits of one seed here, here again, and in another process."""
     settings = settings or DriveSettings()
     again = partial(_rough_drive, profile, settings=settings)
@@ -108,6 +106,6 @@ def check_repeat(profile: VehicleProfile, seed: int = 1, settings: DriveSettings
     return CheckResult("same seed, again and in another process: change", spread, "0", same)
 
 
-def _rough_drive(profile: VehicleProfile, seed: int, *, settings: DriveSettings) -> Drive:
+def _rough_drive(profile: Vehicle, seed: int, *, settings: DriveSettings) -> Drive:
     patch = make_textures("high_noise", 1, np.random.default_rng(seed))[0].astype(np.float64)
     return drive(profile, PatchGround.from_heights(patch * _ROUGH_Z_RANGE_M, 3.0), seed, settings)

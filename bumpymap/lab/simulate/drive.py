@@ -13,7 +13,7 @@ import numpy as np
 from bumpymap.core import UsageError
 from bumpymap.lab.simulate.model import DartVehicle, Physics, Pose, VehicleModel
 from bumpymap.lab.simulate.terrain import DrivenGround, Strip
-from bumpymap.rating import VehicleProfile
+from bumpymap.rating import Vehicle
 
 __all__ = ["Drive", "DriveSettings", "Outcome", "Start", "drive", "drive_from", "follow"]
 
@@ -89,14 +89,14 @@ class Drive:
     """Start and heading were drawn from it."""
 
 
-def drive(profile: VehicleProfile, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
+def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
     """Drive over endless ground from a random start at a random heading.
 
     The same seed gives the same bits in any process.
 
     Parameters
     ----------
-    profile : VehicleProfile
+    profile : Vehicle
     ground : DrivenGround
     seed : int
         Start and heading are drawn from it.
@@ -112,7 +112,7 @@ def drive(profile: VehicleProfile, ground: DrivenGround, seed: int, settings: Dr
 
 
 def drive_from(
-    profile: VehicleProfile, ground: DrivenGround, start: Start, seed: int = 0, settings: DriveSettings | None = None
+    profile: Vehicle, ground: DrivenGround, start: Start, seed: int = 0, settings: DriveSettings | None = None
 ) -> Drive:
     """Drive over endless ground from a chosen start; ``seed`` is only noted in the result."""
     settings = settings or DriveSettings()
@@ -127,7 +127,7 @@ def drive_from(
     return follow(DartVehicle(profile, ground, strip, settings.physics), strip, profile, seed, settings)
 
 
-def follow(vehicle: VehicleModel, strip: Strip, profile: VehicleProfile, seed: int, settings: DriveSettings) -> Drive:
+def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, seed: int, settings: DriveSettings) -> Drive:
     """Drive a vehicle along a strip and sum what its gyroscope reads.
 
     Parameters
@@ -135,7 +135,7 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: VehicleProfile, seed: i
     vehicle : VehicleModel
         Stands at the start of the strip.
     strip : Strip
-    profile : VehicleProfile
+    profile : Vehicle
     seed : int
         Noted in the result.
     settings : DriveSettings
@@ -166,14 +166,14 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: VehicleProfile, seed: i
     return Drive(outcome, turned / path if outcome == "completed" else math.nan, path, progress, seed)
 
 
-def _speed_at(seconds: float, profile: VehicleProfile, settings: DriveSettings) -> float:
+def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
     """Speed that is commanded, m/s: rest, a ramp, full speed."""
     if settings.ramp_s == 0:
         return profile.speed_mps if seconds >= settings.settle_s else 0.0
     return profile.speed_mps * min(max((seconds - settings.settle_s) / settings.ramp_s, 0.0), 1.0)
 
 
-def _steer(vehicle: VehicleModel, pose: Pose, strip: Strip, profile: VehicleProfile, speed: float) -> None:
+def _steer(vehicle: VehicleModel, pose: Pose, strip: Strip, profile: Vehicle, speed: float) -> None:
     """Hold the line: aim back at it, and turn the wheels of the two sides at different speeds."""
     aim = strip.heading - math.atan(_SIDE_GAIN * _beside(pose, strip))
     wrong = math.remainder(aim - pose.heading, 2 * math.pi)

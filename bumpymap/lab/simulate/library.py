@@ -13,7 +13,7 @@ from bumpymap.lab.simulate.journal import Key
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
 from bumpymap.lab.worlds import KINDS, Terrain
-from bumpymap.rating import Calibration, DrivenTerrain, VehicleProfile
+from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
 __all__ = ["FitRide", "driven_library", "library_ground", "library_record", "library_terrains", "read_library"]
 
@@ -24,13 +24,13 @@ class FitRide(Protocol):
     """Fits a ride model to driven terrains."""
 
     def __call__(
-        self, profile: VehicleProfile, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+        self, profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
     ) -> dict[str, Any]:
         """Fit.
 
         Parameters
         ----------
-        profile : VehicleProfile
+        profile : Vehicle
         terrains : sequence, length n
             The ground that was driven.
         driven : sequence, length n
@@ -97,7 +97,7 @@ def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenT
     """
     driven = library_terrains(calibration)
     settings = CalibrationSettings(
-        VehicleProfile.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
         seed=calibration.settings["seed"],
         tile_size=calibration.tile_size,
         pixels=calibration.pixels,

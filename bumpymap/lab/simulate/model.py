@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import OutputError, UsageError
 from bumpymap.lab.simulate.terrain import DrivenGround, Strip, strip_triangles
-from bumpymap.rating import VehicleProfile
+from bumpymap.rating import Vehicle
 
 __all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
 
@@ -89,7 +89,7 @@ def require_dart() -> Any:
 class DartVehicle:
     """A vehicle that stands at the start of a strip of ground, looking along it."""
 
-    def __init__(self, profile: VehicleProfile, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
+    def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
         self._radius = profile.wheel.radius_m
         self._world = self._make_world(physics)
@@ -157,7 +157,7 @@ class DartVehicle:
         self._set_surface(skeleton.getBodyNode(0).getShapeNode(0), physics)
         return skeleton
 
-    def _build(self, robot: Any, profile: VehicleProfile, physics: Physics) -> Any:
+    def _build(self, robot: Any, profile: Vehicle, physics: Physics) -> Any:
         """Chassis, two rockers, four wheels; returns the chassis."""
         _, chassis = robot.createFreeJointAndBodyNodePair()
         chassis.setInertia(self._inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
@@ -183,7 +183,7 @@ class DartVehicle:
                 self._wheels[side].append(axle)
         return chassis
 
-    def _add_belly(self, chassis: Any, profile: VehicleProfile, physics: Physics) -> None:
+    def _add_belly(self, chassis: Any, profile: Vehicle, physics: Physics) -> None:
         """Give the chassis a body that strikes the ground: a box from the belly up."""
         belly = profile.belly
         size = [belly.length_m, belly.width_m, _BODY_SHARE * belly.length_m]
@@ -212,7 +212,7 @@ class DartVehicle:
         surface.setRestitutionCoeff(0.0)
 
 
-def wheel_inertia(profile: VehicleProfile) -> tuple[float, float, float]:
+def wheel_inertia(profile: Vehicle) -> tuple[float, float, float]:
     """Moments of a solid cylinder about its forward, left (axle) and upward axis, kg m^2."""
     wheel = profile.wheel
     across = wheel.mass_kg * (3 * wheel.radius_m**2 + wheel.width_m**2) / 12
@@ -220,7 +220,7 @@ def wheel_inertia(profile: VehicleProfile) -> tuple[float, float, float]:
 
 
 def standing_pose(
-    profile: VehicleProfile, ground: DrivenGround, strip: Strip
+    profile: Vehicle, ground: DrivenGround, strip: Strip
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the initial pose: along the strip, parallel to the ground's mean slope, just above its highest bumps.
 
@@ -255,14 +255,14 @@ def standing_pose(
     return rotation, np.array([strip.easting, strip.northing, upward_m])
 
 
-def belly_points(profile: VehicleProfile) -> NDArray[np.float64]:
+def belly_points(profile: Vehicle) -> NDArray[np.float64]:
     """Points (n, 3) of the underside from the centre of mass, forward, left, upward, m."""
     belly = profile.belly
     along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
     return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
 
 
-def _belly_height(profile: VehicleProfile) -> float:
+def _belly_height(profile: Vehicle) -> float:
     """Height of the underside over the centre of mass, m: mostly negative."""
     return profile.belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
 

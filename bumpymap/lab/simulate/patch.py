@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bumpymap.core import UsageError
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome, drive
 from bumpymap.lab.simulate.terrain import PatchGround
-from bumpymap.rating import VehicleProfile
+from bumpymap.rating import Vehicle
 
 __all__ = ["Effort", "PatchDrives", "drive_patch"]
 
@@ -69,7 +69,7 @@ class PatchDrives:
 
 
 def drive_patch(
-    profile: VehicleProfile,
+    profile: Vehicle,
     heights: NDArray[np.floating],
     tile_size: float,
     seed: int,
@@ -85,7 +85,7 @@ def drive_patch(
 
     Parameters
     ----------
-    profile : VehicleProfile
+    profile : Vehicle
     heights : array (pixels, pixels)
         m, north row first, without NaN.
     tile_size : float

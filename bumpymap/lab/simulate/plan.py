@@ -18,7 +18,7 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.journal import Key
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.worlds import KINDS, Terrain, make_terrain
-from bumpymap.rating import VehicleProfile, make_textures
+from bumpymap.rating import Vehicle, make_textures
 
 __all__ = ["CalibrationSettings", "LibraryJob", "TableJob", "library_terrain", "log_spaced", "run_job"]
 
@@ -37,7 +37,7 @@ def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
 class CalibrationSettings:
     """Everything that decides the numbers of a calibration."""
 
-    profile: VehicleProfile
+    profile: Vehicle
     seed: int = 1
     patches: int = 8
     """Patches of one cell of the table (texture and z range)."""

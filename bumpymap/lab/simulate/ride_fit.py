@@ -19,7 +19,7 @@ from bumpymap.rating import (
     DrivenTerrain,
     NoisyPatches,
     RideOperator,
-    VehicleProfile,
+    Vehicle,
     denoise,
     fit_correction,
     roll_over,
@@ -37,7 +37,7 @@ _LEAST_C_R = 0.001
 
 
 def fit_ride(
-    profile: VehicleProfile, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+    profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
 ) -> dict[str, Any]:  # fmt: skip
     """Fit a ride model; see `bumpymap.lab.simulate.library.FitRide`."""
     side, pixels = terrains[0].tile_size, terrains[0].pixels

@@ -14,7 +14,7 @@ from bumpymap.lab.simulate.journal import Journal, Key
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.pool import Progress, drive_jobs
-from bumpymap.rating import VehicleProfile
+from bumpymap.rating import Vehicle
 
 __all__ = ["drive_patches"]
 
@@ -30,7 +30,7 @@ class _PatchJob:
 class _Common:
     """What all jobs share."""
 
-    profile: VehicleProfile
+    profile: Vehicle
     tile_size: float
     seed: int
     effort: Effort
@@ -38,7 +38,7 @@ class _Common:
 
 
 def drive_patches(
-    profile: VehicleProfile,
+    profile: Vehicle,
     patches: Mapping[Key, NDArray[np.floating]],
     tile_size: float,
     seed: int,
@@ -56,7 +56,7 @@ def drive_patches(
 
     Parameters
     ----------
-    profile : VehicleProfile
+    profile : Vehicle
     patches : mapping
         Key, such as (col, row) of a tile -> heights (pixels, pixels), m, north row first, without NaN.
     tile_size : float

@@ -36,22 +36,23 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
     if inside is not None:
-        raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another --out")
+        raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another `out`")
     check_folder(folder, overwrite=True)
     present = [name for name in _NAMES if lexists(folder / name)]
     if present and not (overwrite or unfinished):
         raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another --out, or pass --overwrite to replace them"
+            f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
+            "them"
         )
     for name in present:
         is_link = (folder / name).is_symlink()
         if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
-            raise OutputError(f"{folder / name} is not what a scan run writes. Choose another --out")
+            raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
     strange = _strange(folder, unfinished=unfinished)
     if strange:
         raise OutputError(
-            f"{strange} was not written by a complete scan run and would be deleted by --overwrite. Move it away, or "
-            "choose another --out"
+            f"{strange} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
+            "or choose another `out`"
         )
 
 
@@ -76,7 +77,7 @@ def writing(folder: Path) -> Iterator[None]:
         yield
     except (OSError, lazrs.LazrsError, pa.ArrowException, RasterioError) as error:
         raise OutputError(
-            f"cannot write to {folder}: {error}. Free some space, or choose another --out; nothing half-written was "
+            f"cannot write to {folder}: {error}. Free some space, or choose another `out`; nothing half-written was "
             "left there"
         ) from error
 

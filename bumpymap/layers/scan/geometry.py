@@ -1,42 +1,16 @@
-"""Where sectors lie: their bounds in polar coordinates, and their outlines."""
+"""The outlines of sectors."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PolarSettings, SectorStack
+from bumpymap.core import PolarSettings, SectorStack, sector_bounds
 
-__all__ = ["SectorBounds", "outlines", "sector_bounds"]
+__all__ = ["outlines"]
 
 _OFF_M = 0.01
 """An outline keeps within this of the arc that it stands for."""
-
-
-@dataclass(frozen=True, slots=True)
-class SectorBounds:
-    """The part of the plane that each sector covers."""
-
-    near: NDArray[np.float64]
-    """(n,) horizontal distance from the sensor, m."""
-    far: NDArray[np.float64]
-    """(n,) m."""
-    right: NDArray[np.float64]
-    """(n,) azimuth where the sector starts, counter-clockwise from the x axis, 0 to 2 pi, rad."""
-    left: NDArray[np.float64]
-    """(n,) azimuth where it ends, above ``right``, rad."""
-
-
-def sector_bounds(stack: SectorStack) -> SectorBounds:
-    """Return the bounds of the sectors of a stack."""
-    settings = stack.settings
-    edges = np.array([*settings.zone_starts_m, settings.end_m])
-    depth = np.diff(edges) / settings.rings
-    width = 2.0 * math.pi / np.array(settings.sectors)
-    near = edges[stack.zone] + stack.ring * depth[stack.zone]
-    right = (stack.azimuth_start_rad + stack.sector * width[stack.zone]) % (2.0 * math.pi)
-    return SectorBounds(near, near + depth[stack.zone], right, right + width[stack.zone])
 
 
 def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:

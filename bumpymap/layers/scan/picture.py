@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack
-from bumpymap.layers.scan.geometry import sector_bounds
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, sector_bounds
 from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
 
 __all__ = ["SIDE", "paint", "reach_of", "write_picture"]

@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
-from bumpymap.layers.scan.geometry import sector_bounds
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 

@@ -47,7 +47,7 @@ def require_filter(settings: CsfSettings, grid: Grid) -> None:
     """
     if importlib.util.find_spec("CSF") is None:
         raise UsageError(
-            "--ground csf needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
+            "`ground='csf'` needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
             "Install it: pip install 'bumpymap[csf]'"
         )
     side = grid.tile_size * BLOCK_TILES
@@ -99,7 +99,7 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     except ChildDiedError as error:
         child.close()
         raise UsageError(
-            f"the process of the cloth simulation filter {error}. For want of memory: lower --memory or --threads. "
+            f"the process of the cloth simulation filter {error}. For want of memory: lower `memory` or `threads`. "
             f"Else see whether it is installed as it should be: {sys.executable} -c 'import CSF'"
         ) from error
     except BaseException:

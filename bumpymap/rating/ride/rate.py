@@ -36,7 +36,7 @@ class RideModel:
         if calibration.ride is None:
             raise UsageError(
                 f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
-                "texture and relief: --rating table"
+                "texture and relief: `rating='table'`"
             )
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)

@@ -1,4 +1,4 @@
 from .profile import (
-    VehicleProfile as VehicleProfile,
+    Vehicle as Vehicle,
     load_profile as load_profile,
 )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from bumpymap.core import shown
 
 if TYPE_CHECKING:
-    from bumpymap.rating.vehicle.profile import Chassis, Rocker, VehicleProfile
+    from bumpymap.rating.vehicle.profile import Chassis, Rocker, Vehicle
 
 __all__ = ["faults_together"]
 
@@ -19,14 +19,14 @@ _GYRATION = {"chassis": (0.03, 0.6), "rocker": (0.003, 0.6)}
 its ends; those that ship have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
 
 
-def faults_together(profile: "VehicleProfile") -> list[str]:
+def faults_together(profile: "Vehicle") -> list[str]:
     """Find what no value shows alone, in a profile without a fault in any key."""
     found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
     found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
     return [fault for fault in found if fault]
 
 
-def _wheels(profile: "VehicleProfile") -> str:
+def _wheels(profile: "Vehicle") -> str:
     radius, wheelbase = profile.wheel.radius_m, profile.wheelbase_m
     if 2 * radius < wheelbase:
         return ""
@@ -36,14 +36,14 @@ def _wheels(profile: "VehicleProfile") -> str:
     )
 
 
-def _track(profile: "VehicleProfile") -> str:
+def _track(profile: "Vehicle") -> str:
     width, track = profile.wheel.width_m, profile.track_m
     if width < track:
         return ""
     return f"wheel.width_m is {width:g} and track_m {track:g}; the track must exceed the wheel width"
 
 
-def _belly_width(profile: "VehicleProfile") -> str:
+def _belly_width(profile: "Vehicle") -> str:
     belly, between = profile.belly, profile.track_m - profile.wheel.width_m
     if belly.width_m <= between or belly.clearance_m >= 2 * profile.wheel.radius_m:
         return ""
@@ -53,7 +53,7 @@ def _belly_width(profile: "VehicleProfile") -> str:
     )
 
 
-def _belly_length(profile: "VehicleProfile") -> str:
+def _belly_length(profile: "Vehicle") -> str:
     length, wheelbase = profile.belly.length_m, profile.wheelbase_m
     if length <= _LONGEST_BELLY * wheelbase:
         return ""
@@ -63,7 +63,7 @@ def _belly_length(profile: "VehicleProfile") -> str:
     )
 
 
-def _com(profile: "VehicleProfile") -> str:
+def _com(profile: "Vehicle") -> str:
     height, radius = profile.chassis.com_height_m, profile.wheel.radius_m
     if height >= -radius:
         return ""
@@ -73,7 +73,7 @@ def _com(profile: "VehicleProfile") -> str:
     )
 
 
-def _density(profile: "VehicleProfile") -> str:
+def _density(profile: "Vehicle") -> str:
     size = math.sqrt(profile.length_m * profile.width_m)
     low, high = _LIGHTEST * size**3, _HEAVIEST * size**3
     if low <= profile.mass_kg <= high:
@@ -85,7 +85,7 @@ def _density(profile: "VehicleProfile") -> str:
     )
 
 
-def _gyration(profile: "VehicleProfile", table: str) -> str:
+def _gyration(profile: "Vehicle", table: str) -> str:
     part: Chassis | Rocker = getattr(profile, table)
     size = max(profile.length_m, profile.width_m)
     low, high = (part.mass_kg * (share * size) ** 2 for share in _GYRATION[table])

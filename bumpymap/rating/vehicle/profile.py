@@ -10,7 +10,7 @@ from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
 from bumpymap.rating.vehicle.faults import faults_together
 from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
-__all__ = ["KEYS", "Belly", "Chassis", "Rocker", "VehicleProfile", "Wheel", "load_profile", "shipped_profiles"]
+__all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
 
 _SCHEMA = "docs/pages/vehicle-profile.md lists every key"
 
@@ -61,7 +61,7 @@ class Wheel:
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleProfile:
+class Vehicle:
     """Four wheels on two rockers under a chassis, and how the vehicle is driven."""
 
     name: Annotated[str, OneLine()]
@@ -100,12 +100,17 @@ class VehicleProfile:
         """Width of the whole vehicle, over belly and wheels."""
         return max(self.belly.width_m, self.track_m + self.wheel.width_m)
 
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> "Vehicle":
+        """Read a profile: the name of one that ships (``warthog``), or a TOML file; see `load_profile`."""
+        return load_profile(name_or_path)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the nested dictionary that a TOML file of this profile would hold."""
         return {key: _plain(value) for key, value in asdict(self).items()}
 
     @classmethod
-    def from_dict(cls, record: dict[str, Any], origin: str) -> "VehicleProfile":
+    def from_dict(cls, record: dict[str, Any], origin: str) -> "Vehicle":
         """Check a nested dictionary; ``origin`` names it in messages.
 
         Raises
@@ -121,11 +126,11 @@ class VehicleProfile:
         return profile
 
 
-KEYS = profile_keys(VehicleProfile)
+KEYS = profile_keys(Vehicle)
 """In the order of the file."""
 
 
-def load_profile(name_or_path: str | Path) -> VehicleProfile:
+def load_profile(name_or_path: str | Path) -> Vehicle:
     """Read a vehicle profile: one that ships (``warthog``) or a TOML file.
 
     The name of a shipped profile means that, everything else a file.
@@ -139,7 +144,7 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
     """
     if str(name_or_path) in shipped_profiles():
         with as_file(files("bumpymap.rating") / "data" / "vehicles" / f"{name_or_path}.toml") as shipped:
-            return VehicleProfile.from_dict(
+            return Vehicle.from_dict(
                 read_toml(shipped, "the vehicle profile", BadInputError), f"vehicle profile {name_or_path}"
             )
     path = Path(name_or_path)
@@ -149,7 +154,7 @@ def load_profile(name_or_path: str | Path) -> VehicleProfile:
             f"({', '.join(shipped_profiles())}). Give one of these names, or a TOML file; "
             "bumpymap vehicle new NAME writes a template"
         )
-    return VehicleProfile.from_dict(read_toml(path, "the vehicle profile", BadInputError), str(path))
+    return Vehicle.from_dict(read_toml(path, "the vehicle profile", BadInputError), str(path))
 
 
 def shipped_profiles() -> list[str]:

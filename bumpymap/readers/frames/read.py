@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import Dropped, Scan, UsageError
 from bumpymap.readers.frames.raw import RawScan
 from bumpymap.readers.source import held_to, require_same, version_of
 
-__all__ = ["Robot", "read_scan"]
+__all__ = ["Robot", "read_scan", "scene_points"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +69,32 @@ def _read(path: Path) -> RawScan:
     return read_table(path)
 
 
-def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
-    points = raw.points
-    finite = np.isfinite(points).all(axis=1)
-    nothing = (points == 0.0).all(axis=1)
+def scene_points(points: NDArray[np.float32], robot: Robot) -> NDArray[np.bool_]:
+    """Tell which returns (n, 3) are points of the scene, (n,): finite, not at (0, 0, 0), not on the robot."""
+    finite, nothing, on_robot = _judged(points, robot)
+    return finite & ~nothing & ~on_robot
+
+
+def _judged(
+    points: NDArray[np.float32], robot: Robot
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which returns are finite, which hit nothing, and which of the others hit the robot."""
+    finite = np.asarray(np.isfinite(points).all(axis=1))
+    nothing = np.asarray((points == 0.0).all(axis=1))
     x, y = points[:, 0], points[:, 1]
     with np.errstate(over="ignore", invalid="ignore"):
-        on_robot = np.hypot(x, y) < robot.radius_m
+        on_robot = np.asarray(np.hypot(x, y) < robot.radius_m)
         if robot.box_m is not None:
             rear, front, right, left = robot.box_m
-            on_robot |= (rear <= x) & (x <= front) & (right <= y) & (y <= left)
-    on_robot &= finite & ~nothing
+            on_robot = on_robot | ((rear <= x) & (x <= front) & (right <= y) & (y <= left))
+    return finite, nothing, on_robot & finite & ~nothing
+
+
+def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
+    finite, nothing, on_robot = _judged(raw.points, robot)
     kept = finite & ~nothing & ~on_robot
     return Scan(
-        np.ascontiguousarray(points[kept], np.float32),
+        np.ascontiguousarray(raw.points[kept], np.float32),
         None if raw.intensity is None else raw.intensity[kept].astype(np.float32),
         None if raw.label is None else raw.label[kept],
         name,

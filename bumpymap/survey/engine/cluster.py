@@ -71,7 +71,7 @@ def hired(
                 crew = _own_crew(workers, threads, stack)
         except ImportError as error:
             raise UsageError(
-                f"--scheduler and --workers need dask.distributed and cryptography ({error}). Install them: "
+                f"`scheduler` and `workers` need dask.distributed and cryptography ({error}). Install them: "
                 "pip install 'bumpymap[dask]'"
             ) from error
         yield crew
@@ -154,7 +154,7 @@ class ClusterRun:
         """
         record = self._space.remembered()
         if record is None:
-            remedy = "Look at their logs. Workers that run short of memory die: give them more, or lower --memory"
+            remedy = "Look at their logs. Workers that run short of memory die: give them more, or lower `memory`"
             with _lost(remedy), failures(self._budget), self._order() as order:
                 record = self._read_and_measure(order, readers, refuse, check_window, clock, may_skip=may_skip)
             self._space.remember(record)
@@ -292,9 +292,9 @@ def _started(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
             if any(isinstance(cause, OSError) and cause.errno is not None for cause in causes(error)):
                 raise  # the system says why
             raise UsageError(
-                f"the workers did not start ({error}); they may have been killed. Try again, or fewer --workers"
+                f"the workers did not start ({error}); they may have been killed. Try again, or fewer `workers`"
             ) from error
-        with _lost("Try fewer --workers"):
+        with _lost("Try fewer `workers`"):
             yield found
 
 

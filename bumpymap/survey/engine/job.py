@@ -66,9 +66,9 @@ class Job:
         if self.ground == "csf" and most is not None and (points := buckets.points(key)) > most:
             side = BLOCK_TILES * self.grid.tile_size
             raise UsageError(
-                f"--ground csf takes squares of {side:g} m as a whole: the one at ({key[1] * side:.0f}, "
-                f"{key[0] * side:.0f}) holds {points:,} points, and there is room for {most:,}. Raise --memory, lower "
-                "--threads, or thin the survey"
+                f"`ground='csf'` takes squares of {side:g} m as a whole: the one at ({key[1] * side:.0f}, "
+                f"{key[0] * side:.0f}) holds {points:,} points, and there is room for {most:,}. Raise `memory`, lower "
+                "`threads`, or thin the survey"
             )
         return buckets.block(key)
 
@@ -125,14 +125,14 @@ def failures(budget: Budget) -> Iterator[None]:
         yield
     except TooManyPointsError as error:
         raise UsageError(
-            f"{error}: it is too dense for --memory {budget.memory >> 20}MB. Raise --memory, or thin the survey"
+            f"{error}: it is too dense for `memory='{budget.memory >> 20}MB'`. Raise `memory`, or thin the survey"
         ) from error
     except OSError as error:
         raise OutputError(
-            f"cannot write temporary points to disk: {error}. Free some space, choose a larger disk with --scratch, "
-            "or raise --memory"
+            f"cannot write temporary points to disk: {error}. Free some space, choose a larger disk with `scratch`, "
+            "or raise `memory`"
         ) from error
     except PackError as error:
         raise OutputError(
-            f"temporary files of the run are missing or damaged: {error}. Run it again, with --overwrite"
+            f"temporary files of the run are missing or damaged: {error}. Run it again, with `overwrite=True`"
         ) from error

@@ -70,7 +70,7 @@ class Order:
                 word = ""
             if word != self.word:
                 raise OutputError(
-                    f"{folder} is not visible on {gethostname()}. --out, and --scratch where it is given, must be "
+                    f"{folder} is not visible on {gethostname()}. `out`, and `scratch` where it is given, must be "
                     "folders that every worker sees under the same name"
                 )
 

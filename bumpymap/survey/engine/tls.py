@@ -64,7 +64,7 @@ def plain_note(address: str) -> str | None:
     return (
         f"{address} is used without TLS: whoever reaches that port can run programs as the user of the scheduler and "
         "the workers, and read and change what they are sent. On a network that others use too, start them with TLS "
-        "and give a tls:// address and --tls-config"
+        "and give a tls:// address and `tls_config`"
     )
 
 

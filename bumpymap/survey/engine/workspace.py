@@ -19,7 +19,7 @@ from bumpytiles import Pack, PackError
 
 __all__ = ["ADVICE", "Workspace"]
 
-ADVICE = "Pass --resume to the same command to continue from the finished tiles."
+ADVICE = "Pass `resume=True` to the same command to continue from the finished tiles."
 _READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
 _POINTS = "points"
 _PREFIX = "bumpymap-"
@@ -58,7 +58,7 @@ class Workspace:
             out, run_spec, resume=resume, finished=lambda path: bool(_tiles(path)), advice=advice, spared=(_SCRATCH,)
         ) as run:
             _drop_damaged(run.path)
-            with writing_in(scratch or run.path, "--out or --scratch"):
+            with writing_in(scratch or run.path, "`out` or `scratch`"):
                 waiting = _waiting(run, out, scratch)
             try:
                 yield cls(run.path, waiting, run.run_spec)

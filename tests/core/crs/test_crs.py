@@ -140,7 +140,7 @@ def test_depths_are_no_heights():
 
 def test_trouble_is_refused_or_set_aside():
     trouble = CrsStatement(trouble="it is a riddle")
-    with pytest.raises(BadInputError, match=r"site\.laz.*riddle.*--crs"):
+    with pytest.raises(BadInputError, match=r"site\.laz.*riddle.*`crs`"):
         settle(trouble)
     place, notes = settle(trouble, "EPSG:32614")
     assert place.crs.to_epsg() == 32614
@@ -216,7 +216,7 @@ def test_the_command_keeps_millimetres_where_integers_would_overflow():
 @pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
 def test_units_that_are_none(unit):
     wkt = CRS("EPSG:32614").to_wkt("WKT1_GDAL").replace('UNIT["metre",1', f'UNIT["metre",{unit}')
-    with pytest.raises(BadInputError, match=r"the CRS of site\.laz is unclear: .* has an invalid unit of .*--crs"):
+    with pytest.raises(BadInputError, match=r"the CRS of site\.laz is unclear: .* has an invalid unit of .*`crs`"):
         settle(statement_from_wkt(wkt))
     with pytest.raises(UsageError, match="has an invalid unit of"):
         settle(crs=wkt)
@@ -262,7 +262,7 @@ def test_files_of_several_crs_are_listed(crs, says):
     message = str(caught.value)
     assert "0.laz: WGS 84 / UTM zone 14N (EPSG:32614)" in message
     assert says in message
-    assert "--crs" in message
+    assert "`crs`" in message
 
 
 def test_files_of_several_vertical_crs_are_listed():
@@ -272,7 +272,7 @@ def test_files_of_several_vertical_crs_are_listed():
     assert "heights of the files are not in one vertical CRS" in message
     assert "0.laz: WGS 84 / UTM zone 14N + NAVD88 height (EPSG:32614+5703)" in message
     assert "1.laz: WGS 84 / UTM zone 14N + EGM96 height (EPSG:32614+5773)" in message
-    assert "--crs" in message
+    assert "`crs`" in message
 
 
 def test_files_with_and_without_a_vertical_crs_share_the_horizontal_one(caplog):

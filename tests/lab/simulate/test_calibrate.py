@@ -19,7 +19,7 @@ from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
 from bumpymap.lab.simulate.summary import class_limits
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle.profile import VehicleProfile, load_profile
+from bumpymap.rating.vehicle.profile import Vehicle, load_profile
 
 pytest.importorskip("dartpy")
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
@@ -244,7 +244,7 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     shipped = Calibration.shipped(name)
     made = shipped.settings
     profile = load_profile(name)
-    assert VehicleProfile.from_dict(shipped.vehicle, name) == profile
+    assert Vehicle.from_dict(shipped.vehicle, name) == profile
     effort = {name: made[name] for name in ("patches", "starts", "terrains", "terrain_starts")}
     settings = CalibrationSettings(profile, made["seed"], **effort)
     assert {k: v for k, v in made.items() if k in settings.to_dict() and k != "versions"} == {

@@ -27,7 +27,7 @@ def test_a_new_folder_is_made_and_one_with_other_things_is_fine(tmp_path):
 @pytest.mark.parametrize("name", ["scan.json", "sectors.parquet", "gathered.laz", "frames/a.png", "map/run.json"])
 def test_products_of_an_earlier_run_need_a_word(tmp_path, name):
     fill(tmp_path, name)
-    with pytest.raises(OutputError, match=r"already holds .*--overwrite"):
+    with pytest.raises(OutputError, match=r"already holds .*`overwrite=True`"):
         check_scan_folder(tmp_path, overwrite=False)
     fill(tmp_path, "scan.json")
     check_scan_folder(tmp_path, overwrite=True)

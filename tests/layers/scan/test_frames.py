@@ -10,10 +10,10 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
-from bumpymap.core import PolarSettings, Scan, point_classes
+from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import COLOURS, NAMES, name_frames, spread_out, write_frame
 from bumpymap.layers.scan.cloud import write_cloud
-from bumpymap.layers.scan.geometry import outlines, sector_bounds
+from bumpymap.layers.scan.geometry import outlines
 from bumpymap.layers.scan.polygons import write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
 

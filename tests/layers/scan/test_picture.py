@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 
-from bumpymap.core import PolarSettings, Scan, point_classes
+from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import COLOURS, NAMES
-from bumpymap.layers.scan.geometry import sector_bounds
 from bumpymap.layers.scan.picture import SIDE, paint as paint_image, reach_of, write_picture
 from bumpymap.scan import classify_filter, polar_sectors
 

@@ -83,5 +83,5 @@ def test_a_model_travels_to_other_processes():
 
 
 def test_a_calibration_without_a_ride_model_says_what_to_do():
-    with pytest.raises(UsageError, match="--rating table"):
+    with pytest.raises(UsageError, match="`rating='table'`"):
         RideModel(replace(CALIBRATION, ride=None))

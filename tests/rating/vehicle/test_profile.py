@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle.profile import KEYS, VehicleProfile, load_profile, shipped_profiles
+from bumpymap.rating.vehicle.profile import KEYS, Vehicle, load_profile, shipped_profiles
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def test_masses_add_up_to_what_the_descriptions_say():
 
 def test_dictionary_is_its_own_json_and_builds_the_same_profile(warthog):
     assert json.loads(json.dumps(warthog)) == warthog
-    assert VehicleProfile.from_dict(warthog, "x") == load_profile("warthog")
+    assert Vehicle.from_dict(warthog, "x") == load_profile("warthog")
 
 
 def test_ride_weight_and_slope_limit_are_on_top_where_map_reads_them(warthog):
@@ -102,7 +102,7 @@ def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(wart
     *table, name = key.split(".")
     (warthog[table[0]] if table else warthog)[name] = value
     with pytest.raises(BadInputError) as caught:
-        VehicleProfile.from_dict(warthog, "my.toml")
+        Vehicle.from_dict(warthog, "my.toml")
     for word in ["my.toml", *words]:
         assert word in str(caught.value)
 
@@ -110,12 +110,12 @@ def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(wart
 def test_borders_of_ranges_are_allowed(warthog):
     warthog["ride_weight"] = 0
     warthog["rocker"].update(stiffness_nm_per_rad=0, damping_nms_per_rad=0, limit_rad=0)
-    assert VehicleProfile.from_dict(warthog, "x").rocker.limit_rad == 0
+    assert Vehicle.from_dict(warthog, "x").rocker.limit_rad == 0
 
 
 def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
     warthog["belly"].update(width_m=1.4, clearance_m=0.6)
-    assert VehicleProfile.from_dict(warthog, "x").belly.width_m == 1.4
+    assert Vehicle.from_dict(warthog, "x").belly.width_m == 1.4
 
 
 def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
@@ -123,13 +123,13 @@ def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
     with pytest.raises(
         BadInputError, match=r"\[wheel\]: unknown setting radius; there are: mass_kg, radius_m, width_m"
     ):
-        VehicleProfile.from_dict(warthog, "my.toml")
+        Vehicle.from_dict(warthog, "my.toml")
 
 
 def test_missing_keys_are_refused_and_a_table_is_said_to_be_one(warthog):
     del warthog["track_m"], warthog["belly"]
     with pytest.raises(BadInputError) as caught:
-        VehicleProfile.from_dict(warthog, "my.toml")
+        Vehicle.from_dict(warthog, "my.toml")
     assert "missing track_m: between 0.05 and 15 metres" in str(caught.value)
     assert "missing belly: a table, [belly], with length_m, width_m, clearance_m" in str(caught.value)
 
@@ -138,7 +138,7 @@ def test_all_faults_are_said_at_once(warthog):
     warthog |= {"wheelbase_m": 920, "slope_limit_deg": 0.52, "colour": "red"}
     del warthog["wheel"]["radius_m"]
     with pytest.raises(BadInputError) as caught:
-        VehicleProfile.from_dict(warthog, "my.toml")
+        Vehicle.from_dict(warthog, "my.toml")
     first, *faults = caught.value.args
     assert first.startswith("my.toml: 4 faults")
     assert [fault.split()[0] for fault in faults] == ["unknown", "wheelbase_m", "slope_limit_deg", "missing"]
@@ -166,13 +166,13 @@ ROVER_2_KG = {
 
 @pytest.mark.parametrize("profile", [HAUL_TRUCK, ROVER_2_KG], ids=lambda profile: profile["name"])
 def test_real_vehicles_far_apart_in_size_pass(profile):
-    assert VehicleProfile.from_dict(profile, "x").name == profile["name"]
+    assert Vehicle.from_dict(profile, "x").name == profile["name"]
 
 
 def test_fail_weight_may_be_left_out(warthog):
     del warthog["fail_weight"]
-    assert VehicleProfile.from_dict(warthog, "x") == load_profile("warthog")
-    assert VehicleProfile.from_dict(warthog | {"fail_weight": 40}, "x").fail_weight == 40.0
+    assert Vehicle.from_dict(warthog, "x") == load_profile("warthog")
+    assert Vehicle.from_dict(warthog | {"fail_weight": 40}, "x").fail_weight == 40.0
 
 
 def test_unknown_name_lists_the_shipped_profiles():

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
+from bumpymap.cli._wording import as_options
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_is_kept
@@ -134,7 +135,7 @@ def test_what_nobody_expected_keeps_everything(surveys, plain, tmp_path, monkeyp
     after_tiles(fail)
     result = run("map", surveys, "--out", tmp_path / "out")
     assert result.exit_code != 0
-    assert GO_ON in (result.output + "".join(getattr(result.exception, "__notes__", [])))
+    assert GO_ON in as_options(result.output + "".join(getattr(result.exception, "__notes__", [])))
     goes_on(surveys, tmp_path / "out", plain, monkeypatch)
 
 

@@ -1,0 +1,25 @@
+"""Settings in messages, as the command line spells them.
+
+The library names a setting in backquotes, as an argument of a Python call: ``crs``, ``crs='EPSG:32614'``,
+``overwrite=True``, ``tile_size=5``. A Python caller reads it like that; on the command line it is an option.
+"""
+
+import re
+import shlex
+
+__all__ = ["as_options"]
+
+_SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
+
+
+def as_options(text: str) -> str:
+    """Spell the settings that a text names in backquotes as options: ``--crs EPSG:32614``, ``--overwrite``."""
+    return _SETTING.sub(_option, text) if "`" in text else text
+
+
+def _option(found: re.Match[str]) -> str:
+    name, quoted, plain = found.groups()
+    option = f"--{name.replace('_', '-')}"
+    if quoted is not None:
+        return f"{option} {shlex.quote(quoted)}"
+    return option if plain in {None, "True"} else f"{option} {plain}"

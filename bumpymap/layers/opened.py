@@ -1,0 +1,251 @@
+"""The layers of a run, read back: a lazy dataset, tables of tiles and regions, the manifest."""
+
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bumpymap.core import BANDS, CLASS_NAMES, REASON_TEXT, BadInputError, Band, UsageError, read_record
+from bumpymap.layers.manifest import MANIFEST_FORMAT, MANIFEST_NAME
+
+if TYPE_CHECKING:
+    import geopandas
+    import xarray
+
+__all__ = ["Layers", "open_layers"]
+
+_CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
+_REASONS = Band("reason", "", "why a tile has no class")
+_COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
+_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
+_FLAGS = {"class": CLASS_NAMES, "reason": tuple(REASON_TEXT.values())}
+
+
+class Layers:
+    """The layers that a run left in a folder; `map_survey` and `open` give them.
+
+    Nothing is read before it is asked for. ``dataset``, ``heights``, ``tiles`` and ``regions`` need the extra
+    ``notebook``.
+
+    Parameters
+    ----------
+    folder : path
+        Of a complete run.
+    in_memory : bool
+        The folder goes when the object does, so datasets are read as a whole.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
+        self._folder = Path(folder)
+        self._in_memory = in_memory
+        self._manifest = _read_manifest(self._folder)
+        if in_memory:
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+
+    @property
+    def folder(self) -> Path:
+        """Where the files are."""
+        return self._folder
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """What run.json says: inputs, settings, versions, calibration, counts, files with their checksums."""
+        return self._manifest
+
+    def dataset(self) -> "xarray.Dataset":
+        """Open roughness.tif, class.tif and cost.tif as one dataset on the grid of tiles.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimensions ``y`` (north first) and ``x``, the centres of the tiles. A float32 variable for each band of
+            roughness.tif (``c_r``, ``slope`` ...) and ``cost``, NaN where there is none; ``class`` (255: unknown)
+            and ``reason``, uint8. Each has ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``.
+            Values are read from the files when they are used; those of a run in memory are there.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            A file of the run is missing or damaged.
+        """
+        found = [
+            *self._variables("roughness.tif", BANDS),
+            *self._variables("class.tif", (_CLASSES, _REASONS)),
+            *self._variables("cost.tif", (_COST,)),
+        ]
+        dataset = _import("xarray").Dataset({variable.name: variable for variable in found})
+        vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
+        dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
+        return dataset
+
+    def heights(self) -> "xarray.DataArray":
+        """Open heightmap.tif: the mean height of the points in each pixel, m; NaN where no point fell.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions ``y`` (north first) and ``x``, the centres of the pixels; read when it is used.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            The run left no heightmap.tif, or it is damaged.
+        """
+        return next(self._variables("heightmap.tif", (_HEIGHT,)))
+
+    def tiles(self) -> "geopandas.GeoDataFrame":
+        """Read tiles.parquet: a row for each tile that holds points, its square as the geometry.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            The file is missing or damaged.
+        """
+        with self._file("tiles.parquet") as path:
+            return _import("geopandas").read_parquet(path)
+
+    def regions(self) -> "geopandas.GeoDataFrame":
+        """Read cost.fgb: a row for each region of neighbouring tiles of one class, its outline as the geometry.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            The file is missing or damaged.
+        """
+        with self._file("cost.fgb") as path:
+            return _import("geopandas").read_file(path)
+
+    def __repr__(self) -> str:
+        counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
+        where = "in memory" if self._in_memory else f"in {self._folder}"
+        place = "local coordinates, no CRS" if crs is None else f"{crs['name']} ({crs['code'] or 'no code'})"
+        bounds = self._bounds
+        if bounds is not None:
+            west, south, east, north = bounds
+            place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
+        tiles = max(counts["tiles"], 1)
+        shares = [*counts["by_class"].items(), ("unknown", counts["unknown"])]
+        return "\n".join(
+            [
+                f"<Layers {where}>",
+                f"  place    {place}",
+                f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
+                f"  vehicle  {self._vehicle}",
+                f"  classes  {', '.join(f'{name} {count / tiles:.1%}' for name, count in shares)}",
+            ]
+        )
+
+    @property
+    def _vehicle(self) -> str:
+        return str(self.manifest.get("calibration", {}).get("vehicle", "an unknown vehicle"))
+
+    @cached_property
+    def _bounds(self) -> tuple[float, float, float, float] | None:
+        """West, south, east and north end of the layers in units of their CRS; None where they cannot be read."""
+        import rasterio
+        from rasterio.errors import RasterioError
+
+        try:
+            with rasterio.open(self._folder / "class.tif") as file:
+                return tuple(file.bounds)
+        except RasterioError:
+            return None
+
+    def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
+        """Give the bands of a raster as variables."""
+        with self._file(name) as path:
+            raster = _import("rioxarray").open_rasterio(path)
+            if self._in_memory:
+                raster.load().close()
+        if raster.sizes["band"] != len(bands):
+            raise BadInputError(f"{path} has {raster.sizes['band']} bands; those of a run have {len(bands)}")
+        for number, band in enumerate(bands):
+            variable = raster.isel(band=number, drop=True).rename(band.name)
+            nodata = variable.rio.nodata
+            variable.attrs = {"long_name": band.description, "units": band.unit or "1"}
+            if band.name in _FLAGS:
+                names = _FLAGS[band.name]
+                variable.attrs |= {
+                    "flag_values": list(range(len(names))),
+                    "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
+                }
+            yield variable.rio.write_nodata(nodata)
+
+    @contextmanager
+    def _file(self, name: str) -> Iterator[Path]:
+        """Name a file of the run, for the body of the ``with`` to read."""
+        path = self._folder / name
+        if not path.exists():
+            raise BadInputError(f"{path} is missing: the run left none, or it was taken away. Map the survey again")
+        try:
+            yield path
+        except UsageError:
+            raise
+        except Exception as error:  # rasterio's, pyarrow's and pyogrio's have no base of their own
+            raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+
+
+def open_layers(folder: str | os.PathLike[str]) -> Layers:
+    """Open the layers that ``bumpymap map`` or `map_survey` left in a folder.
+
+    Parameters
+    ----------
+    folder : path
+        The one that was given as ``out``.
+
+    Returns
+    -------
+    Layers
+
+    Raises
+    ------
+    BadInputError
+        There is no such folder, or no complete run in it.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> layers = bumpymap.open("site_layers")
+    >>> layers.manifest["counts"]["tiles"]
+    1426
+    """
+    return Layers(folder)
+
+
+def temporary_folder() -> str:
+    """Make the folder of a run whose layers go with their object."""
+    return tempfile.mkdtemp(prefix="bumpymap-layers-")
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    if not folder.is_dir():
+        raise BadInputError(f"there is no folder {folder}. Give the one that the layers were written to")
+    record = read_record(folder / MANIFEST_NAME)
+    if record is None or record.get("format") != MANIFEST_FORMAT:
+        inside = " The map of a drive is in its folder map" if (folder / "scan.json").exists() else ""
+        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{inside}")
+    return record
+
+
+def _import(package: str) -> Any:
+    """Import a package of the extra ``notebook``."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise UsageError(
+            f"this needs {package}, which cannot be imported ({error}): pip install 'bumpymap[notebook]'"
+        ) from error

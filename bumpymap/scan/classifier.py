@@ -1,0 +1,242 @@
+"""Class the ground of scans in memory: one call for one scan, an object for the loop of a robot."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bumpymap.core import (
+    CLASS_NAMES,
+    CLASSES,
+    NOT_TRAVERSABLE,
+    ClassedSectors,
+    Compat,
+    PolarSettings,
+    Scan,
+    ScanMethod,
+    SectorBounds,
+    UsageError,
+    point_classes,
+    sector_bounds,
+    settings_of_call,
+)
+from bumpymap.readers import Robot, read_scan, scene_points
+from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.methods import choose_method
+
+__all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
+
+ScanSource: TypeAlias = ArrayLike | str | os.PathLike[str]
+"""Points (n, 3 or more columns: x, y, z first) in the sensor's frame, m, or the path of a file with them."""
+
+_NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traversable"}
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ScanResult:
+    """The classed ground of one scan: arrays with one row a point, and arrays with one row a sector."""
+
+    points: NDArray[np.float32]
+    """(n, 3) m. Those that were given (not copied where they are float32); of a file, those of the scene."""
+    point_class: NDArray[np.uint8]
+    """(n,) 0 smooth, 1 fair, 2 rough; 255 not traversable, or in no measured sector."""
+    point_sector: NDArray[np.int32]
+    """(n,) row of the point's sector in the arrays of sectors; -1 where no measured sector holds it."""
+    sectors: ClassedSectors
+    """All that was measured of the sectors; its parts that matter most are properties of this object."""
+
+    @property
+    def class_names(self) -> dict[int, str]:
+        """What each class is called: 0 to 2, and 255."""
+        return dict(_NAMES)
+
+    @property
+    def method(self) -> ScanMethod:
+        """How the classes were found: ``learned`` or ``filter``."""
+        return self.sectors.method
+
+    @property
+    def sector_class(self) -> NDArray[np.uint8]:
+        """(m,) class of each sector: 0 to 2, or 255 where it is not traversable."""
+        return self.sectors.class_id
+
+    @property
+    def sector_confidence(self) -> NDArray[np.float32]:
+        """(m,) probability of the class; NaN where the sector is not traversable, everywhere by the filter method."""
+        confidence = self.sectors.confidence
+        return np.full(len(self.sector_class), np.nan, np.float32) if confidence is None else confidence
+
+    @property
+    def sector_bounds(self) -> SectorBounds:
+        """``near`` and ``far`` (distance from the sensor, m), ``right`` and ``left`` (azimuth, rad), (m,) each."""
+        return sector_bounds(self.sectors.sectors)
+
+    @property
+    def sector_points(self) -> NDArray[np.int32]:
+        """(m,) number of points in each sector."""
+        return self.sectors.sectors.count
+
+    @property
+    def point_confidence(self) -> NDArray[np.float32]:
+        """(n,) confidence of each point's sector; NaN where it has none."""
+        padded: NDArray[np.float32] = np.append(self.sector_confidence, np.float32(np.nan))
+        return padded[self.point_sector]
+
+    def __repr__(self) -> str:
+        counts = {name: int((self.sector_class == value).sum()) for value, name in _NAMES.items()}
+        shares = ", ".join(f"{name} {count}" for name, count in counts.items())
+        return (
+            f"<ScanResult: {len(self.points):,} points, {len(self.sector_class):,} sectors: {shares} ({self.method})>"
+        )
+
+
+class ScanClassifier:
+    """Classes scan after scan with one network and one set of buffers, for the loop of a robot.
+
+    The first scan takes longer than the others: the network and the compiled loops are loaded. Use one object in each
+    thread.
+
+    Parameters
+    ----------
+    method : {"learned", "filter"}, optional
+        How sectors are classed; the default is the network, where one ships for the grid.
+    model : path, optional
+        A scan network, instead of the one that ships.
+    stripes : path, optional
+        Stripe classes of the filter method, instead of those that ship.
+    compat : {"none", "paper"}
+        ``paper``: fit the stripe classes anew in every scan.
+    polar : dict, optional
+        The polar grid, with the names and values of ``[polar]`` in a settings file.
+    robot : dict, optional
+        What the sensor sees of the robot that carries it, as ``[robot]`` in a settings file.
+
+    Raises
+    ------
+    UsageError
+        Settings that cannot be used, or do not go together.
+    BadInputError
+        The network or the stripe classes cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bumpymap import ScanClassifier
+    >>> angle, distance = np.meshgrid(np.linspace(0, 2 * np.pi, 800), np.arange(4, 30, 0.3))
+    >>> points = np.stack([distance * np.cos(angle), distance * np.sin(angle), 0 * angle - 1.5], axis=-1)
+    >>> classifier = ScanClassifier(method="filter")
+    >>> result = classifier(points.reshape(-1, 3))
+    >>> result.class_names[int(result.sector_class[0])]
+    'smooth'
+    >>> result.point_class.shape == (len(result.points),)
+    True
+    """
+
+    def __init__(
+        self,
+        *,
+        method: ScanMethod | None = None,
+        model: str | os.PathLike[str] | None = None,
+        stripes: str | os.PathLike[str] | None = None,
+        compat: Compat = "none",
+        polar: PolarSettings | Mapping[str, Any] | None = None,
+        robot: Robot | Mapping[str, Any] | None = None,
+    ) -> None:
+        given = {"method": method, "model": model, "stripes": stripes, "compat": compat, "polar": polar, "robot": robot}
+        settings = settings_of_call(given, ScanConfig, "ScanClassifier")
+        config = ScanConfig(frames=(), out=Path(), **settings)  # nothing is read or written by way of these two
+        self._robot = config.robot
+        self._blind = config.robot.box_m is None and config.robot.radius_m <= config.polar.zone_starts_m[0]
+        self._method = choose_method(config)
+
+    def __call__(self, points: ScanSource, /) -> ScanResult:
+        """Class the ground of one scan.
+
+        Parameters
+        ----------
+        points : array (n, 3 or more) or path
+            x forward, y to the left, z up, in the sensor's frame, m; further columns are not looked at. Returns at
+            (0, 0, 0), those that are not finite and those on the robot get class 255. Or a file: PLY, PCD or
+            KITTI-style ``.bin``.
+
+        Returns
+        -------
+        ScanResult
+            The next scan leaves its arrays alone.
+
+        Raises
+        ------
+        UsageError
+            The array has no three columns of numbers.
+        BadInputError
+            The file cannot be read.
+        """
+        if isinstance(points, str | os.PathLike):
+            scan = read_scan(Path(points), self._robot)
+            classed = self._method.classify(scan)
+            return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
+        array = _columns(points)
+        # Points nearer than the grid begins have no say in any sector.
+        kept = None if self._blind and np.isfinite(array).all() else scene_points(array, self._robot)
+        scan = Scan(array if kept is None else array[kept])
+        classed = self._method.classify(scan)
+        classes, sector = point_classes(scan, classed), classed.sectors.point_sector
+        if kept is not None:
+            classes, sector = _spread(classes, kept, NOT_TRAVERSABLE), _spread(sector, kept, -1)
+        return ScanResult(array, classes, sector, classed)
+
+
+def classify_scan(
+    points: ScanSource,
+    /,
+    *,
+    method: ScanMethod | None = None,
+    model: str | os.PathLike[str] | None = None,
+    stripes: str | os.PathLike[str] | None = None,
+    compat: Compat = "none",
+    polar: PolarSettings | Mapping[str, Any] | None = None,
+    robot: Robot | Mapping[str, Any] | None = None,
+) -> ScanResult:
+    """Class the ground of one scan.
+
+    Parameters
+    ----------
+    points : array (n, 3 or more) or path
+        As for a call of `ScanClassifier`.
+    method, model, stripes, compat, polar, robot
+        As for `ScanClassifier`, which is the thing for scan after scan.
+
+    Returns
+    -------
+    ScanResult
+
+    Raises
+    ------
+    BumpymapError
+        Settings that cannot be used, points that are none, a file that cannot be read.
+    """
+    classifier = ScanClassifier(method=method, model=model, stripes=stripes, compat=compat, polar=polar, robot=robot)
+    return classifier(points)
+
+
+def _columns(points: ArrayLike) -> NDArray[np.float32]:
+    """Take x, y and z of an array of points, as the kernels want them."""
+    try:
+        array = np.asarray(points)
+        if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu":
+            return np.ascontiguousarray(array[:, :3], np.float32)
+        what = f"an array of shape {array.shape} and type {array.dtype}"
+    except ValueError as error:  # rows of different lengths
+        what = f"no array ({error})"
+    raise UsageError(f"points are {what}; give an array (n, 3) of x, y and z in metres, or the path of a file")
+
+
+def _spread(values: NDArray[Any], kept: NDArray[np.bool_], gap: int) -> NDArray[Any]:
+    """Put the values of the kept points in their rows among all."""
+    full = np.full(len(kept), gap, values.dtype)
+    full[kept] = values
+    return full

@@ -1,0 +1,141 @@
+"""Map surveys from Python: one call, the layers back."""
+
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeAlias, TypedDict, Unpack
+
+from bumpymap.core import (
+    CLASHES,
+    Compat,
+    CsfSettings,
+    FeatureSettings,
+    Ground,
+    MapConfig,
+    Rating,
+    UsageError,
+    ZUnit,
+    refuse_clashes,
+    settings_of_call,
+    why_no_path,
+)
+from bumpymap.layers import Layers, temporary_folder
+from bumpymap.survey.pipeline import map_surveys
+
+__all__ = ["MapSettings", "map_survey"]
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+class MapSettings(TypedDict, total=False):
+    """Settings of `map_survey`: the fields of ``MapConfig``, as it describes them; paths may be strings."""
+
+    tile_size: float
+    pixels: int
+    ground: Ground
+    rating: Rating
+    compat: Compat
+    vehicle: PathLike
+    calibration: PathLike | None
+    model: PathLike | None
+    crs: str | None
+    z_unit: ZUnit | None
+    local: bool
+    trust_points: bool
+    skip_bad: bool
+    overwrite: bool
+    resume: bool
+    threads: int
+    memory: str
+    scratch: PathLike | None
+    workers: int | None
+    scheduler: str | None
+    tls_config: PathLike | None
+    features: FeatureSettings | Mapping[str, Any]
+    csf: CsfSettings | Mapping[str, Any]
+
+
+def map_survey(
+    surveys: PathLike | Iterable[PathLike], out: PathLike | None = None, **settings: Unpack[MapSettings]
+) -> Layers:
+    """Map surveys: roughness, classes and ride cost of each tile.
+
+    Parameters
+    ----------
+    surveys : path, or several
+        Files and folders (LAS, LAZ, COPC, PLY, PCD), or URLs: strings and path-like objects alike.
+    out : path, optional
+        Folder for the layers. Without one they are made in memory: their files go when the returned object does.
+    **settings
+        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``rating``,
+        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
+        ``skip_bad``, ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``, ``workers``, ``scheduler``,
+        ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+
+    Returns
+    -------
+    Layers
+
+    Raises
+    ------
+    BumpymapError
+        Anything that the inputs, the settings or the disk can cause; no file is left half-written.
+    TypeError
+        There is no setting of such a name.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> layers = bumpymap.map_survey("sample_data/quarry.laz", ground="all")
+    >>> layers.manifest["counts"]["by_class"]["smooth"] > 500
+    True
+    """
+    _refuse_unknown(settings)
+    given = {name: value for name, value in settings.items() if value is not None}
+    refuse_clashes(given, CLASHES)
+    own = settings_of_call(given, MapConfig, "map_survey")
+    places = _places(surveys)
+    if out is not None:
+        folder = _place("out", out)
+        map_surveys(MapConfig(surveys=places, out=Path(folder), **own))
+        return Layers(folder)
+    folder = temporary_folder()
+    try:
+        map_surveys(MapConfig(surveys=places, out=Path(folder), **own))
+        return Layers(folder, in_memory=True)
+    except BaseException as end:
+        shutil.rmtree(folder, ignore_errors=True)
+        end.__notes__ = [
+            note for note in getattr(end, "__notes__", []) if "`resume=True`" not in note
+        ]  # nothing is kept
+        raise
+
+
+def _refuse_unknown(settings: Mapping[str, Any]) -> None:
+    known = [field.name for field in fields(MapConfig) if field.name not in {"surveys", "out"}]
+    unknown = [name for name in settings if name not in known]
+    if unknown:
+        raise TypeError(f"map_survey() has no setting {', '.join(unknown)}; there are: {', '.join(known)}")
+
+
+def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
+    """Turn one place or several into paths; URLs stay texts."""
+    several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
+    if not isinstance(several, Iterable):
+        raise UsageError(f"surveys is {several!r}; give a path or a list of them")
+    texts = [_place("surveys", survey) for survey in several]
+    if not texts:
+        raise UsageError("surveys is empty; give a path or a list of them")
+    return tuple(text if "://" in text else Path(text) for text in texts)
+
+
+def _place(name: str, place: PathLike) -> str:
+    """Return the text of a path that can be one."""
+    if not isinstance(place, str | os.PathLike):
+        raise UsageError(f"{name} is {place!r}; it must be a path")
+    text = os.fspath(place)
+    if reason := why_no_path(text) or ("" if text else "the path is empty; the current folder is called ."):
+        raise UsageError(f"{name}: {reason}")
+    return text

@@ -1,0 +1,59 @@
+"""The Python of the notebook page and of the API pages runs, block after block, as it stands."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import bumpymap
+
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.use("Agg")
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docs" / "pages"
+PAGES = [FOLDER / "notebook.md", *sorted((FOLDER / "api").glob("*.md"))]
+_BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def site_layers(tmp_path_factory):
+    return bumpymap.map_survey(ROOT / "sample_data" / "quarry.laz", tmp_path_factory.mktemp("site") / "site_layers")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_python_of_a_page_runs(page, site_layers, tmp_path, monkeypatch):
+    (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
+    (tmp_path / "site_layers").symlink_to(site_layers.folder)
+    monkeypatch.chdir(tmp_path)
+    text = page.read_text(encoding="utf-8")
+    blocks = list(_BLOCK.finditer(text))
+    assert blocks
+    names = {}
+    for block in blocks:
+        line = text.count("\n", 0, block.start()) + 1
+        exec(compile("\n" * line + block[1], str(page), "exec"), names)  # noqa: S102 (our own pages)
+    if page.stem == "notebook":
+        check_notebook(names, tmp_path)
+
+
+def check_notebook(names, folder):
+    """The numbers that the page speaks of, and the picture."""
+    text = (FOLDER / "notebook.md").read_text(encoding="utf-8")
+    assert repr(names["layers"]) in text
+    assert list(names["statistics"].index) == ["smooth", "fair", "rough", "very rough"]
+    assert names["statistics"]["c_r"].is_monotonic_increasing
+    dearest_shown = names["cheapest"]["cost"].max()
+    assert (names["tiles"]["cost"] < dearest_shown).sum() < 5
+    assert 0 < names["passable"].area.sum() < names["regions"].area.sum()
+    assert set(names["scan"].sector_class.tolist()) > {0, 255}
+    picture = matplotlib.image.imread(folder / "notebook.png")
+    assert picture.shape[:2] == (400, 1200)
+    assert len({tuple(pixel) for pixel in picture[::4, ::4].reshape(-1, 4).tolist()}) > 50
+
+
+def test_every_public_name_has_its_page():
+    shown = {
+        name for page in PAGES for name in re.findall(r"^::: bumpymap\.(\w+)$", page.read_text("utf-8"), re.MULTILINE)
+    }
+    assert shown == set(bumpymap.__all__) - {"__version__"}

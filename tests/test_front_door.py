@@ -1,0 +1,376 @@
+"""`import bumpymap` as a notebook uses it: what is there, what it costs, what the calls give and say."""
+
+import doctest
+import importlib
+import math
+import shutil
+import subprocess
+import sys
+import threading
+from dataclasses import fields
+from pathlib import Path
+
+import geopandas
+import numpy as np
+import pytest
+import rasterio
+import xarray as xr
+
+import bumpymap
+from bumpymap.core import Scan
+from bumpymap.core.config import MapConfig
+from bumpymap.core.types import BANDS
+from bumpymap.readers import read_scan
+from bumpymap.scan import polar_sectors
+from bumpymap.survey.api import MapSettings
+
+ROOT = Path(__file__).resolve().parents[1]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+
+
+@pytest.fixture(scope="module")
+def layers(tmp_path_factory):
+    return bumpymap.map_survey(str(QUARRY), tmp_path_factory.mktemp("layers") / "site_layers")
+
+
+def test_the_import_loads_nothing_heavy():
+    code = "import sys, bumpymap; dir(bumpymap); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[0] for name in done.stdout.split()}
+    assert not loaded & {"numpy", "numba", "pyproj", "rasterio", "xarray", "pandas", "click", "importlib_metadata"}
+
+
+@pytest.mark.parametrize("name", bumpymap.__all__)
+def test_every_public_name_is_there_and_says_what_it_is(name):
+    assert name in dir(bumpymap)
+    value = getattr(bumpymap, name)
+    assert isinstance(value, str) or value.__doc__
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="map_surveys"):
+        _ = bumpymap.map_surveys
+
+
+def test_the_settings_for_type_checkers_are_those_of_a_map():
+    own = {field.name for field in fields(MapConfig)} - {"surveys", "out"}
+    assert set(MapSettings.__annotations__) == own
+
+
+def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
+    dataset = layers.dataset()
+    assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost"]
+    with rasterio.open(layers.folder / "roughness.tif") as file:
+        assert dataset.rio.crs == file.crs
+        assert dataset.rio.transform() == file.transform
+        for number, band in enumerate(BANDS, 1):
+            variable = dataset[band.name]
+            np.testing.assert_array_equal(variable.values, file.read(number))
+            assert variable.attrs["long_name"] == band.description
+            assert variable.attrs["units"] == (band.unit or "1")
+    with rasterio.open(layers.folder / "class.tif") as file:
+        np.testing.assert_array_equal(dataset["class"].values, file.read(1))
+        np.testing.assert_array_equal(dataset["reason"].values, file.read(2))
+    with rasterio.open(layers.folder / "cost.tif") as file:
+        np.testing.assert_array_equal(dataset["cost"].values, file.read(1))
+    assert dataset["class"].dtype == np.uint8
+    assert dataset["class"].rio.nodata == 255
+    assert dataset["class"].attrs["flag_meanings"] == "smooth fair rough very_rough"
+
+
+def test_values_are_read_when_they_are_used(layers):
+    dataset = layers.dataset()
+    unread = "1428 values with dtype=float32"  # xarray says so of what is not in memory
+    assert unread in repr(dataset["c_r"])
+    assert np.isfinite(dataset["slope"].values).any()
+    assert unread in repr(dataset["c_r"])
+    assert unread not in repr(dataset["slope"])
+    assert "values with dtype" in repr(layers.heights())
+
+
+def test_a_band_goes_back_into_a_geotiff(layers, tmp_path):
+    layers.dataset()["c_r"].rio.to_raster(tmp_path / "c_r.tif")
+    with rasterio.open(tmp_path / "c_r.tif") as new, rasterio.open(layers.folder / "roughness.tif") as old:
+        np.testing.assert_array_equal(new.read(1), old.read(1))
+        assert (new.crs, new.transform, math.isnan(new.nodata)) == (old.crs, old.transform, True)
+
+
+def test_the_dataset_can_be_reprojected(layers):
+    there = layers.dataset().rio.reproject("EPSG:4326")
+    west, south, east, north = there.rio.bounds()
+    assert 9.16 < west < east < 9.18
+    assert 48.77 < south < north < 48.79
+    assert set(np.unique(there["class"])) <= {0, 1, 2, 3, 255}
+
+
+def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
+    layers.dataset()[["c_r", "cost"]].to_netcdf(tmp_path / "layers.nc", engine="scipy")
+    back = xr.open_dataset(tmp_path / "layers.nc", engine="scipy", decode_coords="all", mask_and_scale=False)
+    assert back.rio.crs == "EPSG:32632"
+    np.testing.assert_array_equal(back["c_r"].values, layers.dataset()["c_r"].values)
+
+
+def test_heights_are_those_of_the_file(layers):
+    heights = layers.heights()
+    with rasterio.open(layers.folder / "heightmap.tif") as file:
+        np.testing.assert_array_equal(heights.values, file.read(1))
+        assert heights.rio.transform() == file.transform
+    assert heights.attrs["units"] == "m"
+
+
+def test_tiles_and_regions_are_geodataframes(layers):
+    tiles, regions = layers.tiles(), layers.regions()
+    assert isinstance(tiles, geopandas.GeoDataFrame)
+    assert len(tiles) == layers.manifest["counts"]["tiles"]
+    assert tiles.crs == regions.crs == "EPSG:32632"
+    assert regions.area.sum() == pytest.approx(tiles.area.sum())
+
+
+def test_the_text_says_place_size_vehicle_and_classes(layers):
+    text = repr(layers)
+    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 65.9%"):
+        assert part in text
+
+
+def test_a_missing_layer_is_said(layers, tmp_path):
+    folder = shutil.copytree(layers.folder, tmp_path / "copy")
+    opened = bumpymap.open(str(folder))
+    for name, call in (
+        ("heightmap.tif", opened.heights),
+        ("class.tif", opened.dataset),
+        ("tiles.parquet", opened.tiles),
+        ("cost.fgb", opened.regions),
+    ):
+        (folder / name).unlink()
+        with pytest.raises(bumpymap.BadInputError, match=f"{name} is missing"):
+            call()
+    assert "warthog" in repr(opened)
+
+
+def test_a_damaged_layer_is_said(layers, tmp_path):
+    folder = shutil.copytree(layers.folder, tmp_path / "copy")
+    opened = bumpymap.open(folder)
+    for name, call in (
+        ("heightmap.tif", opened.heights),
+        ("tiles.parquet", opened.tiles),
+        ("cost.fgb", opened.regions),
+    ):
+        (folder / name).write_bytes(b"nothing")
+        with pytest.raises(bumpymap.BadInputError, match=f"cannot read .*{name}"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("files", "words"), [(None, "no folder"), ((), "no complete run"), (("scan.json",), "folder map")]
+)
+def test_a_folder_without_layers_is_refused(tmp_path, files, words):
+    folder = tmp_path / "folder"
+    if files is not None:
+        folder.mkdir()
+        for name in files:
+            (folder / name).write_text("{}", encoding="utf-8")
+    with pytest.raises(bumpymap.BadInputError, match=words):
+        bumpymap.open(folder)
+
+
+def test_without_the_extra_the_message_says_how_to_install_it(layers, monkeypatch):
+    real = importlib.import_module
+
+    def refuse(name, package=None):
+        if name in {"xarray", "rioxarray", "geopandas"}:
+            raise ModuleNotFoundError(f"No module named '{name}'")
+        return real(name, package)
+
+    monkeypatch.setattr("bumpymap.layers.opened.import_module", refuse)
+    for call in (layers.dataset, layers.heights, layers.tiles, layers.regions):
+        with pytest.raises(bumpymap.UsageError, match=r"pip install 'bumpymap\[notebook\]'"):
+            call()
+
+
+def test_without_out_the_files_go_with_the_object():
+    layers = bumpymap.map_survey(QUARRY, ground="all")
+    folder, dataset, heights = layers.folder, layers.dataset(), layers.heights()
+    assert "in memory" in repr(layers)
+    assert folder.is_dir()
+    del layers
+    assert not folder.exists()
+    assert np.isfinite(dataset["c_r"]).sum() > 1000
+    assert np.isfinite(heights).sum() > 1000
+
+
+def test_nothing_is_left_where_a_run_in_memory_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(bumpymap.BadInputError):
+        bumpymap.map_survey(tmp_path / "missing.laz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_in_memory_that_ends_early_does_not_speak_of_going_on(tmp_path, monkeypatch):
+    def end_early(config):
+        error = bumpymap.OutputError("the disk is full")
+        error.add_note("Pass `resume=True` to the same command to go on from the finished tiles.")
+        error.add_note("Look at it.")
+        raise error
+
+    monkeypatch.setattr("bumpymap.survey.api.map_surveys", end_early)
+    with pytest.raises(bumpymap.OutputError) as caught:
+        bumpymap.map_survey(QUARRY)
+    assert caught.value.__notes__ == ["Look at it."]
+    with pytest.raises(bumpymap.OutputError) as caught:
+        bumpymap.map_survey(QUARRY, tmp_path)
+    assert len(caught.value.__notes__) == 2
+
+
+def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
+    for number, surveys in enumerate((QUARRY, [str(QUARRY)], (QUARRY,))):
+        other = bumpymap.map_survey(surveys, str(tmp_path / str(number)), threads=np.int64(1))
+        digests = [{file["path"]: file["sha256"] for file in run.manifest["files"]} for run in (layers, other)]
+        assert digests[0] == digests[1]
+
+
+def test_tables_of_settings_are_dicts(tmp_path):
+    layers = bumpymap.map_survey(QUARRY, features={"min_points": 5000})
+    assert layers.manifest["settings"]["features"]["min_points"] == 5000
+    assert layers.manifest["counts"]["classified"] == 0
+
+
+def test_a_run_in_a_thread(tmp_path):
+    found = []
+    thread = threading.Thread(target=lambda: found.append(bumpymap.map_survey(QUARRY)))
+    thread.start()
+    thread.join()
+    assert found[0].manifest["counts"]["tiles"] == 1426
+
+
+def test_unknown_settings_are_a_type_error_that_lists_the_others():
+    with pytest.raises(TypeError, match="tilesize") as caught:
+        bumpymap.map_survey(QUARRY, tilesize=3)
+    for name in MapSettings.__annotations__:
+        assert name in str(caught.value)
+
+
+# --- scans ---
+
+
+def ring_of_ground(seed=0, points=60_000):
+    rng = np.random.default_rng(seed)
+    angle, distance = rng.uniform(0, 2 * math.pi, points), rng.uniform(1, 40, points)
+    z = -1.5 + np.where(angle < math.pi, 0.0, rng.normal(0, 0.15, points))
+    return np.column_stack([distance * np.cos(angle), distance * np.sin(angle), z]).astype(np.float32)
+
+
+@pytest.mark.parametrize("method", ["filter", "learned"])
+def test_a_scan_has_classes_by_point_and_by_sector(method):
+    points = ring_of_ground()
+    result = bumpymap.classify_scan(points, method=method)
+    assert isinstance(result, bumpymap.ScanResult)
+    assert result.method == method
+    assert result.point_class.shape == result.point_sector.shape == result.point_confidence.shape == (len(points),)
+    inside = result.point_sector >= 0
+    np.testing.assert_array_equal(result.point_class[inside], result.sector_class[result.point_sector[inside]])
+    assert (result.point_class[~inside] == 255).all()
+    bounds = result.sector_bounds
+    distance = np.hypot(points[:, 0], points[:, 1])[inside]
+    place = result.point_sector[inside]
+    assert (distance >= bounds.near[place] - 1e-3).all()
+    assert (distance < bounds.far[place] + 1e-3).all()
+    np.testing.assert_array_equal(np.bincount(place, minlength=len(result.sector_class)), result.sector_points)
+    assert set(np.unique(result.sector_class)) <= set(result.class_names)
+    assert f"{len(points):,} points" in repr(result)
+
+
+def test_confidence_is_that_of_the_network_and_nan_by_the_filter():
+    learned = bumpymap.classify_scan(ring_of_ground(), method="learned")
+    known = learned.sector_class != 255
+    assert known.any()
+    assert ((learned.sector_confidence[known] > 1 / 3 - 1e-6) & (learned.sector_confidence[known] <= 1 + 1e-6)).all()
+    assert np.isnan(learned.sector_confidence[~known]).all()
+    assert np.isnan(bumpymap.classify_scan(ring_of_ground(), method="filter").sector_confidence).all()
+
+
+def test_returns_that_are_no_points_keep_their_rows():
+    points = ring_of_ground()
+    odd = points.copy()
+    odd[::7] = 0.0
+    odd[3::11, 2] = np.nan
+    odd[5::13, 0] = np.inf
+    kept = np.isfinite(odd).all(axis=1) & (odd != 0.0).any(axis=1)
+    result, alone = bumpymap.classify_scan(odd), bumpymap.classify_scan(odd[kept])
+    np.testing.assert_array_equal(result.point_class[kept], alone.point_class)
+    np.testing.assert_array_equal(result.point_sector[kept], alone.point_sector)
+    assert (result.point_class[~kept] == 255).all()
+    assert (result.point_sector[~kept] == -1).all()
+
+
+def test_an_array_and_its_file_give_the_same(tmp_path):
+    points = ring_of_ground()
+    file = tmp_path / "000000.bin"
+    np.column_stack([points, np.ones(len(points))]).astype(np.float32).tofile(file)
+    from_file, from_array = bumpymap.classify_scan(str(file)), bumpymap.classify_scan(points.astype(np.float64))
+    np.testing.assert_array_equal(from_file.sector_class, from_array.sector_class)
+    np.testing.assert_array_equal(from_file.points, read_scan(file).points)
+
+
+def test_the_robot_is_left_out(tmp_path):
+    points = ring_of_ground()
+    result = bumpymap.classify_scan(points, robot={"box_m": [-20, 20, -20, 0]})
+    hidden = (np.abs(points[:, 0]) <= 20) & (points[:, 1] <= 0) & (points[:, 1] >= -20)
+    assert hidden.any()
+    assert (result.point_class[hidden] == 255).all()
+
+
+def test_a_classifier_gives_what_a_fresh_one_gives_and_leaves_earlier_results_alone():
+    classifier = bumpymap.ScanClassifier()
+    scans = [ring_of_ground(seed, points) for seed, points in ((1, 60_000), (2, 20_000), (3, 90_000), (4, 40_000))]
+    streamed = [classifier(scan) for scan in scans]
+    for scan, result in zip(scans, streamed, strict=True):
+        fresh = bumpymap.classify_scan(scan)
+        np.testing.assert_array_equal(result.point_class, fresh.point_class)
+        np.testing.assert_array_equal(result.point_sector, fresh.point_sector)
+        np.testing.assert_array_equal(result.sector_class, fresh.sector_class)
+        np.testing.assert_array_equal(result.sectors.sectors.heights, polar_sectors(Scan(scan)).heights)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (np.zeros((5, 2)), r"shape \(5, 2\)"),
+        (np.zeros(3), r"shape \(3,\)"),
+        ([["a", "b", "c"]], "type <U1"),
+        ([[1], [1, 2]], "no array"),
+    ],
+)
+def test_points_that_are_none_are_refused(points, words):
+    with pytest.raises(bumpymap.UsageError, match=words):
+        bumpymap.classify_scan(points)
+
+
+def test_an_empty_scan_has_no_sectors():
+    result = bumpymap.classify_scan(np.empty((0, 3)))
+    assert len(result.point_class) == len(result.sector_class) == 0
+
+
+# --- vehicles and calibrations ---
+
+
+def test_vehicles_and_calibrations_are_read():
+    assert bumpymap.Vehicle.load("warthog").name == bumpymap.Calibration.shipped("warthog").vehicle["name"] == "warthog"
+
+
+def test_a_calibration_is_read_from_a_string(tmp_path):
+    file = tmp_path / "own.json"
+    file.write_text(bumpymap.Calibration.shipped("warthog").to_json(), encoding="utf-8")
+    assert bumpymap.Calibration.load(str(file)) == bumpymap.Calibration.shipped("warthog")
+
+
+# --- examples ---
+
+
+@pytest.mark.parametrize("module", ["bumpymap.survey.api", "bumpymap.layers.opened", "bumpymap.scan.classifier"])
+def test_the_examples_of_the_docstrings_run(module, layers, tmp_path, monkeypatch):
+    shutil.copytree(layers.folder, tmp_path / "site_layers")
+    (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
+    monkeypatch.chdir(tmp_path)
+    done = doctest.testmod(importlib.import_module(module))
+    assert done.attempted >= 3
+    assert done.failed == 0
