@@ -56,6 +56,7 @@ class LasSurvey(Survey):
                 bounds,
                 has_classes=None,
                 notes=notes + _degrees_note(place, raw),
+                sequential=isinstance(self._source, LazStream),
             )
         )
 

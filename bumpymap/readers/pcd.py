@@ -57,7 +57,10 @@ class PcdSurvey(Survey):
             notes += ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         kind = f"PCD {head.version}, {head.data.value}"
         has_classes = self._class_column is not None
-        super().__init__(SurveyInfo(path, kind, size, head.points, place, None, has_classes, notes))
+        sequential = head.data is not Encoding.BINARY
+        super().__init__(
+            SurveyInfo(path, kind, size, head.points, place, None, has_classes, notes, sequential=sequential)
+        )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""

@@ -45,7 +45,10 @@ class PlySurvey(Survey):
             notes += precision_note(first, types)
         kind = f"PLY, {_ENDIAN[header.byte_order]}, {' '.join(dict.fromkeys(np.dtype(t).name for t in types))}"
         has_classes = header.class_column is not None
-        super().__init__(SurveyInfo(path, kind, size, header.vertex.count, place, None, has_classes, notes))
+        sequential = self._serial is not None
+        super().__init__(
+            SurveyInfo(path, kind, size, header.vertex.count, place, None, has_classes, notes, sequential=sequential)
+        )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""

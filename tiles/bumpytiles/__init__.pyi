@@ -37,7 +37,7 @@ from .signals import (
 )
 from .split import (
     BLOCK_TILES as BLOCK_TILES,
-    Run as Run,
+    GroupedPoints as GroupedPoints,
     TilePoints as TilePoints,
     group_points as group_points,
 )
