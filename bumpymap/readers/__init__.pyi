@@ -1,5 +1,5 @@
 from .decoder import (
-    close as close,
+    close_decoder as close_decoder,
 )
 from .detect import (
     open_survey as open_survey,

@@ -30,7 +30,7 @@ from bumpymap.core import (
 )
 from bumpymap.readers import _decoder_child
 
-__all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close", "decoder"]
+__all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close_decoder", "decoder"]
 
 Bytes = NDArray[np.uint8]
 Supply = Callable[[int, Bytes], int]
@@ -222,7 +222,7 @@ def decoder() -> Decoder:
         return _current
 
 
-def close() -> None:
+def close_decoder() -> None:
     """Give back what the decoder holds; the next request takes it again."""
     if _current is not None:
         _current.close()
@@ -233,6 +233,6 @@ def _forget() -> None:
     _lock, _current = threading.Lock(), None
 
 
-at_exit(close)
+at_exit(close_decoder)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget)

@@ -47,7 +47,10 @@ class LasSurvey(SurveyBase):
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
-        super().__init__(SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes))
+        sequential = isinstance(self._source, LazStream)
+        super().__init__(
+            SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes, sequential=sequential)
+        )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut the file: between points, LAZ chunks, or nodes of the octree."""

@@ -65,6 +65,11 @@ class PcdTable(PointTable):
         super().__init__(path, TableInfo(kind, size, head.points, self._dtype.itemsize, types, is_text, notes))
         self._text = self._text_rows(wanted, text_type) if is_text else None
 
+    @property
+    def sequential(self) -> bool:
+        """See ``PointTable.sequential``."""
+        return self._head.data is not Encoding.BINARY
+
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
         if self._text is not None:

@@ -47,6 +47,11 @@ class PlyTable(PointTable):
         super().__init__(path, TableInfo(kind, size, header.vertex.count, row_bytes, types, header.text))
         self._serial = self._serial_rows(wanted)
 
+    @property
+    def sequential(self) -> bool:
+        """See ``PointTable.sequential``."""
+        return self._serial is not None
+
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
         if self._serial is not None:

@@ -60,6 +60,11 @@ class PointTable(ABC):
     def __init__(self, path: Location, info: TableInfo) -> None:
         self.path, self.info = path, info
 
+    @property
+    @abstractmethod
+    def sequential(self) -> bool:
+        """Whether rows can only be read from the start of the file on."""
+
     @abstractmethod
     def rows(self, first: int, count: int) -> Any:
         """Structured array (n,) of rows from ``first`` on, fewer than ``count`` where the file ends."""
@@ -89,7 +94,19 @@ class TableSurvey(SurveyBase):
             notes += precision_note(first, [head.types[name] for name in self._columns])
         notes += head.notes
         has_classes = self._class_column is not None
-        super().__init__(SurveyInfo(table.path, head.format, head.size, head.count, place, None, has_classes, notes))
+        super().__init__(
+            SurveyInfo(
+                table.path,
+                head.format,
+                head.size,
+                head.count,
+                place,
+                None,
+                has_classes,
+                notes,
+                sequential=table.sequential,
+            )
+        )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""

@@ -49,6 +49,8 @@ class SurveyInfo:
     """What a user should know, one sentence each."""
     version: Version | None = None
     """Which version of the file is read, see `bumpymap.readers.source.version_of`; None where nobody watches it."""
+    sequential: bool = False
+    """Whether the points can only be decoded from the start of the file on."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,18 +9,15 @@ from .advice import (
 from .api import (
     map_survey as map_survey,
 )
+from .engine.block_work import (
+    BlockWork as BlockWork,
+)
 from .engine.budget import (
     Budget as Budget,
     memory_bytes as memory_bytes,
 )
-from .engine.cluster import (
-    Crew as Crew,
-)
-from .engine.job import (
-    Job as Job,
-)
-from .engine.local import (
-    LocalRun as LocalRun,
+from .engine.pool import (
+    WorkerPool as WorkerPool,
 )
 from .engine.resource_estimate import (
     Estimate as Estimate,

@@ -46,7 +46,21 @@ from bumpymap.layers import (
 from bumpymap.patches import close_filter, filter_version, mark_ground, measure, require_filter
 from bumpymap.rating import Calibration, RideModel, TextureModel, classify, find_calibration, rate, rate_as_paper
 from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, identity, open_survey
-from bumpymap.survey.engine import ADVICE, Budget, ClusterRun, Crew, Done, Job, LocalRun, Workspace, hired, memory_bytes
+from bumpymap.survey.engine import (
+    ADVICE,
+    BlockWork,
+    Budget,
+    ClusterExecutor,
+    Executor,
+    Inputs,
+    LocalExecutor,
+    MeasuredTiles,
+    WorkerPool,
+    Workspace,
+    connect,
+    memory_bytes,
+    run_engine,
+)
 from bumpytiles import Grid, TilePoints, TileWindow
 
 __all__ = ["MapResult", "map_surveys"]
@@ -164,20 +178,16 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
     if is_there:
         return _done_before(config, run_spec)
     rating = _Rating(config.features, csf, config.compat, model, calibration, ride, inputs.georeference)
-    job = Job(grid, tile_columns(grid.pixels), rating, config.ground)
+    work = BlockWork(grid, tile_columns(grid.pixels), rating, config.ground)
     # Workers first: a failure to get them must not cost what an earlier run has finished.
     with (
-        hired(config.scheduler, config.workers, config.threads, config.tls_config) as crew,
+        connect(config.scheduler, config.workers, config.threads, config.tls_config) as pool,
         Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=_advice(config)) as space,
     ):
-        engine = _engine(config, job, space, budget, progress, crew)
-        done = engine.run(
-            inputs.readers,
-            partial(_skip, inputs, config),
-            partial(_check_span, inputs, grid),
-            clock,
-            may_skip=config.skip_bad,
-        )
+        executor = _executor(config, work, space, budget, progress, pool)
+        skip, check = partial(_skip, inputs, config), partial(_check_span, inputs, grid)
+        survey_files = Inputs(inputs.readers, skip, check, config.skip_bad)
+        done = run_engine(survey_files, work, space, budget, executor, progress, clock)
         table = CostTable(inputs.georeference, calibration.cost_rule, done.table)
         manifest = _manifest(config, inputs, run_spec, done, model, calibration, clock)
         with clock.stage("write"):
@@ -185,12 +195,14 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
     return MapResult(tuple(files), summary, done.points, done.ground_only, inputs.skipped, clock.seconds)
 
 
-def _engine(
-    config: MapConfig, job: Job, space: Workspace, budget: Budget, progress: Progress, crew: Crew | None
-) -> LocalRun | ClusterRun:
-    if crew is None:
-        return LocalRun(job, space, budget, progress)
-    return ClusterRun(job, space, budget, progress, crew, _read_options(config), partial(_versions, config.ground))
+def _executor(
+    config: MapConfig, work: BlockWork, space: Workspace, budget: Budget, progress: Progress, pool: WorkerPool | None
+) -> Executor:
+    if pool is None:
+        return LocalExecutor(work, space, budget, progress)
+    return ClusterExecutor(
+        work, space, budget, progress, pool, _read_options(config), partial(_versions, config.ground)
+    )
 
 
 def _read_options(config: MapConfig) -> ReadOptions:
@@ -252,7 +264,7 @@ def _manifest(
     config: MapConfig,
     inputs: _Inputs,
     run_spec: Mapping[str, Any],
-    done: Done,
+    done: MeasuredTiles,
     model: TextureModel,
     calibration: Calibration,
     clock: Stopwatch,

@@ -120,7 +120,7 @@ class Killer:
         staged = [file for folder in self._out.glob(_STAGED) for file in folder.iterdir()]
         points, tiles = (
             len(list(folder.glob(pack)))
-            for folder, pack in ((self._scratch, "*/points-*.pack"), (work, "tiles-*.pack"))
+            for folder, pack in ((self._scratch, "**/points-*.pack"), (work, "tiles-*.pack"))
         )
         packs = f"packs on disk: {points} of points, {tiles} of tiles"
         if (self._out / "run.json").exists():

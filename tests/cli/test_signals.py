@@ -25,19 +25,18 @@ def heard():
 WITH_TILES = """
 import os, signal, sys
 from bumpymap.cli import main
-from bumpymap.survey.engine.local import LocalRun
-from bumpymap.survey.engine.sink import TileSink
+from bumpymap.survey.engine import run
 
 if {after_tiles}:
-    flush = TileSink.flush
-    def ending(sink):
-        flush(sink)
+    add_tiles = run.ResultCollector.add_tiles
+    def ending(*arguments):
+        add_tiles(*arguments)
         os.kill(os.getpid(), signal.{name})
-    TileSink.flush = ending
+    run.ResultCollector.add_tiles = ending
 else:
     def ending(*_, **__):
         os.kill(os.getpid(), signal.{name})
-    LocalRun._decide = ending
+    run._decide = ending
 sys.argv[0] = "bumpymap"
 main()
 """

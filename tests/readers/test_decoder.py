@@ -190,7 +190,7 @@ def test_a_fork_has_a_child_of_its_own(survey, child):
     if forked == 0:
         same = np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
         other = pid_of(decoder.decoder()) != mine
-        decoder.close()
+        decoder.close_decoder()
         os._exit(0 if same and other else 1)
     assert os.waitpid(forked, 0)[1] == 0
     assert np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
@@ -202,12 +202,12 @@ def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child)
     held = reader.fetch(reader.chunks(700)[0])
     expected = held.copy()
     process = child._child.process
-    decoder.close()
+    decoder.close_decoder()
     assert process.poll() is not None
     assert processes._memory.size > 0, "an array is still in use"
     assert np.array_equal(held, expected)
     del held
-    decoder.close()
+    decoder.close_decoder()
     assert processes._memory.size == 0
     assert np.array_equal(reader.fetch(reader.chunks(700)[0]), expected)
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from unittest.mock import Mock
 
 import laspy
 import numpy as np
@@ -17,8 +18,8 @@ from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import pipeline as scan_pipeline
 from bumpymap.survey import pipeline
-from bumpymap.survey.engine.harvest import Harvest
-from bumpymap.survey.engine.tasks import PartRead
+from bumpymap.survey.engine.collector import ResultCollector
+from bumpymap.survey.engine.results import ReadResult
 
 
 def run(*arguments):
@@ -110,13 +111,13 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path):
 
 def test_map_with_workers_refuses_one_that_changes_while_they_read(survey, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    original = Harvest.take
+    original = ResultCollector.add
 
-    def take(self, number, read):
+    def add(self, result):
         again(survey, lambda path: write_survey(path, lift=5.0))
-        original(self, number, read)
+        original(self, result)
 
-    monkeypatch.setattr(Harvest, "take", take)
+    monkeypatch.setattr(ResultCollector, "add", add)
     out = tmp_path / "layers"
     refused(run("map", survey, "--out", out, "--workers", 1), survey, out)
 
@@ -164,16 +165,24 @@ def test_labels_that_change_belong_to_no_frame(tmp_path, monkeypatch):
     refused(run("scan", frame, "--out", out), labels, out)
 
 
-def test_parts_that_workers_read_of_several_versions_are_no_file(survey):
+def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
     """Copies on two machines may differ in the time of their writing; what one machine reads must not."""
     reader = open_survey(survey)
-    harvest = object.__new__(Harvest)
-    harvest._readers = [reader]
+    (chunk,) = reader.chunks()
+    stats = reader.convert(chunk, reader.fetch(chunk)).tally
     one, two = ({"size": 7, "mtime_ns": text} for text in "12")
 
-    def parts(*seen):
-        return [PartRead(PointStats(), seen=place) for place in seen]
+    def add(*seen):
+        def refuse(_, error):
+            raise error
 
-    harvest._refuse_versions(0, parts(("a", one), ("b", two), ("a", one), None))
+        checkpoints = Mock(early=[], take_up=list)
+        collector = ResultCollector([reader], [len(seen)], checkpoints, refuse, skip_bad=False)
+        for number, place in enumerate(seen):
+            own = stats if number == 0 else PointStats()
+            collector.add(ReadResult(((0, number, number + 1),), {0: own}, seen=place))
+        return collector
+
+    assert add(("a", one), ("b", two), ("a", one), None).stats[0] == stats
     with pytest.raises(BadInputError, match=r"site\.las changed while it was read: workers on a saw several versions"):
-        harvest._refuse_versions(0, parts(("a", one), ("b", two), ("a", two)))
+        add(("a", one), ("b", two), ("a", two))

@@ -430,7 +430,7 @@ def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypa
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bumpymap.survey.engine.local.decide_ground", interrupted)
+    monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", interrupted)
     result = run("map", survey, "--out", tmp_path / "layers")
     assert result.exit_code == 130
     assert "Interrupted" in result.output
@@ -537,8 +537,8 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
     out, left = tmp_path / "layers", tmp_path / "left"
     place = {
-        "read": "bumpymap.survey.engine.local.decide_ground",
-        "measure": "bumpymap.survey.engine.local.LocalRun._finish_rest",
+        "read": "bumpymap.survey.engine.run.decide_ground",
+        "measure": "bumpymap.survey.engine.run._finish",
         "write": "bumpymap.survey.pipeline.write_products",
     }[where]
 

@@ -33,6 +33,13 @@ def flat(blocks):
     return sorted(found)
 
 
+def add(buckets, chunk, number):
+    """Add a chunk, and make room where that is needed."""
+    buckets.add_chunk(group_points(GRID, *chunk), number)
+    if buckets.is_full:
+        buckets.spill()
+
+
 def in_memory(columns):
     buckets = TileBuckets(GRID)
     buckets.add(*columns)
@@ -46,7 +53,7 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
     scratch = tmp_path_factory.mktemp("scratch")
     buckets = TileBuckets(GRID, MemoryLimits(points, block_points, scratch))
     for lot, chunk in enumerate(chunks(columns, size)):
-        buckets.take(group_points(GRID, *chunk), lot)
+        add(buckets, chunk, lot)
     assert flat(buckets.blocks()) == in_memory(columns)
     if points < 2000 - size:
         assert list(scratch.iterdir())
@@ -56,8 +63,10 @@ def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
     buckets = TileBuckets(GRID, MemoryLimits(300, 10_000, tmp_path))
     columns = survey(1)
     for lot, chunk in enumerate(chunks(columns, 100)):
-        buckets.take(group_points(GRID, *chunk), lot // 2)
-    buckets.flush()
+        add(buckets, chunk, lot // 2)
+    while not buckets.is_empty:
+        buckets.spill()
+    buckets.wait()
     spans = [(pack.meta["first"], pack.meta["last"]) for pack in buckets.packs]
     assert spans[0][0] == 0
     assert spans[-1][1] == 9
@@ -66,38 +75,35 @@ def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
     assert flat(again.blocks()) == in_memory(columns)
 
 
-def test_what_is_not_settled_can_be_forgotten(tmp_path):
+def test_what_is_not_final_can_be_dropped(tmp_path):
     good, bad = survey(2, 500), survey(3, 1500)
     buckets = TileBuckets(GRID, MemoryLimits(200, 10_000, tmp_path))
     lot = 0
     for chunk in chunks(good, 100):
-        buckets.take(group_points(GRID, *chunk), lot)
+        add(buckets, chunk, lot)
         lot += 1
-    buckets.settled = lot
+    buckets.final = lot
     for number, chunk in enumerate(chunks(bad, 100)):
-        buckets.take(group_points(GRID, *chunk), lot + number)
-    buckets.forget(lot)
+        add(buckets, chunk, lot + number)
+    buckets.drop_from(lot)
     assert flat(buckets.blocks()) == in_memory(good)
 
 
 def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     west, east = survey(4, 800, 40.0), survey(5, 800, 40.0)
     east = (east[0] + 480.0, *east[1:])
+    buckets = TileBuckets(GRID, MemoryLimits(500, 10_000, tmp_path))
+    for number, chunk in enumerate(chunks(west, 100)):
+        if number < 4:
+            buckets.add_chunk(group_points(GRID, *chunk), number)
     finished = []
-
-    def finish(keys):
-        finished.extend(tile for key in keys for tile in flat(buckets.block(key)))
-
-    room = MemoryLimits(500, 10_000, tmp_path, complete=lambda key: key[1] < 5 and west_is_read, finish=finish)
-    buckets = TileBuckets(GRID, room)
-    west_is_read = False
-    for lot, chunk in enumerate(chunks(west, 100)):
-        west_is_read = lot == 4  # from here on no block of the west is on disk yet and all of it is in memory
-        if lot < 4:
-            buckets.take(group_points(GRID, *chunk), lot)
-    west_is_read = True
-    for lot, chunk in enumerate(chunks(east, 100), start=4):
-        buckets.take(group_points(GRID, *chunk), lot)
+    for number, chunk in enumerate(chunks(east, 100), start=4):
+        buckets.add_chunk(group_points(GRID, *chunk), number)
+        if buckets.is_full:
+            ready = [key for key in buckets.blocks_to_spill() if key[1] < 5]  # the west is read
+            finished.extend(tile for key in ready for tile in flat(buckets.block(key)))
+            buckets.done.update(ready)
+            buckets.spill()
     first_half = tuple(column[:400] for column in west)
     assert sorted(finished) == in_memory(first_half)
     assert flat(buckets.blocks()) == in_memory(east)
@@ -121,10 +127,10 @@ def test_marks_count_tiles_and_flagged_tiles():
 def test_points_far_apart_are_grouped_too():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-2e9, 2e9, (2, 50))
-    run = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
-    assert run.keys == sorted(run.keys)
-    for place, (row, col) in enumerate(run.keys):
-        part = run.part(place)
+    grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
+    assert grouped.keys == sorted(grouped.keys)
+    for place, (row, col) in enumerate(grouped.keys):
+        part = grouped.block(place)
         assert np.all(GRID.index(part["easting"]) // 16 == col)
         assert np.all(GRID.index(part["northing"]) // 16 == row)
-    assert sorted(run.points["upward"].tolist()) == list(range(50))
+    assert sorted(grouped.points["upward"].tolist()) == list(range(50))

@@ -38,7 +38,7 @@ from .signals import (
     blocked_signals as blocked_signals,
 )
 from .split import (
-    Run as Run,
+    GroupedPoints as GroupedPoints,
     TilePoints as TilePoints,
     group_points as group_points,
 )

@@ -1,6 +1,6 @@
 """Points that wait for their block: in memory while there is room, in packs on disk beyond."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.pack import BlockKey, Pack, PackWriter
-from bumpytiles.split import BLOCK_TILES, POINT_COLUMNS, Part, Run, TilePoints, group_points, sort_block
+from bumpytiles.split import (
+    BLOCK_TILES,
+    POINT_COLUMNS,
+    GroupedPoints,
+    PointColumns,
+    TilePoints,
+    group_points,
+    sort_block,
+)
 
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
@@ -28,9 +36,9 @@ class TooManyPointsError(Exception):
         self.points, self.allowed = points, allowed
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class MemoryLimits:
-    """How much may wait in memory, and what happens beyond."""
+    """How much may be held in memory, and where the rest goes."""
 
     points: int
     """Most points in memory."""
@@ -38,33 +46,27 @@ class MemoryLimits:
     """Most points of one block that are put in order together."""
     scratch: Path
     """Folder for packs of points."""
-    note: Callable[[int, int], dict[str, Any]] = lambda first, last: {"first": first, "last": last}
-    """What a pack says about itself, given the first and the last lot in it."""
-    complete: Callable[[BlockKey], bool] = field(default=lambda _: False)
-    """Whether no more points of a block will come."""
-    finish: Callable[[list[BlockKey]], None] = field(default=lambda _: None)
-    """Called with complete blocks that are in memory as a whole, before room is made; they are forgotten after it."""
 
 
 @dataclass(slots=True)
 class _Waiting:
-    """Runs in memory, oldest first, and where each block's points are in them."""
+    """Chunks in memory, oldest first, and where each block's points are in them."""
 
-    runs: list[tuple[int, Run]] = field(default_factory=list)
-    index: dict[BlockKey, list[tuple[Run, int]]] = field(default_factory=dict)
+    chunks: list[tuple[int, GroupedPoints]] = field(default_factory=list)
+    index: dict[BlockKey, list[tuple[GroupedPoints, int]]] = field(default_factory=dict)
     points: int = 0
 
-    def add(self, lot: int, run: Run) -> None:
-        self.runs.append((lot, run))
-        self.points += len(run)
-        for place, key in enumerate(run.keys):
-            self.index.setdefault(key, []).append((run, place))
+    def add(self, number: int, chunk: GroupedPoints) -> None:
+        self.chunks.append((number, chunk))
+        self.points += len(chunk)
+        for place, key in enumerate(chunk.keys):
+            self.index.setdefault(key, []).append((chunk, place))
 
-    def drop(self, runs: list[tuple[int, Run]]) -> None:
-        gone = {id(run) for _, run in runs}
-        self.runs = [held for held in self.runs if id(held[1]) not in gone]
-        self.points -= sum(len(run) for _, run in runs)
-        for key in {key for _, run in runs for key in run.keys}:
+    def drop(self, chunks: list[tuple[int, GroupedPoints]]) -> None:
+        gone = {id(chunk) for _, chunk in chunks}
+        self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
+        self.points -= sum(len(chunk) for _, chunk in chunks)
+        for key in {key for _, chunk in chunks for key in chunk.keys}:
             left = [held for held in self.index[key] if id(held[0]) not in gone]
             if left:
                 self.index[key] = left
@@ -98,8 +100,8 @@ class TileBuckets:
         self.packs: list[Pack] = list(packs)
         self.done: set[BlockKey] = set()
         """Blocks whose points are not wanted any more."""
-        self.settled: int | None = None
-        """Lots before this one are final; None: all are. What is not final shares no pack with what is."""
+        self.final: int | None = None
+        """Chunks before this one cannot be dropped any more; None: none can. Packs hold chunks of one kind alone."""
         self._waiting = _Waiting()
         self._spilling: Future[Pack] | None = None
         self._writer = ThreadPoolExecutor(1)
@@ -115,32 +117,73 @@ class TileBuckets:
         upward: NDArray[np.float64],
         flag: NDArray[np.bool_],
     ) -> None:
-        """Take a chunk of points; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
-        self.take(group_points(self.grid, easting, northing, upward, flag))
+        """Add a chunk of points; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
+        self.add_chunk(group_points(self.grid, easting, northing, upward, flag))
 
-    def take(self, run: Run, lot: int = 0) -> None:
-        """Take a grouped chunk. Lots come in growing order; a pack covers whole lots, from one to another."""
-        self._waiting.add(lot, run)
-        if self.room is not None and self._waiting.points > self.room.points:
-            self._make_room(self.room)
+    def add_chunk(self, chunk: GroupedPoints, number: int = 0) -> None:
+        """Add a grouped chunk. Numbers grow; chunks of the same number stay together."""
+        self._waiting.add(number, chunk)
 
-    def flush(self) -> None:
-        """Send everything to disk (there must be a `Room`)."""
-        while self._waiting.runs and self.room is not None:
-            self._make_room(self.room)
-        self._settle()
+    @property
+    def is_full(self) -> bool:
+        """Whether more points are in memory than there is room for: it is time to ``spill``."""
+        return self.room is not None and self._waiting.points > self.room.points
 
-    def forget(self, first: int) -> None:
-        """Lose the points of the lots from ``first`` on, which must not be settled."""
-        self._settle()
-        self._waiting.drop([held for held in self._waiting.runs if held[0] >= first])
+    def blocks_to_spill(self) -> list[BlockKey]:
+        """Blocks that ``spill`` would write and of which no point is on disk yet, south-west first."""
+        self.wait()
+        keys = {key for _, chunk in self._oldest() for key in chunk.keys} - self.done
+        return sorted(key for key in keys if not any(pack.rows(key) for pack in self.packs))
+
+    def spill(self) -> tuple[int, int]:
+        """Begin to write the older half of the points, but those of done blocks; gives their first and last chunk.
+
+        One pack is written at a time, while the caller goes on; ``wait`` adds it to ``packs``.
+        """
+        if self.room is None:
+            raise ValueError("without a Room there is no folder to spill to")
+        self.wait()
+        chosen = self._oldest()
+        chunks = {id(chunk) for _, chunk in chosen}
+        keys = sorted({key for _, chunk in chosen for key in chunk.keys} - self.done)
+        held = {key: [entry for entry in self._held(key) if id(entry[0]) in chunks] for key in keys}
+        first, last = chosen[0][0], chosen[-1][0]
+        self._waiting.drop(chosen)
+        path = self.room.scratch / f"points-{first:08d}-{last:08d}.pack"
+        self._spilling = self._writer.submit(_write, path, held, {"first": first, "last": last})
+        return first, last
+
+    def wait(self) -> Pack | None:
+        """Wait until what was spilled last is on disk; gives its pack, once."""
+        if self._spilling is None:
+            return None
+        pack, self._spilling = self._spilling.result(), None
+        self.packs.append(pack)
+        return pack
+
+    def drop_from(self, first: int) -> None:
+        """Drop the points of the chunks from ``first`` on, which must not be final."""
+        self.wait()
+        self._waiting.drop([held for held in self._waiting.chunks if held[0] >= first])
         for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
             self.packs.remove(pack)
             pack.path.unlink(missing_ok=True)
 
+    def in_memory(self) -> NDArray[np.int64]:
+        """Row, column and number of points of each block of each chunk in memory, (n, 3)."""
+        found = [
+            np.column_stack([chunk.keys, np.diff(chunk.starts)]) for _, chunk in self._waiting.chunks if chunk.keys
+        ]
+        return np.concatenate([np.empty((0, 3), np.int64), *found])
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no point is in memory."""
+        return not self._waiting.chunks
+
     def keys(self) -> list[BlockKey]:
         """Blocks that hold points and are not done, south-west first."""
-        self._settle()
+        self.wait()
         return sorted({*self._waiting.index, *(key for pack in self.packs for key in pack.keys)} - self.done)
 
     def window(self) -> TileWindow:
@@ -151,7 +194,7 @@ class TileBuckets:
 
     def points(self, key: BlockKey) -> int:
         """Count the points of a block, duplicates among them."""
-        in_memory = sum(int(np.diff(run.starts[place : place + 2])[0]) for run, place in self._held(key))
+        in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._held(key))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
     def marks(self, key: BlockKey) -> tuple[int, int]:
@@ -212,61 +255,37 @@ class TileBuckets:
             if chosen.any():
                 yield chosen
 
-    def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[Part]:
+    def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointColumns]:
         names = tuple(names)
-        for run, place in self._held(key):
-            part = run.part(place)
+        for chunk, place in self._held(key):
+            part = chunk.block(place)
             yield {name: part[name] for name in names}
         for pack in self.packs:
             rows = pack.rows(key)
             for start in range(0, rows, most or max(rows, 1)):
                 yield pack.read(key, names, start, None if most is None else start + most)
 
-    def _held(self, key: BlockKey) -> list[tuple[Run, int]]:
+    def _held(self, key: BlockKey) -> list[tuple[GroupedPoints, int]]:
         return self._waiting.index.get(key, [])
 
-    def _make_room(self, room: MemoryLimits) -> None:
-        """Finish what is complete, then send the older half of what waits to disk."""
-        self._settle()
-        chosen = self._oldest(room.points // 2)
-        keys = sorted({key for _, run in chosen for key in run.keys} - self.done)
-        ready = [key for key in keys if room.complete(key) and not any(pack.rows(key) for pack in self.packs)]
-        if ready:
-            room.finish(ready)
-            self.done.update(ready)
-        left = [key for key in keys if key not in self.done]
-        held = {key: [entry for entry in self._held(key) if any(entry[0] is run for _, run in chosen)] for key in left}
-        first, last = chosen[0][0], chosen[-1][0]
-        self._waiting.drop(chosen)
-        path = room.scratch / f"points-{first:08d}-{last:08d}.pack"
-        self._spilling = self._writer.submit(
-            _write, path, held, room.note(first, last) | {"first": first, "last": last}
-        )
-
-    def _oldest(self, points: int) -> list[tuple[int, Run]]:
-        """Choose the oldest runs: at least so many points, whole lots where several fit, all of them final or none."""
-        chosen: list[tuple[int, Run]] = []
-        final = None
-        held = 0
-        for lot, run in self._waiting.runs:
-            is_final = self.settled is None or lot < self.settled
-            if chosen and (final != is_final or (held >= points and lot != chosen[-1][0])):
+    def _oldest(self) -> list[tuple[int, GroupedPoints]]:
+        """Choose the oldest chunks: half of what may be held, all chunks of a number, all of them final or none."""
+        chosen: list[tuple[int, GroupedPoints]] = []
+        is_final, held = False, 0
+        for number, chunk in self._waiting.chunks:
+            same = self.final is None or number < self.final
+            full = self.room is not None and held >= self.room.points // 2 and number != chosen[-1][0]
+            if chosen and (is_final != same or full):
                 break
-            chosen.append((lot, run))
-            final, held = is_final, held + len(run)
+            chosen.append((number, chunk))
+            is_final, held = same, held + len(chunk)
         return chosen
 
-    def _settle(self) -> None:
-        """Wait until what was sent to disk is there."""
-        if self._spilling is not None:
-            self.packs.append(self._spilling.result())
-            self._spilling = None
 
-
-def _write(path: Path, held: dict[BlockKey, list[tuple[Run, int]]], meta: dict[str, Any]) -> Pack:
+def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], meta: dict[str, Any]) -> Pack:
     with PackWriter(path, POINT_COLUMNS, meta) as writer:
         for key, entries in held.items():
-            parts = [run.part(place) for run, place in entries]
+            parts = [chunk.block(place) for chunk, place in entries]
             rows = sum(len(part["tile"]) for part in parts)
             writer.add(key, rows, {c.name: [part[c.name] for part in parts] for c in POINT_COLUMNS})
     return Pack(path)

@@ -21,7 +21,7 @@ from bumpytiles._kernels import BLOCK_TILES, MAX_CELLS, group, rank_points, sort
 from bumpytiles.grid import Grid
 from bumpytiles.pack import BlockKey, Column
 
-__all__ = ["BLOCK_TILES", "POINT_COLUMNS", "Part", "Run", "TilePoints", "group_points", "sort_block"]
+__all__ = ["BLOCK_TILES", "POINT_COLUMNS", "GroupedPoints", "PointColumns", "TilePoints", "group_points", "sort_block"]
 
 POINT_COLUMNS = (
     Column("easting", "<f8"),
@@ -32,7 +32,7 @@ POINT_COLUMNS = (
 )
 """A point that waits for its block: 26 bytes."""
 
-Part = dict[str, NDArray[Any]]
+PointColumns = dict[str, NDArray[Any]]
 """Columns of `POINT_COLUMNS`, (n,) each."""
 
 
@@ -58,17 +58,17 @@ class TilePoints:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class GroupedPoints:
     """A chunk of points, grouped by block."""
 
     keys: list[BlockKey]
     """Blocks that it has points of, south-west first."""
     starts: NDArray[np.int64]
     """(blocks + 1,) where each block's points begin."""
-    points: Part
+    points: PointColumns
     """(n,) columns."""
 
-    def part(self, place: int) -> Part:
+    def block(self, place: int) -> PointColumns:
         """Points of its ``place``-th block (views)."""
         span = slice(int(self.starts[place]), int(self.starts[place + 1]))
         return {name: array[span] for name, array in self.points.items()}
@@ -84,12 +84,12 @@ def group_points(
     northing: NDArray[np.float64],
     upward: NDArray[np.float64],
     flag: NDArray[np.bool_],
-) -> Run:
+) -> GroupedPoints:
     """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
     n = len(easting)
-    points: Part = {column.name: np.empty(n, column.dtype) for column in POINT_COLUMNS}
+    points: PointColumns = {column.name: np.empty(n, column.dtype) for column in POINT_COLUMNS}
     if n == 0:
-        return Run([], np.zeros(1, np.int64), points)
+        return GroupedPoints([], np.zeros(1, np.int64), points)
     corners = [grid.index(np.array([axis.min(), axis.max()])) // BLOCK_TILES for axis in (northing, easting)]
     (south, north), (west, east) = (tuple(int(side) for side in pair) for pair in corners)
     rows, cols = north - south + 1, east - west + 1
@@ -102,10 +102,10 @@ def group_points(
     group(*given, grid.tile_size, west, south, cols, counts, *points.values(), *scratch)
     present = np.flatnonzero(np.diff(counts))
     keys = [(south + cell // cols, west + cell % cols) for cell in present.tolist()]
-    return Run(keys, np.append(counts[present], n), points)
+    return GroupedPoints(keys, np.append(counts[present], n), points)
 
 
-def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> Run:
+def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
     """Group points that lie far apart: no table can hold every block between them."""
     easting, northing, _, _ = columns
     col, row = grid.index(easting), grid.index(northing)
@@ -116,10 +116,10 @@ def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> Run:
     tile = ((row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES).astype(np.uint8)
     names = [column.name for column in POINT_COLUMNS]
     points = {name: array[order] for name, array in zip(names, (*columns[:3], tile, columns[3]), strict=True)}
-    return Run([(int(r), int(c)) for r, c in block[starts[:-1]]], starts, points)
+    return GroupedPoints([(int(r), int(c)) for r, c in block[starts[:-1]]], starts, points)
 
 
-def sort_block(grid: Grid, key: BlockKey, parts: Sequence[Part]) -> TilePoints:
+def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointColumns]) -> TilePoints:
     """Put the points of a block, which came in parts (at least one), into their canonical order."""
     names = [column.name for column in POINT_COLUMNS]
     joined = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in names}

@@ -131,9 +131,9 @@ def gather(
         with _scratch(folder) as scratch:
             buckets = TileBuckets(grid, MemoryLimits(_MOST_POINTS, _BLOCK_POINTS, scratch))
             progress.start("reading points", sum(reader.info.point_count for reader in readers))
-            lot = 0
+            number = 0
             for reader in readers:
-                lot = _read(reader, buckets, lot, progress)
+                number = _read(reader, buckets, number, progress)
             if not len(buckets):
                 raise BadInputError("no point is left: every point is withheld, noise or without return")
             yield MeasuredSurvey(buckets, _ground_only(buckets, ground), features)
@@ -154,18 +154,22 @@ def _scratch(folder: Path) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _read(reader: SurveyReader, buckets: TileBuckets, lot: int, progress: Progress) -> int:
-    """Read a file into buckets; returns the number of the next chunk."""
+def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Progress) -> int:
+    """Read a file into buckets; gives the number of the next chunk."""
     tally = PointStats()
     for chunk in reader.chunks():
         batch = reader.convert(chunk, reader.fetch(chunk))
         cloud = batch.cloud
         tally = tally.merge(batch.tally)
-        buckets.take(group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), lot)
+        buckets.add_chunk(
+            group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), number
+        )
+        if buckets.is_full:
+            buckets.spill()
         progress.advance(chunk.points)
-        lot += 1
+        number += 1
     reader.judge(tally)
-    return lot
+    return number
 
 
 def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:

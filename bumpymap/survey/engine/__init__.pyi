@@ -1,18 +1,29 @@
+from .block_work import (
+    BlockWork as BlockWork,
+    MeasuredTiles as MeasuredTiles,
+)
 from .budget import (
     Budget as Budget,
     memory_bytes as memory_bytes,
 )
 from .cluster import (
-    ClusterRun as ClusterRun,
-    Crew as Crew,
-    hired as hired,
-)
-from .job import (
-    Done as Done,
-    Job as Job,
+    ClusterExecutor as ClusterExecutor,
 )
 from .local import (
-    LocalRun as LocalRun,
+    LocalExecutor as LocalExecutor,
+)
+from .pool import (
+    WorkerPool as WorkerPool,
+    connect as connect,
+)
+from .resource_estimate import (
+    Estimate as Estimate,
+    estimate as estimate,
+)
+from .run import (
+    Executor as Executor,
+    Inputs as Inputs,
+    run_engine as run_engine,
 )
 from .workspace import (
     ADVICE as ADVICE,

@@ -1,4 +1,4 @@
-"""Which packs hold points of which blocks, and how blocks are shared out among workers."""
+"""Where the points of which blocks are, and how blocks are shared out among tasks."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bumpytiles import BlockKey
 
-__all__ = ["Catalogue", "Group"]
+__all__ = ["BlockCatalogue", "BlockGroup"]
 
 _SIDE = 8
 """Blocks along a side of the squares that groups are taken from: near blocks stand in the same packs."""
@@ -19,22 +19,25 @@ _MOST_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Blocks that one worker finishes, and the packs that hold their points."""
+class BlockGroup:
+    """Blocks that one worker finishes, and the packs that hold those of their points that are on disk."""
 
     keys: tuple[BlockKey, ...]
     packs: tuple[Path, ...]
 
 
-class Catalogue:
-    """Collects what packs hold: numbers alone, 32 bytes for each block of each pack."""
+class BlockCatalogue:
+    """Knows where the points of each block are: numbers alone, 32 bytes for each block of each pack."""
 
     def __init__(self) -> None:
-        self._paths: list[Path] = []
+        self._paths: list[Path | None] = []
         self._entries: list[NDArray[np.int64]] = []
 
-    def add(self, path: Path, blocks: NDArray[np.int64]) -> None:
-        """Take note of a pack; ``blocks`` (n, 3) has row, column and number of points of each of its blocks."""
+    def add(self, path: Path | None, blocks: NDArray[np.int64]) -> None:
+        """Note what a pack holds, or (None) the memory of this process.
+
+        ``blocks`` (n, 3) has row, column and number of points of each block; a block may come several times.
+        """
         number = np.full((len(blocks), 1), len(self._paths), np.int64)
         self._paths.append(path)
         self._entries.append(np.hstack([blocks.reshape(-1, 3), number]))
@@ -43,8 +46,8 @@ class Catalogue:
         """Rows and columns of all blocks, (n, 2), each once."""
         return np.unique(self._all()[:, :2], axis=0)
 
-    def groups(self, skip: Collection[BlockKey] = ()) -> Iterator[Group]:
-        """Share out the blocks but those to ``skip``: some neighbours at a time, sized by their points."""
+    def groups(self, skip: Collection[BlockKey] = (), *, single: bool = False) -> Iterator[BlockGroup]:
+        """Share out the blocks but those to ``skip``: some neighbours at a time by their points, or ``single``: all."""
         entries = self._all()
         row, col = entries[:, 0], entries[:, 1]
         entries = entries[np.lexsort((col, row, col // _SIDE, row // _SIDE))]
@@ -58,7 +61,7 @@ class Catalogue:
             key = (int(entries[start, 0]), int(entries[start, 1]))
             if key in skip:
                 continue
-            if keys and (len(keys) == _MOST_BLOCKS or total + count > _MOST_POINTS):
+            if keys and not single and (len(keys) == _MOST_BLOCKS or total + count > _MOST_POINTS):
                 yield self._group(keys, held)
                 held, keys, total = [], [], 0
             held.append(entries[start:stop, 3])
@@ -67,8 +70,9 @@ class Catalogue:
         if keys:
             yield self._group(keys, held)
 
-    def _group(self, keys: Sequence[BlockKey], packs: Sequence[NDArray[np.int64]]) -> Group:
-        return Group(tuple(keys), tuple(self._paths[number] for number in np.unique(np.concatenate(packs)).tolist()))
+    def _group(self, keys: Sequence[BlockKey], packs: Sequence[NDArray[np.int64]]) -> BlockGroup:
+        found = (self._paths[number] for number in np.unique(np.concatenate(packs)).tolist())
+        return BlockGroup(tuple(keys), tuple(path for path in found if path is not None))
 
     def _all(self) -> NDArray[np.int64]:
         return np.concatenate([np.empty((0, 4), np.int64), *self._entries])

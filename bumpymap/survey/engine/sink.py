@@ -1,4 +1,4 @@
-"""Finished blocks on their way to disk: gathered into packs of some megabytes."""
+"""Finished blocks on their way to disk: collected into packs of some megabytes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,12 +23,11 @@ class TileSink:
     kind : str
         What was measured, such as ``all`` points, or ``ground-early``: ground alone, while others were still read.
     columns : sequence of Column
-    number : int
-        Of the next pack.
     """
 
-    def __init__(self, folder: Path, kind: str, columns: Sequence[Column], number: int) -> None:
-        self._folder, self._kind, self._columns, self._number = folder, kind, tuple(columns), number
+    def __init__(self, folder: Path, kind: str, columns: Sequence[Column]) -> None:
+        self._folder, self._kind, self._columns, self._number = folder, kind, tuple(columns), 0
+        self._written: list[Path] = []
         self._held: dict[BlockKey, Mapping[str, NDArray[Any]]] = {}
         self._tiles = 0
         self._marks = [0, 0]
@@ -49,5 +48,11 @@ class TileSink:
         with PackWriter(path, self._columns, {"kind": self._kind, "marks": self._marks}) as writer:
             for key, columns in self._held.items():
                 writer.add(key, len(columns["col"]), {name: [array] for name, array in columns.items()})
+        self._written.append(path)
         self._number += 1
         self._held, self._tiles, self._marks = {}, 0, [0, 0]
+
+    def new_packs(self) -> list[Path]:
+        """Give the packs that were written since this was asked last."""
+        new, self._written = self._written, []
+        return new

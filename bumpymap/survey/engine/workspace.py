@@ -7,7 +7,7 @@ another disk, whose name nobody can tell beforehand; the run notes where.
 import json
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -21,7 +21,7 @@ __all__ = ["ADVICE", "Workspace"]
 
 ADVICE = "Pass `resume=True` to the same command to continue from the finished tiles."
 _READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
-_POINTS = "points"
+_POINTS, _NEW_TILES = "points", "new-tiles"
 _PREFIX = "bumpymap-"
 """How the names of folders begin that runs make in ``--scratch``."""
 
@@ -45,7 +45,7 @@ class Workspace:
         """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
 
         All of it goes away where the body succeeds. Where it ends early, it is kept as `what_is_kept` says, if tiles
-        are finished.
+        are finished or chunks are read.
 
         Raises
         ------
@@ -55,46 +55,64 @@ class Workspace:
             The place cannot be written.
         """
         with RunFolder.opened(
-            out, run_spec, resume=resume, finished=lambda path: bool(_tiles(path)), advice=advice, spared=(_SCRATCH,)
+            out,
+            run_spec,
+            resume=resume,
+            finished=lambda path: _holds_work(path, out),
+            advice=advice,
+            spared=(_SCRATCH,),
         ) as run:
             _drop_damaged(run.path)
             with writing_in(scratch or run.path, "`out` or `scratch`"):
                 waiting = _waiting(run, out, scratch)
             try:
-                yield cls(run.path, waiting, run.run_spec)
+                space = cls(run.path, waiting, run.run_spec)
+                space._make_folders()
+                yield space
             except BaseException as end:
-                if what_is_kept(end) is not Kept.ALL or not _tiles(run.path):
+                if what_is_kept(end) is not Kept.ALL or not _holds_work(run.path, out):
                     shutil.rmtree(waiting, ignore_errors=True)
                 raise
             shutil.rmtree(waiting, ignore_errors=True)
+
+    def _make_folders(self) -> None:
+        shutil.rmtree(self.new_tiles, ignore_errors=True)  # an earlier run's, which do not count
+        for folder in (self.new_tiles, self.points_folder):
+            folder.mkdir(mode=0o700, exist_ok=True)
 
     def tiles(self, kind: str = "*") -> list[Path]:
         """Packs of finished tiles of a kind (see `TileSink`), in the order of writing."""
         return _tiles(self.folder, kind)
 
-    def points(self) -> list[Pack]:
-        """Packs of points that wait, as far as they follow each other from the first lot on."""
-        packs = []
-        for path in sorted(self.scratch.glob("points-*.pack")):
-            with suppress(PackError):
-                packs.append(Pack(path))
-        packs.sort(key=lambda pack: int(pack.meta["first"]))
-        expected, chain = 0, []
-        for pack in packs:
-            if pack.meta["first"] == expected:
-                chain.append(pack)
-                expected = int(pack.meta["last"]) + 1
-            else:
-                pack.path.unlink(missing_ok=True)
-        return chain
+    def tile_pack(self, kind: str, number: int) -> Path:
+        """Path of a pack of finished tiles."""
+        return self.folder / f"tiles-{kind}-{number:06d}.pack"
 
-    def remember(self, record: Mapping[str, Any]) -> None:
+    @property
+    def points_folder(self) -> Path:
+        """Folder for packs of points that wait (absolute), with a folder for each worker or task."""
+        return (self.scratch / _POINTS).absolute()
+
+    @property
+    def new_tiles(self) -> Path:
+        """Folder for packs of tiles that do not count yet (absolute), with a folder for each worker or task."""
+        return (self.folder / _NEW_TILES).absolute()
+
+    def record(self, number: int) -> Path:
+        """Path of a record of chunks that are read, see `Checkpoints`."""
+        return self.scratch / f"read-{number:06d}.json"
+
+    def records(self) -> list[Path]:
+        """Give the records of chunks that are read, in the order of writing."""
+        return _records(self.scratch)
+
+    def save_checkpoint(self, record: Mapping[str, Any]) -> None:
         """Note that every block is finished, and what is to be said of the reading."""
         packs = [path.name for path in self.tiles()]
         with atomic(self.folder / _READ) as temporary:
             temporary.write_text(json.dumps({"packs": packs, "record": dict(record)}), encoding="utf-8")
 
-    def remembered(self) -> dict[str, Any] | None:
+    def checkpoint(self) -> dict[str, Any] | None:
         """Give what was noted; None where blocks are not all finished, or are not all there any more."""
         noted = read_record(self.folder / _READ) or {}
         there = noted.get("packs") == [path.name for path in self.tiles()]
@@ -103,6 +121,16 @@ class Workspace:
 
 def _tiles(folder: Path, kind: str = "*") -> list[Path]:
     return sorted(folder.glob(f"tiles-{kind}-[0-9][0-9][0-9][0-9][0-9][0-9].pack"))
+
+
+def _records(folder: Path) -> list[Path]:
+    return sorted(folder.glob("read-[0-9]*.json"))
+
+
+def _holds_work(folder: Path, out: Path) -> bool:
+    """Whether there are finished tiles, or records of chunks that are read."""
+    places = (folder / _POINTS, _earlier(folder, out))
+    return bool(_tiles(folder)) or any(_records(place) for place in places if place is not None)
 
 
 def _drop_damaged(folder: Path) -> None:

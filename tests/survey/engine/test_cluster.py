@@ -22,20 +22,19 @@ from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
-from bumpymap.survey import Crew, Job
-from bumpymap.survey.engine.catalogue import Catalogue
-from bumpymap.survey.engine.harvest import Adoption
-from bumpymap.survey.engine.parts import Part, Rivals, cut_parts
+from bumpymap.survey import BlockWork, WorkerPool
+from bumpymap.survey.engine.catalogue import BlockCatalogue
+from bumpymap.survey.engine.completion import BlockCompletion
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
 from bumpymap.survey.engine.tasks import (
     ALIVE,
-    Order,
-    PartTask,
-    _alone,
+    FileSource,
+    RunContext,
     _opened,
     count_marks,
     finish_group,
-    look,
-    read_part,
+    missing_on_worker,
+    read_range,
 )
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
@@ -132,11 +131,11 @@ def here(monkeypatch):
     workers = Here()
 
     @contextmanager
-    def hired(scheduler, number, threads, tls_config):
-        yield Crew(workers, 2) if number else None
+    def connect(scheduler, number, threads, tls_config):
+        yield WorkerPool(workers, 2) if number else None
 
-    monkeypatch.setattr("bumpymap.survey.pipeline.hired", hired)
-    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
+    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.catalogue._MOST_BLOCKS", 3)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
@@ -150,13 +149,13 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, whole, monkeypatch
 ):
     if whole:  # a file is one part, and has blocks that no other file reaches
-        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
     out = tmp_path / "layers"
     result = run("map", surveys, "--out", out, "--ground", ground, "--workers", 3, "--scratch", tmp_path / "scratch")
     assert result.exit_code == 0, result.output
     assert layers_of(out) == layers_of(plain / ground)
     assert list((tmp_path / "scratch").iterdir()) == []
-    assert (here.done.count(read_part) == 3) == whole
+    assert (here.done.count(read_range) == 3) == whole
     assert (count_marks in here.done) == (ground == "auto")
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
@@ -167,12 +166,12 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
 @pytest.mark.parametrize("most", [20_000, 10**9])
 def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
     file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
-    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", most)
+    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", most)
     for name, extra in (("one", ()), ("many", ("--workers", 3))):
         result = run("map", file, "--out", tmp_path / name, "--local", *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    assert (here.done.count(read_part) == 1) == (most == 10**9)
+    assert (here.done.count(read_range) == 1) == (most == 10**9)
 
 
 @pytest.mark.parametrize("ground", ["auto", "all"])
@@ -247,13 +246,8 @@ def killed_at(place, out, left, monkeypatch, arguments):
         shutil.copytree(out, left)
         raise KeyboardInterrupt
 
-    class Taken(Adoption):
-        def take(self, packs):
-            super().take(packs)
-            killed()
-
     with monkeypatch.context() as patch:
-        patch.setattr(place, Taken if place.endswith("Adoption") else killed)
+        patch.setattr(f"bumpymap.survey.engine.{place}", killed)
         result = run(*arguments, "--out", out)
     assert result.exit_code == 130, result.output
     assert list(left.glob(".bumpymap-run/*"))
@@ -261,15 +255,20 @@ def killed_at(place, out, left, monkeypatch, arguments):
 
 @pytest.mark.parametrize(
     ("place", "finished"),
-    [("Harvest.close", True), ("ClusterRun._decide", True), ("Adoption", True), ("gathered", False)],
+    [
+        ("run.refuse_no_points", True),
+        ("run.decide_ground", True),
+        ("run.ResultCollector.add_tiles", True),
+        ("run.MeasuredTiles.of", False),
+    ],
 )
 def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
     arguments = ("map", surveys, "--workers", 3)
     left = tmp_path / "left"
-    killed_at(f"bumpymap.survey.engine.cluster.{place}", tmp_path / "layers", left, monkeypatch, arguments)
+    killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
     here.done.clear()
     assert run(*arguments, "--out", left, "--resume").exit_code == 0
-    assert read_part not in here.done
+    assert read_range not in here.done
     assert (finish_group in here.done) == finished
     assert layers_of(left) == layers_of(plain / "auto")
     assert not (left / ".bumpymap-run").exists()
@@ -278,47 +277,51 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch, whole):
     if whole:
-        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
     arguments = ("map", surveys)
     killed_at(
-        "bumpymap.survey.engine.cluster.Adoption",
+        "run.ResultCollector.add_tiles",
         tmp_path / "a",
         tmp_path / "many",
         monkeypatch,
         (*arguments, "--workers", 3),
     )
     assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
-    killed_at("bumpymap.survey.engine.local.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
+    killed_at("run.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
     assert run(*arguments, "--out", tmp_path / "one", "--resume", "--workers", 3).exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")
 
 
-def order_in(folder):
+def context_in(folder):
     points, tiles = folder / "points", folder / "tiles"
     for made in (points, tiles):
         made.mkdir()
-        (made / ALIVE).write_text("word")
-    return Order(Job(Grid(), (), Mock(), "all"), 1 << 30, 1, points, tiles, "word")
+        (made / ALIVE).write_text("id")
+    return RunContext(BlockWork(Grid(), (), Mock(), "all"), 1 << 30, 1, points, tiles, "id")
+
+
+def whole_file(points=1000):
+    return ReadTask(ChunkRange(0, 0, 1, points, None, is_whole=False), None)
 
 
 def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
-    order = order_in(tmp_path)
+    context = context_in(tmp_path)
     versions = {"numpy": "2.0"}
-    assert look(order, versions.copy, versions) is None
-    assert "numpy 2.0, not 1.9" in look(order, versions.copy, {"numpy": "1.9"})
-    assert "gdal not at all, not 3" in look(order, versions.copy, {"gdal": "3"})
+    assert missing_on_worker(context, versions.copy, versions) is None
+    assert "numpy 2.0, not 1.9" in missing_on_worker(context, versions.copy, {"numpy": "1.9"})
+    assert "gdal not at all, not 3" in missing_on_worker(context, versions.copy, {"gdal": "3"})
     file = surveys / "a.laz"
     known = identity(file)
     with pytest.raises(UsageError, match="differs from the file on the client"):
-        _opened(file, ReadOptions(), (known["size"], "0"), "word")
+        _opened(file, ReadOptions(), (known["size"], "0"), "id")
     with pytest.raises(UsageError, match="cannot open a file of the client"):
-        _opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "word")
-    (order.tiles / ALIVE).unlink()
-    assert "folders that every worker sees" in look(order, versions.copy, versions)
-    task = PartTask(file, ReadOptions(), (known["size"], known["digest"]), 1000, Part(0, 0, 1, 1000, None), None)
+        _opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "id")
+    (context.tiles / ALIVE).unlink()
+    assert "folders that every worker sees" in missing_on_worker(context, versions.copy, versions)
+    source = FileSource(file, ReadOptions(), (known["size"], known["digest"]), 1000)
     with pytest.raises(OutputError, match="folders that every worker sees"):
-        read_part(order, task)
+        read_range(context, source, whole_file())
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -328,39 +331,43 @@ def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, sa
     started = []
     monkeypatch.setattr(decoder, "_current", None)
     monkeypatch.setattr(decoder, "Child", lambda *arguments: started.append(Child(*arguments)) or started[-1])
-    order, file = order_in(tmp_path), surveys / "a.laz"
+    context, file = context_in(tmp_path), surveys / "a.laz"
     known = identity(file)
     digest = known["digest"] if same else "0"
-    task = PartTask(file, ReadOptions(), (known["size"], digest), 1000, Part(0, 0, 1, 1000, None), None)
+    source = FileSource(file, ReadOptions(), (known["size"], digest), 1000)
     with nullcontext() if same else pytest.raises(UsageError, match="differs from the file on the client"):
-        assert read_part(order, task).tally.points >= 1000
+        assert read_range(context, source, whole_file()).stats[0].points >= 1000
     assert started
     assert not any(child.runs for child in started)
     assert processes._memory.size == 0
 
 
-def test_parts_hold_each_piece_once(surveys):
+@pytest.mark.parametrize("done", [{}, {0: [(1, 2)], 2: [(0, 1), (2, 3)]}])
+def test_ranges_hold_each_chunk_once(surveys, done):
     readers = [open_survey(file) for file in sorted(surveys.iterdir())]
-    for most in (1, 5_000, 10**9):
-        parts = cut_parts(readers, 2_000, most)
+    chunks = [reader.chunks(2_000) for reader in readers]
+    for most in (1, 5_000, 10**9, None):
+        unread, read = cut_ranges(readers, chunks, most, done)
+        assert [(part.file, part.first, part.stop) for part in read] == [
+            (file, *span) for file, spans in done.items() for span in spans
+        ]
         for file, reader in enumerate(readers):
-            own = [part for part in parts if part.file == file]
-            assert [0, *(part.stop for part in own)] == [*(part.first for part in own), len(reader.chunks(2_000))]
-            assert sum(part.points for part in own) == reader.info.point_count
-            assert all(part.points <= max(most, 50_000) for part in own)
+            own = sorted((part.first, part.stop) for part in (*unread, *read) if part.file == file)
+            assert [0, *(stop for _, stop in own)] == [*(first for first, _ in own), len(chunks[file])]
+            points = sum(part.points for part in (*unread, *read) if part.file == file)
+            assert points == reader.info.point_count
+        assert all(part.points <= max(most, 50_000) for part in unread if most is not None)
 
 
 boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200) for _ in range(2)))
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(boxes, min_size=1, max_size=6))
-def test_a_block_that_two_parts_reach_is_nobodys_alone(found):
+@given(st.lists(boxes, min_size=1, max_size=6), st.integers(0, 2))
+def test_a_block_that_two_ranges_reach_is_complete_for_neither(found, done):
     bounds = [Bounds(west, south, west + width, south + height) for west, south, width, height in found]
-    parts = [Part(0, n, n + 1, 10, box) for n, box in enumerate(bounds)]
+    ranges = [ChunkRange(0, n, n + 1, 10, box, is_whole=False) for n, box in enumerate(bounds)]
     grid, side = Grid(), BLOCK_TILES * 3.0
-    order = Mock(job=Mock(grid=grid))
-    rivals = Rivals(grid, parts)
     reach = [
         {
             (row, col)
@@ -369,12 +376,15 @@ def test_a_block_that_two_parts_reach_is_nobodys_alone(found):
         }
         for box in bounds
     ]
-    for number, part in enumerate(parts):
-        alone = _alone(order, PartTask("x", ReadOptions(), (0, ""), 1, part, rivals.of(number)))
-        others = set().union(*(reach[other] for other in range(len(parts)) if other != number))
-        mine = {key for key in reach[number] if alone.complete(key)}
+    unread, read = ranges[done:], ranges[:done]
+    for task in shared_tasks(grid, unread, read, set()):
+        completion = BlockCompletion(grid, [task.range.bounds, *(task.nearby if task.nearby is not None else [None])])
+        completion.mark_read(0)
+        number = task.range.first
+        others = set().union(*(reach[other] for other in range(len(ranges)) if other != number))
+        mine = {key for key in reach[number] if completion.is_complete(key)}
         assert not mine & others
-        if len(parts) == 1:
+        if len(ranges) == 1:
             assert mine == reach[number]
 
 
@@ -384,7 +394,7 @@ blocks = st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20), st.integ
 @settings(max_examples=60, deadline=None)
 @given(st.lists(blocks, max_size=5), st.integers(0, 60))
 def test_groups_hold_each_block_once_with_all_its_packs(packs, skipped):
-    catalogue, holds = Catalogue(), {}
+    catalogue, holds = BlockCatalogue(), {}
     for number, entries in enumerate(packs):
         once = {entry[:2]: entry for entry in entries}
         catalogue.add(Path(str(number)), np.array(list(once.values()), np.int64).reshape(-1, 3))
@@ -430,11 +440,11 @@ def deadly(monkeypatch, mark, *, always=False):
     """Runs whose work kills the process that does it."""
     from deadly_helpers import Deadly
 
-    def job(grid, columns, work, ground):
-        return Job(grid, columns, Deadly(work, str(mark), always), ground)
+    def block_work(grid, columns, work, ground):
+        return BlockWork(grid, columns, Deadly(work, str(mark), always), ground)
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.pipeline.Job", job)
+        patch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
         yield
 
 
@@ -456,7 +466,7 @@ def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_pa
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, alone):
     """Alone, a file's blocks are finished while it is read; in parts, all of them later."""
     if not alone:
-        monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
         monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
     with deadly(monkeypatch, mark):
@@ -489,7 +499,7 @@ def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler,
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bumpymap.survey.engine.cluster.Harvest.take", interrupted)
+    monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", interrupted)
     result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
     assert result.exit_code == 130
     assert not (tmp_path / "layers").exists()
@@ -519,7 +529,7 @@ def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
 
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("bumpymap.survey.engine.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("bumpymap.survey.engine.pool.PATIENCE_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
         result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", address)
         assert result.exit_code == 2, (address, result.output, result.exception)
@@ -533,17 +543,52 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkey
 
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
-    monkeypatch.setattr("bumpymap.survey.engine.cluster._PATIENCE_S", 5.0)  # it is tried for so long to reach it again
+    monkeypatch.setattr("bumpymap.survey.engine.pool.PATIENCE_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
     ) as cluster:
-        monkeypatch.setattr("bumpymap.survey.engine.cluster.Harvest.take", lambda *_: cluster.close())
+        monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", lambda *_: cluster.close())
         result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", cluster.scheduler_address)
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
+
+
+def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys, plain, tmp_path, here, monkeypatch):
+    pytest.importorskip("distributed")
+    from bumpytiles._dask import ClusterError
+
+    out, first_ranges = tmp_path / "layers", here.run
+
+    def lost_after_three(function, tasks):
+        for number, result in first_ranges(function, tasks):
+            yield number, result
+            if len(here.done) >= 3:
+                raise ClusterError("the connection to the scheduler is lost")
+
+    arguments = ("map", surveys, "--out", out, "--workers", 3)
+    with monkeypatch.context() as patch:
+        patch.setattr(here, "run", lost_after_three)
+        result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "Pass --resume to the same command" in result.output
+    before = here.done.count(read_range)
+    here.done.clear()
+    assert run(*arguments, "--resume").exit_code == 0
+    ranges = here.done.count(read_range)
+    here.done.clear()
+    assert run("map", surveys, "--out", tmp_path / "whole", "--workers", 3).exit_code == 0
+    assert before + ranges == here.done.count(read_range)
+    assert layers_of(out) == layers_of(plain / "auto")
+
+
+def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
+    monkeypatch.setattr("bumpymap.readers.las_points._HUGE_CHUNK", 1000)  # chunks that must be read in order
+    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--workers", 3)
+    assert result.exit_code == 0, result.output
+    assert here.done.count(read_range) == 1
 
 
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
@@ -581,7 +626,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     pytest.importorskip("distributed")
     from bumpytiles._dask import ClusterError
 
-    monkeypatch.setattr("bumpymap.survey.engine.parts._LEAST", 10_000_000)
+    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
     out = tmp_path / "layers"
     arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
 
@@ -592,7 +637,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
         if when == "look":
             patch.setattr(here, "each", lost)
         else:
-            patch.setattr("bumpymap.survey.engine.cluster.ClusterRun._finish", lost)
+            patch.setattr("bumpymap.survey.engine.cluster.ClusterExecutor.finish", lost)
         result = run(*arguments)
     assert result.exit_code == 2, result.output
     assert "all 2 workers were lost. Look at their logs" in result.output
@@ -603,7 +648,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     assert "Pass --resume to the same command" in result.output
     here.done.clear()
     assert run(*arguments, "--resume").exit_code == 0
-    assert read_part not in here.done  # files that were read are not read again
+    assert read_range not in here.done  # files that were read are not read again
     assert layers_of(out) == layers_of(plain / "auto")
     assert list((tmp_path / "scratch").iterdir()) == []
 

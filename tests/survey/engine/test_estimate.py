@@ -13,7 +13,8 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.cli import main
 from bumpymap.readers import ReadOptions, open_survey
-from bumpymap.survey import Budget, LocalRun, estimate
+from bumpymap.survey import Budget, estimate
+from bumpymap.survey.engine import run
 from bumpymap.survey.engine.resource_estimate import most_tiles
 from bumpytiles import Bounds, Grid
 
@@ -55,21 +56,21 @@ def test_a_run_takes_no_more_disk_than_was_said(tmp_path_factory, seed, span, fi
         told = estimate(infos, Grid(), Budget(1 << 30, 2))
         taken = {}
 
-        def looked_at(run, buckets, **options):
-            finish_rest(run, buckets, **options)
+        def looked_at(*arguments, **options):
+            finish(*arguments, **options)
             taken["scratch"] = bytes_in(folder / "scratch")
             taken["out"] = bytes_in(folder / "layers") - (folder / "layers/.bumpymap-run/asked.json").stat().st_size
 
-        finish_rest = LocalRun._finish_rest
-        patch.setattr(LocalRun, "_finish_rest", looked_at)
+        finish = run._finish
+        patch.setattr(run, "_finish", looked_at)
         options = ["--out", folder / "layers", "--scratch", folder / "scratch", "--local"]
         result = CliRunner().invoke(main, ["map", *map(str, [*surveys, *options])])
     assert result.exit_code == 0, result.output
     spilled = 3_000 * files > waiting
     assert (taken["scratch"] > 0) <= spilled
     assert taken["scratch"] <= told.scratch
-    run = json.loads((folder / "layers" / "run.json").read_text())
-    assert run["counts"]["tiles"] <= told.tiles
+    record = json.loads((folder / "layers" / "run.json").read_text())
+    assert record["counts"]["tiles"] <= told.tiles
     # Headers of packs and of layers weigh much in so small a map.
     assert taken["out"] + bytes_in(folder / "layers") <= told.out + 200_000
 

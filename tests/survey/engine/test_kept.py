@@ -14,6 +14,8 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_is_kept
 from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.readers.las import LasSurvey
+from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.sink import TileSink
 
 GO_ON = "Pass --resume to the same command to continue from the finished tiles."
@@ -66,13 +68,14 @@ def after_tiles(monkeypatch):
     """Something that happens once tiles are on the disk."""
 
     def happen(what):
-        flush = TileSink.flush
+        save = Checkpoints.save
 
-        def flushed(sink):
-            flush(sink)
-            what()
+        def saved(checkpoints, result):
+            save(checkpoints, result)
+            if result.tiles:
+                what()
 
-        monkeypatch.setattr(TileSink, "flush", flushed)
+        monkeypatch.setattr(Checkpoints, "save", saved)
 
     with monkeypatch.context():
         yield happen
@@ -178,6 +181,39 @@ def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, m
     packs[0].write_bytes(packs[0].read_bytes()[:-9])
     packs[-1].unlink()
     goes_on(surveys, out, plain, monkeypatch)
+
+
+def killed_after_points(surveys, out, left, monkeypatch):
+    """Run until points are on disk that were read after the first tiles; copy what a kill leaves then."""
+    save, tiles = Checkpoints.save, []
+
+    def killed(checkpoints, result):
+        save(checkpoints, result)
+        tiles.extend(result.tiles)
+        if tiles and result.packs:
+            shutil.copytree(out, left)
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoints, "save", killed)
+        assert run("map", surveys, "--out", out).exit_code == 130
+
+
+@pytest.mark.parametrize("spoilt", [True, False])
+def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, plain, tmp_path, monkeypatch, spoilt):
+    """Points of a block that was finished are in no later pack: if a power cut spoils its tiles, no point may miss."""
+    left = tmp_path / "left"
+    killed_after_points(surveys, tmp_path / "out", left, monkeypatch)
+    packs = sorted(left.glob(".bumpymap-run/tiles-*-early-*.pack"))
+    assert packs
+    for pack in packs if spoilt else []:
+        pack.write_bytes(pack.read_bytes()[:-9])
+    fetched, fetch = [], LasSurvey.fetch
+    monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(chunk.index) or fetch(self, chunk))
+    result = run("map", surveys, "--out", left, "--resume")
+    assert result.exit_code == 0, result.output
+    assert layers_of(left) == plain
+    assert (fetched[0] == 0) == spoilt  # else it goes on where it was
 
 
 @pytest.mark.parametrize(

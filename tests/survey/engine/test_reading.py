@@ -1,7 +1,8 @@
-"""Reading ahead changes nothing but the time: order, tallies and refusals are those of reading lot after lot."""
+"""Reading ahead changes nothing but the time: order, statistics and refusals are those of reading chunk after chunk."""
 
 import threading
 from dataclasses import dataclass, field
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
-from bumpymap.survey.engine.intake import Intake, cut, refuse_nothing
+from bumpymap.survey import BlockWork
+from bumpymap.survey.engine.chunk_stream import OpenRange
+from bumpymap.survey.engine.plan import cut_ranges
+from bumpymap.survey.engine.reading import RangeReading, refuse_no_points
 from bumpytiles import Grid, TileBuckets
 
 GRID = Grid()
@@ -20,6 +24,7 @@ GRID = Grid()
 class Info:
     path: str
     bounds: None = None
+    sequential: bool = False
 
 
 @dataclass
@@ -69,43 +74,46 @@ class Reader:
             raise BadInputError(f"{self.name} judge")
 
 
-class Buckets(TileBuckets):
-    """Notes what it is told."""
+class Store(TileBuckets):
+    """Notes what is added and dropped."""
 
     def __init__(self):
         super().__init__(GRID)
-        self.progress = []
+        self.calls = []
 
-    def take(self, run, lot=0):
-        self.progress.append(lot)
-        super().take(run, lot)
+    def add_chunk(self, chunk, number=0):
+        self.calls.append(number)
+        super().add_chunk(chunk, number)
 
-    def forget(self, first):
-        self.progress.append(("forget", first))
-        super().forget(first)
+    def drop_from(self, first):
+        self.calls.append(("drop", first))
+        super().drop_from(first)
 
 
-def read(readers, *, may_skip, threads=2):
-    refused = []
-
-    def refuse(reader, error):
-        if not may_skip:
-            raise error
-        refused.append(str(error))
-
-    intake = Intake(readers, cut(readers, 10), GRID, refuse, may_skip=may_skip)
-    buckets = Buckets()
-    intake.read(buckets, 0, threads, SilentProgress())
-    return intake, buckets.progress, refused
+def read(readers, *, skip_bad, threads=2):
+    """Read all files; gives their statistics, what the store was asked to do, and the files that are bad."""
+    chunks = [reader.chunks(10) for reader in readers]
+    unread, _ = cut_ranges(readers, chunks, None, {})
+    ranges = [OpenRange(part, readers[part.file], chunks[part.file]) for part in unread]
+    store, work = Store(), BlockWork(GRID, (), Mock(), "all")
+    reading = RangeReading(ranges, store, work, {}, [()], threads, SilentProgress(), skip_bad=skip_bad)
+    stats, bad = {}, {}
+    for result in (*reading.run(), reading.rest()):
+        stats |= result.stats
+        if result.error is not None:
+            bad[result.spans[0][0]] = str(result.error)
+            if not skip_bad:
+                break
+    return stats, store.calls, bad
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_lots_are_taken_in_order_and_fetched_a_little_ahead(threads):
+def test_chunks_are_taken_in_order_and_fetched_a_little_ahead(threads):
     readers = [Reader("a", 20), Reader("b", 1), Reader("c", 30)]
-    intake, told, _ = read(readers, may_skip=False, threads=threads)
-    assert told == list(range(51))
+    stats, calls, _ = read(readers, skip_bad=False, threads=threads)
+    assert calls == list(range(51))
     assert [reader.log for reader in readers] == [list(range(20)), [0], list(range(30))]
-    assert [tally.points for tally in intake.tallies] == [200, 10, 300]
+    assert {file: own.points for file, own in stats.items()} == {0: 200, 1: 10, 2: 300}
     # Those that are prepared, one in hand, and two that are fetched or wait for it.
     assert max(reader.most_under_way for reader in readers) <= threads + 3
 
@@ -127,16 +135,13 @@ def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads):
     def readers():
         return [Reader("a", 3), Reader("b", 10, **faults), Reader("c", 3)]
 
-    intake, told, refused = read(readers(), may_skip=True, threads=threads)
-    assert refused == [says]
-    assert intake.skipped == {1}
-    assert [tally.points for tally in intake.tallies] == [30, 0, 30]
-    forgot = told.index(("forget", 3))
-    assert told[:3] == [0, 1, 2]
-    assert told[3:forgot] == list(range(3, forgot))
-    assert told[forgot + 1 :] == [13, 14, 15]
-    with pytest.raises(BadInputError, match=says):
-        read(readers(), may_skip=False, threads=threads)
+    stats, calls, bad = read(readers(), skip_bad=True, threads=threads)
+    assert bad == {1: says}
+    assert {file: own.points for file, own in stats.items()} == {0: 30, 2: 30}
+    dropped = calls.index(("drop", 3))
+    assert calls[:dropped] == list(range(dropped))
+    assert calls[dropped + 1 :] == [dropped, dropped + 1, dropped + 2]
+    assert read(readers(), skip_bad=False, threads=threads)[2] == {1: says}
 
 
 @pytest.mark.parametrize(
@@ -154,5 +159,5 @@ def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads):
 )
 def test_no_point_left(tallies, says):
     with pytest.raises(BadInputError, match=says):
-        refuse_nothing([Reader(name, 1) for name in "abcdefg"[: len(tallies)]], tallies)
-    refuse_nothing([Reader("a", 1)] * (len(tallies) + 1), [*tallies, PointStats(1)])
+        refuse_no_points([Reader(name, 1) for name in "abcdefg"[: len(tallies)]], tallies)
+    refuse_no_points([Reader("a", 1)] * (len(tallies) + 1), [*tallies, PointStats(1)])

@@ -1,6 +1,6 @@
-"""What both engines share: the work done with each block, what comes of a run, and what to say where it fails."""
+"""The work that is done with each block, what comes of a run, and what to say where it fails."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Ground, OutputError, UsageError
-from bumpymap.readers import PointStats
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.sink import TileSink
 from bumpymap.survey.engine.workspace import Workspace
@@ -27,19 +26,19 @@ from bumpytiles import (
     run_blocks,
 )
 
-__all__ = ["Done", "Job", "TileColumns", "failures", "gathered", "reading_record"]
+__all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "engine_errors"]
 
 TileColumns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class BlockWork:
     """What is done with each block; picklable, so that it can travel."""
 
     grid: Grid
     columns: tuple[Column, ...]
     """Of a finished tile."""
-    work: Callable[[TilePoints, bool], TileColumns]
+    rate: Callable[[TilePoints, bool], TileColumns]
     """Points of some tiles, and whether only ground counts, to columns of those tiles."""
     ground: Ground
 
@@ -54,7 +53,7 @@ class Job:
         """Finish blocks, in order."""
 
         def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
-            shares = [self.work(points, ground_only) for points in self._points(buckets, key)]
+            shares = [self.rate(points, ground_only) for points in self._points(buckets, key)]
             joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
             return key, joined
 
@@ -75,7 +74,7 @@ class Job:
     def finish_early(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
     ) -> None:
-        """Finish blocks in every way that may be wanted, with what is needed to decide between them."""
+        """Finish blocks in every way that may be wanted, with what is needed to choose between them."""
         for kind, sink in sinks.items():
             for key, columns in self.finish(buckets, keys, threads, ground_only=kind == "ground"):
                 sink.add(key, columns, buckets.marks(key))
@@ -84,7 +83,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class MeasuredTiles:
     """What came of reading and measuring."""
 
     table: TileTable
@@ -94,32 +93,16 @@ class Done:
     points: int
     """Points that count; duplicates are still among them."""
 
-
-def gathered(job: Job, space: Workspace, record: Mapping[str, Any]) -> Done:
-    """Give what a run has finished, whose record ``space`` remembers."""
-    kind = "ground" if record["ground_only"] else "all"
-    packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
-    return Done(TileTable(job.grid, packs), record["ground_only"], record["dropped"], record["points"])
-
-
-def reading_record(tallies: Sequence[PointStats], skipped: Collection[int], *, ground_only: bool) -> dict[str, Any]:
-    """Return what a workspace remembers of the reading: which points were measured, how many counted, what was dropped.
-
-    Parameters
-    ----------
-    tallies : sequence of Tally
-        Of each input.
-    skipped : collection of int
-        Inputs that were refused.
-    ground_only : bool
-    """
-    counted = [tally.points - sum(tally.dropped.values()) for tally in tallies]
-    dropped = [None if n in skipped else tally.dropped for n, tally in enumerate(tallies)]
-    return {"ground_only": ground_only, "dropped": dropped, "points": sum(counted)}
+    @classmethod
+    def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
+        """Give what a run has finished, by the record that it left in its workspace."""
+        kind = "ground" if record["ground_only"] else "all"
+        packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
+        return cls(TileTable(work.grid, packs), record["ground_only"], record["dropped"], record["points"])
 
 
 @contextmanager
-def failures(budget: Budget) -> Iterator[None]:
+def engine_errors(budget: Budget) -> Iterator[None]:
     """Say what to do where memory or disk do not suffice."""
     try:
         yield

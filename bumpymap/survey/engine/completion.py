@@ -1,4 +1,4 @@
-"""Which blocks are complete: no part of any file that is still to be read can bring them points."""
+"""Which blocks are complete: nothing that is still to be read can bring them points."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid
 
-__all__ = ["Coming"]
+__all__ = ["BlockCompletion"]
 
 _MARGIN = 1.01
 """Points may lie so far outside their bounds, m, without being refused (readers allow 1 m)."""
@@ -15,14 +15,14 @@ _MOST_CELLS = 4_000_000
 """A window of more blocks is not kept account of: nothing is complete before the end then."""
 
 
-class Coming:
-    """Counts, for each block, the parts that may still bring points.
+class BlockCompletion:
+    """Counts, for each block, the areas that may still bring points.
 
     Parameters
     ----------
     grid : Grid
     bounds : sequence of Bounds or None
-        Where the points of each part lie, m; None where that is not known.
+        Where the points of each area lie, m; None where that is not known.
     """
 
     def __init__(self, grid: Grid, bounds: Sequence[Bounds | None]) -> None:
@@ -39,16 +39,16 @@ class Coming:
             for box in known.tolist():
                 self._left[self._inside(box)] += 1
 
-    def read(self, part: int) -> None:
-        """Take note that all points of a part are there."""
-        box = self._boxes[part]
+    def mark_read(self, area: int) -> None:
+        """Take note that all points of an area are there."""
+        box = self._boxes[area]
         if box is None:
             self._unknown -= 1
         elif self._left is not None:
             self._left[self._inside(box)] -= 1
 
-    def complete(self, key: BlockKey) -> bool:
-        """Whether no part that is still to be read reaches a block."""
+    def is_complete(self, key: BlockKey) -> bool:
+        """Whether no area that is still to be read reaches a block."""
         if self._unknown or self._left is None:
             return False
         row, col = key[0] - self._south, key[1] - self._west

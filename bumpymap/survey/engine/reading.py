@@ -1,0 +1,223 @@
+"""Reading ranges into the memory of a worker: complete blocks are finished early, what finds no room goes to packs."""
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, Progress
+from bumpymap.readers import PointStats, SurveyReader
+from bumpymap.survey.engine.block_work import BlockWork
+from bumpymap.survey.engine.chunk_stream import BadFile, ChunkStream, OpenRange, ReadChunk
+from bumpymap.survey.engine.completion import BlockCompletion
+from bumpymap.survey.engine.results import ReadResult, Span
+from bumpymap.survey.engine.sink import TileSink
+from bumpytiles import BlockKey, Bounds, Pack, TileBuckets
+
+__all__ = ["RangeReading", "refuse_no_points"]
+
+_NAMED = 5
+"""A message names so many files."""
+_WHY = {
+    "withheld": "are flagged as withheld",
+    "noise": "are of class 7 or 18 (noise)",
+    "not_a_number": "are beams without return",
+}
+
+
+def refuse_no_points(readers: Sequence[SurveyReader], stats: Sequence[PointStats]) -> None:
+    """Raise BadInputError where no point of any file counts; files that were skipped have empty statistics."""
+    seen, dropped = sum(own.points for own in stats), Counter[str]()
+    for own in stats:
+        dropped.update(own.dropped)
+    if seen > dropped.total():
+        return
+    names = [str(reader.info.path) for reader in readers]
+    files = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    if not seen:
+        raise BadInputError(f"no point is left to map: every input was skipped ({files})")
+    reasons = [f"{count:,} {_WHY[reason]}" for reason, count in dropped.items() if count]
+    advice = "Clear flag or class in the file if they are ground after all"
+    if dropped["not_a_number"] == seen:
+        advice = "Is it the right file?"
+    raise BadInputError(
+        f"no point is left to map: of the {seen:,} points of {files}, {' and '.join(reasons)}. {advice}"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """What is to be reported of a chunk that is in memory or on its way to disk."""
+
+    number: int
+    span: Span
+    stats: PointStats
+    flagged: bool
+
+
+class RangeReading:
+    """One pass over some ranges; see `run`.
+
+    Parameters
+    ----------
+    ranges : sequence of OpenRange
+    store : TileBuckets
+        Keeps the points.
+    work : BlockWork
+    sinks : mapping of str to TileSink
+        For finished tiles, by `BlockWork.kinds`.
+    nearby : sequence of (tuple of Bounds or None)
+        See `ReadTask`; of all the ranges.
+    threads : int
+    progress : Progress
+    skip_bad : bool
+        Whether others are read on where a file is bad. Points of a file are then not final, and none of its blocks is
+        complete, before its last chunk was judged; ranges are whole files.
+    """
+
+    def __init__(
+        self,
+        ranges: Sequence[OpenRange],
+        store: TileBuckets,
+        work: BlockWork,
+        sinks: Mapping[str, TileSink],
+        nearby: Sequence[tuple[Bounds, ...] | None],
+        threads: int,
+        progress: Progress,
+        *,
+        skip_bad: bool,
+    ) -> None:
+        self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
+        self._progress, self._skip_bad = progress, skip_bad
+        self._stream = ChunkStream(ranges, work.grid, threads)
+        self._areas, bounds = _areas(ranges)
+        others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
+        self._completion = BlockCompletion(work.grid, [*bounds, *others])
+        self._taken: deque[_Taken] = deque()
+        self._next = 0
+        self._stats = PointStats()
+        self._spilling: ReadResult | None = None
+
+    def is_complete(self, key: BlockKey) -> bool:
+        """Whether nothing that is still to be read, here or by others, can bring points to a block."""
+        return self._completion.is_complete(key)
+
+    def run(self) -> Iterator[ReadResult]:
+        """Read; gives what is safe on disk, as soon as it is, and what went wrong."""
+        self._store.final = 0 if self._skip_bad else None
+        for read in self._stream.read():
+            if isinstance(read, BadFile):
+                yield from self._drop(read)
+            else:
+                yield from self._add(read)
+        yield from self._spilled()
+
+    def rest(self) -> ReadResult | None:
+        """Give what is still in memory in the end; None where nothing is to be reported any more."""
+        if not self._taken and self._store.is_empty:
+            return None
+        return replace(self._report(self._next), in_memory=self._store.in_memory())
+
+    def _add(self, read: ReadChunk) -> Iterator[ReadResult]:
+        source = read.source
+        if read.chunk.index == source.range.first:
+            self._stats = PointStats()
+        span = (source.range.file, read.chunk.index, read.chunk.index + 1)
+        self._taken.append(_Taken(self._next, span, read.stats, read.flagged))
+        self._store.add_chunk(read.points, self._next)
+        self._next += 1
+        self._stats = self._stats.merge(read.stats)
+        self._progress.advance(read.chunk.points)
+        if not self._skip_bad:
+            self._mark_read(source.range.file, read.chunk.index)
+        if read.is_last and source.range.is_whole:
+            try:
+                source.reader.judge(self._stats)
+            except BadInputError as error:
+                yield from self._drop(BadFile(source, error))
+                return
+        if read.is_last and self._skip_bad:
+            self._store.final = self._next
+            self._mark_all_read(source)
+        if self._store.is_full:
+            yield from self._make_room()
+
+    def _make_room(self) -> Iterator[ReadResult]:
+        """Finish what is complete, then send the older half of what waits to disk."""
+        yield from self._spilled()
+        ready = [key for key in self._store.blocks_to_spill() if self.is_complete(key)]
+        if any(tiles := self.finish_early(ready)):
+            yield ReadResult((), tiles=tiles)  # they are safe, whatever becomes of the points
+        _, last = self._store.spill()
+        self._spilling = self._report(last)
+
+    def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
+        """Finish blocks before it is known which points count: in every way that may be wanted."""
+        self._work.finish_early(self._store, keys, self._threads, self._sinks)
+        self._store.done.update(keys)
+        return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
+
+    def _spilled(self) -> Iterator[ReadResult]:
+        """Wait for what is on its way to disk, and report it."""
+        pack = self._store.wait()
+        if pack is not None and self._spilling is not None:
+            blocks = blocks_of(pack)
+            result, self._spilling = self._spilling, None
+            yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
+
+    def _report(self, last: int) -> ReadResult:
+        """Sum up the chunks up to ``last`` that were not reported yet."""
+        spans: list[Span] = []
+        stats: dict[int, PointStats] = {}
+        flagged = False
+        while self._taken and self._taken[0].number <= last:
+            taken = self._taken.popleft()
+            file, first, stop = taken.span
+            if spans and spans[-1][0] == file and spans[-1][2] == first:
+                spans[-1] = (file, spans[-1][1], stop)
+            else:
+                spans.append(taken.span)
+            stats[file] = stats.get(file, PointStats()).merge(taken.stats)
+            flagged |= taken.flagged
+        return ReadResult(tuple(spans), stats, flagged)
+
+    def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
+        """Drop the points of a file; what was reported of it does not count any more."""
+        part = bad.source.range
+        yield from self._spilled()
+        self._stream.skip(part.file)
+        while self._taken and self._taken[-1].span[0] == part.file:
+            self._taken.pop()
+        if self._skip_bad:
+            self._store.drop_from(self._store.final or 0)
+            self._mark_all_read(bad.source)
+        yield ReadResult(((part.file, part.first, part.stop),), error=bad.error)
+
+    def _mark_all_read(self, source: OpenRange) -> None:
+        for index in range(source.range.first, source.range.stop):
+            self._mark_read(source.range.file, index)
+
+    def _mark_read(self, file: int, index: int) -> None:
+        area = self._areas.get((file, index))
+        if area is not None:
+            self._completion.mark_read(area)
+
+
+def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:
+    """Give each chunk that has bounds an area of its own; the last one of a range stands for those that have none."""
+    areas: dict[tuple[int, int], int] = {}
+    bounds: list[Bounds | None] = []
+    for source in ranges:
+        for chunk in source.chunks:
+            if chunk.bounds is not None or chunk is source.chunks[-1]:
+                areas[source.range.file, chunk.index] = len(bounds)
+                bounds.append(chunk.bounds or source.reader.info.bounds)
+    return areas, bounds
+
+
+def blocks_of(pack: Pack) -> NDArray[np.int64]:
+    """Row, column and points of the blocks of a pack, (n, 3)."""
+    return np.array([(*key, pack.rows(key)) for key in pack.keys], np.int64).reshape(-1, 3)

@@ -1,0 +1,156 @@
+"""A run of the engine, on one machine or many: read, decide which points count, finish every block.
+
+The plan is the same everywhere: ranges of chunks are read, a catalogue says where the points of which blocks are,
+groups of blocks are finished, and one collector keeps what comes of it. Who does the tasks is up to an executor.
+"""
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
+from bumpymap.readers import Chunk, SurveyReader
+from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
+from bumpymap.survey.engine.budget import Budget
+from bumpymap.survey.engine.catalogue import BlockGroup
+from bumpymap.survey.engine.checkpoints import Checkpoints
+from bumpymap.survey.engine.collector import ResultCollector
+from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
+from bumpymap.survey.engine.reading import refuse_no_points
+from bumpymap.survey.engine.results import FinishedTiles, ReadResult
+from bumpymap.survey.engine.workspace import Workspace
+from bumpytiles import BlockKey, Pack, TileWindow
+
+__all__ = ["Executor", "Inputs", "ReadPlan", "run_engine"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The files of a run, and what to do where they cannot be mapped."""
+
+    readers: Sequence[SurveyReader]
+    refuse: Callable[[SurveyReader, BadInputError], None]
+    """Called with a bad file; raises, or notes that it is skipped."""
+    check_window: Callable[[TileWindow], None]
+    """Raises where a map of that window cannot be made."""
+    skip_bad: bool
+    """Whether ``refuse`` may return."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadPlan:
+    """What is to be read."""
+
+    readers: Sequence[SurveyReader]
+    chunks: Sequence[Sequence[Chunk]]
+    """Of each file."""
+    unread: Sequence[ChunkRange]
+    read: Sequence[ChunkRange]
+    """What was read before."""
+    finished: set[BlockKey]
+    """Blocks that were finished before."""
+    skip_bad: bool
+
+
+class Executor(Protocol):
+    """Does the tasks of a run. Generators must be closed; tasks that were not begun are given up then."""
+
+    one_group: bool
+    """Whether one task finishes all blocks."""
+
+    def range_points(self, points: int) -> int | None:
+        """Most points of a range where there are so many in all; None: a file is one."""
+
+    def running(self) -> AbstractContextManager[None]:
+        """Make sure that tasks can be done; give up what is under way in the end."""
+
+    def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
+        """Read all that is unread."""
+
+    def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
+        """Count tiles, and those with ground points."""
+
+    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
+        """Finish blocks."""
+
+
+def run_engine(
+    inputs: Inputs, work: BlockWork, space: Workspace, budget: Budget, executor: Executor, progress: Progress,
+    clock: Stopwatch,
+) -> MeasuredTiles:  # fmt: skip
+    """Read and measure what is not there yet.
+
+    Raises
+    ------
+    BadInputError
+        A bad file that may not be skipped; no point is left.
+    OutputError
+        The disk is full, or a worker does not see the folders.
+    UsageError
+        Workers died, differ from this process, or do not see the inputs.
+    """
+    record = space.checkpoint()
+    if record is None:
+        with engine_errors(budget), executor.running():
+            record = _read_and_measure(inputs, work, space, executor, progress, clock)
+        space.save_checkpoint(record)
+    return MeasuredTiles.of(work, space, record)
+
+
+def _read_and_measure(
+    inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress, clock: Stopwatch
+) -> dict[str, Any]:
+    with clock.stage("read"):
+        collector = _read(inputs, work, space, executor, progress)
+    refuse_no_points(inputs.readers, collector.stats)
+    inputs.check_window(collector.window())
+    with clock.stage("measure"):
+        ground_only = _decide(work, collector, executor)
+        _finish(collector, space, executor, progress, ground_only=ground_only)
+    counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
+    dropped = [None if n in collector.skipped else stats.dropped for n, stats in enumerate(collector.stats)]
+    return {"ground_only": ground_only, "dropped": dropped, "points": counted}
+
+
+def _read(inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress) -> ResultCollector:
+    readers = inputs.readers
+    chunks = [reader.chunks(space.run_spec["cut"]["chunk_points"]) for reader in readers]
+    total = sum(reader.info.point_count for reader in readers)
+    checkpoints = Checkpoints(space, work.kinds)
+    counts = [len(own) for own in chunks]
+    collector = ResultCollector(readers, counts, checkpoints, inputs.refuse, skip_bad=inputs.skip_bad)
+    unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
+    progress.start("reading points", total)
+    progress.advance(sum(part.points for part in read))
+    plan = ReadPlan(readers, chunks, unread, read, collector.finished, inputs.skip_bad)
+    with closing(executor.read(plan)) as results:
+        for result in results:
+            collector.add(result)
+    return collector
+
+
+def _decide(work: BlockWork, collector: ResultCollector, executor: Executor) -> bool:
+    """Decide whether ground alone counts; tiles are counted only where that makes a difference."""
+    if work.ground != "auto" or not collector.flagged:
+        return decide_ground(work.ground, 1, int(collector.flagged))
+    tiles, with_ground = collector.marks
+    groups = collector.catalogue.groups(collector.finished, single=executor.one_group)
+    with closing(executor.count_marks(groups)) as counts:
+        for more, more_with_ground in counts:
+            tiles, with_ground = tiles + more, with_ground + more_with_ground
+    return decide_ground(work.ground, tiles, with_ground)
+
+
+def _finish(
+    collector: ResultCollector, space: Workspace, executor: Executor, progress: Progress, *, ground_only: bool
+) -> None:
+    kind = "ground" if ground_only else "all"
+    before = {key for path in space.tiles(kind) for key in Pack(path).keys}
+    waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - collector.finished
+    progress.start("measuring blocks of tiles", len(waiting))
+    progress.advance(len(waiting & before))
+    groups = collector.catalogue.groups(collector.finished | before, single=executor.one_group)
+    with closing(executor.finish(groups, ground_only=ground_only)) as results:
+        for tiles in results:
+            collector.add_tiles(kind, tiles)

@@ -1,0 +1,134 @@
+"""What a worker does: it reads ranges of chunks, counts marks of blocks, finishes blocks.
+
+The worker of this process keeps points in memory between its tasks. One of a cluster does each task with a new `Worker`
+and leaves what others need in packs.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from shutil import rmtree
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import Progress
+from bumpymap.readers import PointStats
+from bumpymap.survey.engine.block_work import BlockWork
+from bumpymap.survey.engine.budget import Budget
+from bumpymap.survey.engine.catalogue import BlockGroup
+from bumpymap.survey.engine.chunk_stream import OpenRange
+from bumpymap.survey.engine.plan import ReadTask
+from bumpymap.survey.engine.reading import RangeReading, blocks_of
+from bumpymap.survey.engine.results import FinishedTiles, ReadResult
+from bumpymap.survey.engine.sink import TileSink
+from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
+
+__all__ = ["Worker", "own_folder"]
+
+
+def own_folder(parent: Path) -> Path:
+    """Make a folder that nobody else writes to."""
+    folder = parent / uuid4().hex
+    folder.mkdir()
+    return folder
+
+
+class Worker:
+    """Does tasks, one at a time.
+
+    Parameters
+    ----------
+    work : BlockWork
+    budget : Budget
+    points : Path
+        Folder for packs of points that wait.
+    tiles : Path
+        Folder for packs of finished tiles.
+    progress : Progress
+    """
+
+    def __init__(self, work: BlockWork, budget: Budget, points: Path, tiles: Path, progress: Progress) -> None:
+        self._work, self._threads, self._progress = work, budget.threads, progress
+        self._points, self._tiles = points, tiles
+        self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_points, budget.block_points, points))
+        self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
+
+    def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
+        """Read ranges; gives what is safe on disk, what went wrong, and in the end what is in memory."""
+        reading = self._reading(tasks, ranges, skip_bad=skip_bad)
+        yield from reading.run()
+        if (rest := reading.rest()) is not None:
+            yield rest
+
+    def read_to_disk(self, task: ReadTask, source: OpenRange) -> ReadResult:
+        """Read a range; in the end every block is finished that no other range reaches, and all others are in packs."""
+        reading, store = self._reading([task], [source], skip_bad=False), self._store
+        results = list(reading.run())
+        bad = next((result for result in results if result.error is not None), None)
+        if bad is not None:
+            for folder in (self._points, self._tiles):
+                rmtree(folder, ignore_errors=True)
+            return bad
+        ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
+        early = reading.finish_early(ready)
+        if (rest := reading.rest()) is not None:
+            results.append(replace(rest, in_memory=None))
+        while not store.is_empty:
+            store.spill()
+            store.wait()
+        return replace(_joined(results, task), packs=self._left(), tiles=_by_kind([*(r.tiles for r in results), early]))
+
+    def count_marks(self, group: BlockGroup) -> tuple[int, int]:
+        """Count the tiles with points, and those with ground points, in some blocks."""
+        self._store.packs = [Pack(path) for path in group.packs]
+        marks = np.sum(list(run_blocks(self._store.marks, group.keys, self._threads)), axis=0)
+        return int(marks[0]), int(marks[1])
+
+    def finish(self, group: BlockGroup, *, ground_only: bool) -> Iterator[FinishedTiles]:
+        """Finish blocks; gives their tiles pack by pack."""
+        sink = TileSink(self._tiles, "ground" if ground_only else "all", self._work.columns)
+        self._store.packs = [Pack(path) for path in group.packs]
+        blocks = 0
+        for key, columns in self._work.finish(self._store, group.keys, self._threads, ground_only=ground_only):
+            sink.add(key, columns)
+            blocks += 1
+            self._progress.advance(1)
+            if packs := sink.new_packs():
+                yield FinishedTiles(tuple(packs), blocks)
+                blocks = 0
+        sink.flush()
+        yield FinishedTiles(tuple(sink.new_packs()), blocks)
+
+    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> RangeReading:
+        self._store.done = set().union(*(task.finished for task in tasks))
+        nearby = [task.nearby for task in tasks]
+        return RangeReading(
+            ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress, skip_bad=skip_bad
+        )
+
+    def _left(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
+        """Packs of blocks that are not finished; others go away."""
+        found = []
+        for pack in self._store.packs:
+            blocks = blocks_of(pack)
+            left = [tuple(key) not in self._store.done for key in blocks[:, :2].tolist()]
+            if any(left):
+                found.append((pack.path, blocks[left]))
+            else:
+                pack.path.unlink()
+        return tuple(found)
+
+
+def _joined(results: Sequence[ReadResult], task: ReadTask) -> ReadResult:
+    file = task.range.file
+    stats = PointStats()
+    for result in results:
+        stats = stats.merge(result.stats.get(file, PointStats()))
+    flagged = any(result.flagged for result in results)
+    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged)
+
+
+def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:
+    return tuple(tuple(path for paths in alike for path in paths) for alike in zip(*filter(None, packs), strict=True))
