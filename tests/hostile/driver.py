@@ -17,7 +17,7 @@ import time
 import traceback
 
 from bumpymap.cli import main
-from bumpymap.readers.decoder import close
+from bumpymap.readers.decoder import close_decoder
 
 
 def run(argv):
@@ -62,7 +62,7 @@ def watched(argv, said):
     seconds = time.perf_counter() - start
     sys.stdout.flush()
     sys.stderr.flush()
-    close()  # the largest child that has ended counts, too; children have the same limit each
+    close_decoder()  # the largest child that has ended counts, too; children have the same limit each
     peak = size_of("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     peak += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     left = [thread.name for thread in set(threading.enumerate()) - threads]
