@@ -123,8 +123,8 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
         ("none = 1\nnever = 2", r"a\.toml: unknown setting never, none; there are: places, files, file"),
         ("[inner]\nnone = 1", r"a\.toml: \[inner\]: unknown setting none; there are: number, corners, counts"),
         ("inner = 1", r"inner is 1; it must be a table, \[inner\], with number, corners, counts"),
-        ('places = "a"', "places is 'a'; it must be a list of texts"),
-        ('files = "a"', "files is 'a'; it must be a list of texts"),
+        ('places = "a"', "places is 'a'; it must be a list of strings"),
+        ('files = "a"', "files is 'a'; it must be a list of strings"),
         ('places = ["a", 7]', "value 2 of places is 7; it must be a string"),
         ("file = 1", "file is 1; it must be a string"),
         ("text = true", "text is True; it must be a string"),
@@ -135,7 +135,7 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
         ('colour = "green"', "colour is 'green'; it must be one of red, blue"),
         ("other = [1]", r"other is \[1\]; it must be one of red, blue"),
         ('colours = ["red", "green"]', "value 2 of colours is 'green'; it must be one of red, blue"),
-        ("colours = 1", "colours is 1; it must be a list of texts"),
+        ("colours = 1", "colours is 1; it must be a list of strings"),
         ("[inner]\nnumber = true", r"inner\.number is True; it must be a number"),
         ("[inner]\nnumber = 2024-05-01", "it must be a number"),
         (f"[inner]\nnumber = 1{'0' * 400}", "it must be a number"),
@@ -155,7 +155,7 @@ def test_all_faults_are_said_at_once(tmp_path):
     with pytest.raises(UsageError) as caught:
         read(tmp_path, "none = 1\ncount = 1.5\nplaces = [1, 'a', 2]\n[inner]\nnumber = true\nlow = 1\n")
     first, *faults = caught.value.args
-    assert first == f"{tmp_path / 'a.toml'}: 6 faults"
+    assert first == f"{tmp_path / 'a.toml'}: 6 errors"
     assert [fault.split(";")[0] for fault in faults] == [
         "  unknown setting none",
         "  value 1 of places is 1",
@@ -169,7 +169,7 @@ def test_all_faults_are_said_at_once(tmp_path):
 def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
     with pytest.raises(UsageError) as caught:
         read(tmp_path, f"places = [{'1,' * 50_000}]")
-    assert caught.value.args[0].endswith("a.toml: 50000 faults")
+    assert caught.value.args[0].endswith("a.toml: 50000 errors")
     assert caught.value.args[-1] == "  and 49960 more"
     assert len(caught.value.args) == 42
 
