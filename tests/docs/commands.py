@@ -48,7 +48,7 @@ RULES = (
     Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
-    Rule(r"^dask |--scheduler ", "takes a cluster: tests/bumpymap/test_cluster.py has one"),
+    Rule(r"^dask |--scheduler ", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
     Rule(r"^gdal", "takes GDAL's own tools", ""),
     Rule(r"^grass ", "takes GRASS", ""),
     Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
