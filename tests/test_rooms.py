@@ -12,10 +12,27 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"numpy", "onnxruntime", "pyproj"}),
-    "readers": ({"core"}, {"fsspec", "laspy", "lazrs", "numpy", "pypcd4", "pyproj"}),
+    "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pypcd4", "pyproj"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
     "rating": ({"core"}, {"numpy"}),
-    "layers": ({"core"}, {"PIL", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"}),
+    "layers": (
+        {"core"},
+        {
+            *(
+                "PIL",
+                "geopandas",
+                "laspy",
+                "lazrs",
+                "numpy",
+                "pyarrow",
+                "pyogrio",
+                "pyproj",
+                "rasterio",
+                "shapely",
+                "xarray",
+            )
+        },
+    ),
     "survey": ({"core", "readers", "patches", "rating", "layers"}, {"numpy"}),
     "scan": (
         {"core", "readers", "rating", "layers", "survey"},

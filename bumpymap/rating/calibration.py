@@ -185,7 +185,7 @@ class Calibration:
         if vehicle not in known:
             raise UsageError(
                 f"no calibration for a vehicle named '{vehicle}' is included; available are: {', '.join(known)}. "
-                "For others: bumpymap calibrate `vehicle` NAME_OR_FILE `out='FILE'`, then map `calibration='FILE'`"
+                "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then pass `calibration='FILE'`"
             )
         resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")

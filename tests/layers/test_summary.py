@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 from bumpymap.core.types import NO_CLASS, CostTable
 from bumpymap.layers import summarise
 
-klasses = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
+class_ids = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
 
 
 @settings(max_examples=40, deadline=None)

@@ -189,7 +189,7 @@ def test_a_header_that_lies_about_its_extent(las, name, changes, says):
     path = las.write(name)
     for place, value in changes.items():
         las.patch(path, place, "<d", value)
-    message = refused(path, says, "--trust-points")
+    message = refused(path, says, "`trust_points=True`")
     if says != "cannot be":
         assert "500,000.00 to 500,005.00" in message
     assert open_survey(path, ReadOptions(trust_points=True)).info.bounds is None

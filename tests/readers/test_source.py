@@ -40,13 +40,13 @@ class _Ranges(http.server.SimpleHTTPRequestHandler):
     headers_beside: ClassVar[dict[str, str]] = {}
     shift = 0
     """Bytes that it is wrong by."""
-    asked = 0
+    requests = 0
     stalled = None
     """An event: nothing is sent before it."""
 
     def do_GET(self):
         if self.stalled is not None:
-            type(self).run_spec += 1
+            type(self).requests += 1
             self.stalled.wait(30)
             return
         with open(self.translate_path(self.path), "rb") as file:  # noqa: PTH123
@@ -182,7 +182,7 @@ def test_a_server_that_stalls(las, server, monkeypatch):
     try:
         with pytest.raises(BadInputError, match=r"^the server of .*a\.las sent nothing for 0\.2 s"):
             list(reader.clouds())
-        assert handler.run_spec == 1
+        assert handler.requests == 1
         with pytest.raises(BadInputError, match="sent nothing"):
             open_survey(f"{address}/{path.name}")
     finally:

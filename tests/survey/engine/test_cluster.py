@@ -656,6 +656,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
 def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
+    monkeypatch.delitem(vars(sys.modules["bumpytiles"]), "local_workers", raising=False)
     result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
     assert result.exit_code == 2
     assert "pip install 'bumpymap[dask]'" in result.output

@@ -200,8 +200,8 @@ def test_las_loads_no_library_that_it_does_not_need(las, ending):
     path = las.write(f"a.{ending}")
     code = (
         "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
-        "reader = open_survey(Path(sys.argv[1])); piece = reader.pieces()[0]\n"
-        "print(reader.convert(piece, reader.fetch(piece)).tally.points)\n"
+        "reader = open_survey(Path(sys.argv[1])); chunk = reader.chunks()[0]\n"
+        "print(reader.convert(chunk, reader.fetch(chunk)).tally.points)\n"
         "print({'laspy', 'fsspec', 'pypcd4'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
