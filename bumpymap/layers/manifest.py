@@ -81,7 +81,7 @@ def complete_manifest(
         With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files`` beside.
     """
     place, grid = table.georeference, table.tiles.grid
-    crs = Placement.of(table).crs_of_heights
+    crs = Placement.of(table).height_crs
     return {
         "format": MANIFEST_FORMAT,
         "version": _VERSION,

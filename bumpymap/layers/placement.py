@@ -56,7 +56,7 @@ class RasterWindow:
     column: int
     """Its westmost raster column, in tiles."""
 
-    def places(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def pixel_indices(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Line and column inside the window, counted from its north-west corner, of tiles that were read for it."""
         return self.tiles.row + self.tiles.rows - 1 - found["row"], found["col"] - self.tiles.col
 
@@ -83,7 +83,7 @@ class Placement:
         return None if crs is None else crs.to_2d()
 
     @property
-    def crs_of_heights(self) -> CRS | None:
+    def height_crs(self) -> CRS | None:
         """The survey's CRS with its vertical part, where that is in metres, as every height in the files is."""
         crs = self.georeference.crs
         in_metres = crs is not None and crs.is_compound and crs.axis_info[-1].unit_conversion_factor == 1.0

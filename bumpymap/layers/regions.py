@@ -154,7 +154,7 @@ def _lay_out(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
         found = table.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
         known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _BARRED)
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
-        keys[window.places(found)] = key
+        keys[window.pixel_indices(found)] = key
     return keys
 
 
@@ -166,7 +166,7 @@ def _add_up(table: CostTable, window: RasterWindow, labels: NDArray[np.int32], c
     totals = np.zeros((len(_VALUES) + 1, count))
     for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read(_VALUES, strip)
-        area = labels[window.places(found)] - 1
+        area = labels[window.pixel_indices(found)] - 1
         for total, name in zip(totals, _VALUES, strict=False):
             add_up(area, found[name], total)
         add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])

@@ -100,7 +100,7 @@ def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable:
 
 def _geo(place: Placement) -> dict[str, Any]:
     """Metadata of GeoParquet 1.1.0."""
-    crs = place.crs_of_heights
+    crs = place.height_crs
     window = place.window
     corners = np.array([window.col, window.row, window.col + window.cols, window.row + window.rows])
     geometry = {

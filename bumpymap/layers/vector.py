@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import NO_CLASS, BadInputError, atomic
-from bumpymap.layers.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
+from bumpymap.layers.lonlat import BoundingBox, outlines_in_crs, outlines_in_wgs84, wgs84_transformer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
-__all__ = ["GeoJsonPlace", "flatgeobuf_writer", "geojson_writer"]
+__all__ = ["GeoJsonCoordinates", "flatgeobuf_writer", "geojson_writer"]
 
 _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
@@ -43,7 +43,7 @@ _IN_MEMORY = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class GeoJsonPlace:
+class GeoJsonCoordinates:
     """Where cost.geojson lies: on the globe, or in the survey's own coordinates."""
 
     placement: Placement
@@ -51,7 +51,7 @@ class GeoJsonPlace:
     """None: the survey's own coordinates."""
 
     @classmethod
-    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonPlace":
+    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonCoordinates":
         """Settle it.
 
         Raises
@@ -60,7 +60,7 @@ class GeoJsonPlace:
             The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
         """
         try:
-            return cls(placement, globe_transformer(placement))
+            return cls(placement, wgs84_transformer(placement))
         except BadInputError:
             if not local:
                 raise
@@ -76,18 +76,18 @@ class GeoJsonPlace:
     def outlines(self, regions: Regions) -> NDArray[np.object_]:
         """Outlines of regions, there."""
         if self.to_degrees is not None:
-            return outlines_on_globe(regions, self.to_degrees)
+            return outlines_in_wgs84(regions, self.to_degrees)
         own: NDArray[np.object_] = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
         return own
 
-    def sides(self, box: BoundingBox) -> list[float]:
+    def bounds(self, box: BoundingBox) -> list[float]:
         """West, south, east, north of a box around outlines."""
-        return box.sides() if self.to_degrees is None else box.sides_on_globe()
+        return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
 
 
 @contextmanager
 def geojson_writer(
-    path: Path, place: GeoJsonPlace, about: Mapping[str, Any] | None = None
+    path: Path, place: GeoJsonCoordinates, about: Mapping[str, Any] | None = None
 ) -> Iterator[Callable[[Regions], None]]:
     """Write cost.geojson: RFC 7946, one feature a region, WGS 84 with 7 decimals.
 
@@ -97,7 +97,7 @@ def geojson_writer(
     ----------
     path : Path
         The file. It appears when the ``with`` ends.
-    place : GeoJsonPlace
+    place : GeoJsonCoordinates
         Where it lies.
     about : mapping, optional
         Further members of the feature collection, such as vehicle and calibration.
@@ -130,7 +130,7 @@ def geojson_writer(
                 separator = ",\n"
 
         yield add
-        file.write(f'\n], "bbox": {encode(place.sides(box))}}}\n')
+        file.write(f'\n], "bbox": {encode(place.bounds(box))}}}\n')
 
 
 def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:

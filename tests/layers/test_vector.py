@@ -8,7 +8,7 @@ from pyproj import CRS, Transformer
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import GeoJsonPlace, dissolve, flatgeobuf_writer, geojson_writer
+from bumpymap.layers import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
 
 US_FOOT = 1200 / 3937
 SITES = {
@@ -28,7 +28,7 @@ def regions_of(cost_map):
 
 
 def write_geojson(regions, path, *, local, about=None):
-    place = GeoJsonPlace.of(regions.placement, local=local)
+    place = GeoJsonCoordinates.of(regions.placement, local=local)
     with geojson_writer(path, place, about) as add:
         add(regions)
 
@@ -246,7 +246,7 @@ def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkey
         batches = list(dissolve(table))
         place = batches[0].placement
         with (
-            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonPlace.of(place, local=False)) as to_globe,
+            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonCoordinates.of(place, local=False)) as to_globe,
             flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
         ):
             for regions in batches:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.core import ClassedSectors, Scan, point_classes, write_vertices
-from bumpymap.layers.scan.style import COLOURS, looks_of
+from bumpymap.layers.scan.style import SCAN_COLOURS, style_index
 
 __all__ = ["write_cloud"]
 
@@ -23,7 +23,7 @@ def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
     }
     kinds += [(name, values.dtype.newbyteorder("<").str) for name, values in beside.items()]
     vertex = np.empty(len(scan.points), kinds)
-    colours = COLOURS[looks_of(classed.class_id, classed.sectors.point_sector)]
+    colours = SCAN_COLOURS[style_index(classed.class_id, classed.sectors.point_sector)]
     for number, (axis, colour) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
         vertex[axis], vertex[colour] = scan.points[:, number], colours[:, number]
     vertex["class"] = point_classes(scan, classed)

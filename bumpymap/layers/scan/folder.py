@@ -14,10 +14,24 @@ from bumpymap.core import OutputError, take_away
 from bumpymap.layers.folder import PRODUCT_NAMES, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
-__all__ = ["GATHERED", "MANIFEST", "MAP_FOLDER", "TABLE", "check_scan_folder", "drop_older", "sync", "writing"]
+__all__ = [
+    "ACCUMULATED_NAME",
+    "MAP_FOLDER",
+    "SCAN_MANIFEST_NAME",
+    "SECTOR_TABLE_NAME",
+    "check_scan_folder",
+    "output_errors",
+    "remove_stale_products",
+    "sync_to_disk",
+]
 
-MANIFEST, TABLE, GATHERED, MAP_FOLDER = "scan.json", "sectors.parquet", "gathered.laz", "map"
-_NAMES = (FRAME_FOLDER, TABLE, GATHERED, MAP_FOLDER, MANIFEST)
+SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
+    "scan.json",
+    "sectors.parquet",
+    "gathered.laz",
+    "map",
+)
+_NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
 _SIDE = ("class.tif.aux.xml",)
 
 
@@ -56,7 +70,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         )
 
 
-def drop_older(folder: Path, kept: Sequence[str]) -> None:
+def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
     """Take away the products of an earlier run that this one, which wrote ``kept``, did not replace."""
     for name in _NAMES:
         if name in kept or not lexists(folder / name):
@@ -71,7 +85,7 @@ def drop_older(folder: Path, kept: Sequence[str]) -> None:
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
+def output_errors(folder: Path) -> Iterator[None]:
     """Turn what goes wrong while products are written into an OutputError."""
     try:
         yield
@@ -82,7 +96,7 @@ def writing(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
     """Make sure that a file is on the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
@@ -93,6 +107,6 @@ def _strange(folder: Path, *, unfinished: bool) -> Path | None:
     frames = folder / FRAME_FOLDER
     if frames.is_symlink() or not frames.is_dir():
         return None
-    if not (unfinished or (folder / MANIFEST).exists()):
+    if not (unfinished or (folder / SCAN_MANIFEST_NAME).exists()):
         return frames
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)

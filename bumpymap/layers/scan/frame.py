@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bumpymap.core import ClassedSectors, Scan
 from bumpymap.layers.scan.cloud import write_cloud
-from bumpymap.layers.scan.folder import sync
+from bumpymap.layers.scan.folder import sync_to_disk
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 from bumpymap.layers.scan.picture import write_picture
 from bumpymap.layers.scan.polygons import write_polygons
@@ -31,4 +31,4 @@ def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, pr
             write_cloud(scan, classed, path)
         else:
             write_picture(scan, classed, path)
-        sync(path)
+        sync_to_disk(path)

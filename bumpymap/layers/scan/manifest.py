@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.layers.manifest import describe_file, software_versions, write_manifest
-from bumpymap.layers.scan.folder import GATHERED, MANIFEST, TABLE
+from bumpymap.layers.scan.folder import ACCUMULATED_NAME, SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME
 from bumpymap.layers.scan.report import FrameReport
 
 __all__ = ["write_scan_manifest"]
@@ -28,7 +28,11 @@ def write_scan_manifest(
     identities : mapping
         Path of each input to what tells the file from another, see `bumpymap.readers.source.identity`.
     """
-    files = [describe_file(folder / name) | {"path": name} for name in (TABLE, GATHERED) if (folder / name).exists()]
+    files = [
+        describe_file(folder / name) | {"path": name}
+        for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME)
+        if (folder / name).exists()
+    ]
     record = {
         "format": _FORMAT,
         "version": _VERSION,
@@ -37,4 +41,4 @@ def write_scan_manifest(
         "files": files,
         "frames": [{**frame.record(), "mtime_ns": identities[str(frame.frame.path)]["mtime_ns"]} for frame in frames],
     }
-    write_manifest(record, folder / MANIFEST)
+    write_manifest(record, folder / SCAN_MANIFEST_NAME)

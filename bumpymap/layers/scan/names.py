@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "spread_out"]
+__all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "sample_evenly"]
 
 FRAME_FOLDER = "frames"
 FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
@@ -52,7 +52,7 @@ def _as_text(stem: str) -> str:
     return stem
 
 
-def spread_out(frames: Sequence[Frame], most: int) -> list[Frame]:
+def sample_evenly(frames: Sequence[Frame], most: int) -> list[Frame]:
     """Return at most so many frames, evenly spread, the first and the last among them."""
     if len(frames) <= most:
         return list(frames)

@@ -13,7 +13,7 @@ from bumpymap.core import atomic, parse_json
 from bumpymap.layers.scan.names import Frame
 from bumpymap.layers.scan.report import FrameReport
 
-__all__ = ["FramePart", "finished_parts", "load_part", "part_path", "save_part"]
+__all__ = ["FramePart", "has_finished_parts", "load_part", "part_path", "save_part"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def part_path(folder: Path, number: int) -> Path:
     return folder / f"frame-{number:06d}.npz"
 
 
-def finished_parts(folder: Path) -> bool:
+def has_finished_parts(folder: Path) -> bool:
     """Whether any frame is kept in a folder."""
     return next(folder.glob("frame-*.npz"), None) is not None
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, sector_bounds
-from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SCAN_COLOURS, style_index
 
-__all__ = ["SIDE", "paint", "reach_of", "write_picture"]
+__all__ = ["SIDE", "paint", "scene_radius", "write_picture"]
 
 SIDE = 960
 """Pixels along a side of the scene."""
@@ -51,7 +51,7 @@ def paint(scan: Scan, classed: ClassedSectors) -> Image.Image:
         RGB, ``SIDE`` high and wider by the legend. Forward (x) is up, left (y) is left; the sensor is in the middle of
         the scene.
     """
-    reach = reach_of(classed.sectors)
+    reach = scene_radius(classed.sectors)
     step = _ring_step(reach)
     picture: Picture = np.full((SIDE, SIDE + _PANEL, 3), _PAPER, np.uint8)
     picture[:, :SIDE] = _scene(scan, classed, reach, step)
@@ -74,7 +74,7 @@ def _scene(scan: Scan, classed: ClassedSectors, reach: float, step: float) -> Pi
     return scene
 
 
-def reach_of(stack: SectorStack) -> float:
+def scene_radius(stack: SectorStack) -> float:
     """Return how far a picture reaches from the sensor, m: to the end of its farthest sector, or of the first zone."""
     first = (*stack.settings.zone_starts_m[1:], stack.settings.end_m)[0]
     return float(sector_bounds(stack).far.max(initial=first))
@@ -93,7 +93,7 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, reach: float) -> Non
     stack, first = classed.sectors, _first_cells(classed.sectors.settings)
     own = first[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone] + stack.sector
     shades = np.full((first[-1] + 1, 3), _PAPER, np.uint8)
-    colours = COLOURS[looks_of(classed.class_id, np.arange(len(own), dtype=np.int32))]
+    colours = SCAN_COLOURS[style_index(classed.class_id, np.arange(len(own), dtype=np.int32))]
     shades[own] = (np.array(_PAPER) + _FILL * (colours - np.array(_PAPER, float))).astype(np.uint8)
     cell = _cells(stack.settings, stack.azimuth_start_rad, reach)
     scene[:] = shades[cell]
@@ -135,15 +135,15 @@ def _ring_pixels(settings: PolarSettings, reach: float) -> tuple[NDArray[np.int3
 
 def _paint_points(scene: Picture, scan: Scan, classed: ClassedSectors, reach: float) -> None:
     """Paint points, those without a sector first, rougher ones over smoother ones."""
-    style = looks_of(classed.class_id, classed.sectors.point_sector)
+    style = style_index(classed.class_id, classed.sectors.point_sector)
     with np.errstate(over="ignore"):
         place = np.floor((reach - scan.points[:, :2].astype(np.float64)) * (SIDE / (2.0 * reach)))
     inside = ((place >= 0) & (place < SIDE)).all(axis=1)
     row, column = place[inside].astype(np.int64).T
     style = style[inside]
-    for look in (len(COLOURS) - 1, *range(len(COLOURS) - 1)):
+    for look in (len(SCAN_COLOURS) - 1, *range(len(SCAN_COLOURS) - 1)):
         chosen = style == look
-        scene[row[chosen], column[chosen]] = COLOURS[look]
+        scene[row[chosen], column[chosen]] = SCAN_COLOURS[look]
 
 
 def _ring_step(reach: float) -> float:
@@ -182,8 +182,8 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     outside = int((stack.point_sector < 0).sum())
     left, row = SIDE + 16, 40
     text = left + _SWATCH_PX + 14
-    for look, name in enumerate(NAMES):
-        draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(COLOURS[look].tolist()))
+    for look, name in enumerate(SCAN_CLASS_NAMES):
+        draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(SCAN_COLOURS[look].tolist()))
         draw.text((text, row + 7), name, _INK, _font(_TEXT_PX), "lm")
         count = f"{outside:,} points" if look > CLASSES else f"{sectors[look]:,} sectors"
         draw.text((text, row + 30), count, _FAINT_INK, _font(_SMALL_PX), "lm")

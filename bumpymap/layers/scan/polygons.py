@@ -9,7 +9,7 @@ import numpy as np
 
 from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
 from bumpymap.layers.scan.geometry import outlines
-from bumpymap.layers.scan.style import NAMES, looks_of
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, style_index
 
 __all__ = ["write_polygons"]
 
@@ -44,14 +44,14 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
     stack = classed.sectors
     count = len(stack.zone)
     stripes = [None] * count if classed.stripes is None else classed.stripes.tolist()
-    style = looks_of(classed.class_id, np.arange(count, dtype=np.int32))
+    style = style_index(classed.class_id, np.arange(count, dtype=np.int32))
     columns: dict[str, list[Any]] = {
         "zone": stack.zone.tolist(),
         "ring": stack.ring.tolist(),
         "sector": stack.sector.tolist(),
         "points": stack.count.tolist(),
         "class": [None if class_id == NOT_TRAVERSABLE else class_id for class_id in classed.class_id.tolist()],
-        "class_name": [NAMES[look] for look in style],
+        "class_name": [SCAN_CLASS_NAMES[look] for look in style],
         "traversable": stack.traversable.tolist(),
         "stripes": [_number(value) for value in stripes],
         "normal": [[_number(part) for part in normal] for normal in stack.normal.tolist()],

@@ -9,9 +9,9 @@ import numpy as np
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.layers.manifest import describe_input
 from bumpymap.layers.scan.names import Frame
-from bumpymap.layers.scan.style import NAMES
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES
 
-__all__ = ["FrameReport", "report_frame", "why_empty"]
+__all__ = ["FrameReport", "explain_empty_scan", "report_frame"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class FrameReport:
 
     def record(self) -> dict[str, Any]:
         """Say it as scan.json does."""
-        names = [*NAMES[:CLASSES], "not traversable"]
+        names = [*SCAN_CLASS_NAMES[:CLASSES], "not traversable"]
         return {
             "name": self.frame.name,
             "path": str(self.frame.path),
@@ -63,7 +63,7 @@ class FrameReport:
             "dropped": asdict(self.dropped),
             "azimuth_start_rad": self.azimuth_start_rad,
             "sectors": dict(zip(names, self.sectors, strict=True)),
-            "points_by_class": dict(zip([*NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
+            "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
             "seconds": self.seconds,
         }
 
@@ -106,7 +106,7 @@ def report_frame(
     )
 
 
-def why_empty(scan: Scan, classed: ClassedSectors) -> str:
+def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
     """Say why a scan has no sector, or none that is traversable; nothing where it has."""
     stack, settings = classed.sectors, classed.sectors.settings
     if len(stack.zone):

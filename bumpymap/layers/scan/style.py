@@ -6,12 +6,12 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASS_NAMES, CLASSES, NOT_TRAVERSABLE
 from bumpymap.layers.geotiff import CLASS_COLOURS
 
-__all__ = ["COLOURS", "NAMES", "NO_SECTOR", "looks_of"]
+__all__ = ["NO_SECTOR", "SCAN_CLASS_NAMES", "SCAN_COLOURS", "style_index"]
 
 NO_SECTOR = CLASSES + 1
 """Look of a point that no measured sector holds; ``CLASSES`` is that of sectors that are not traversable."""
-NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable", "in no sector")
-COLOURS: NDArray[np.uint8] = np.array(
+SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable", "in no sector")
+SCAN_COLOURS: NDArray[np.uint8] = np.array(
     # The red is that of the worst class of a map: neither is to be driven on.
     [*(CLASS_COLOURS[class_id][:3] for class_id in (*range(CLASSES), 3)), (140, 140, 140)],
     np.uint8,
@@ -19,8 +19,8 @@ COLOURS: NDArray[np.uint8] = np.array(
 """(5, 3) red, green, blue of each look."""
 
 
-def looks_of(class_id: NDArray[np.uint8], place: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the look of points, (m,): an index into ``NAMES`` and ``COLOURS``.
+def style_index(class_id: NDArray[np.uint8], place: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the look of points, (m,): an index into ``SCAN_CLASS_NAMES`` and ``SCAN_COLOURS``.
 
     Parameters
     ----------

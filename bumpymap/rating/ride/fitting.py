@@ -10,12 +10,12 @@ from bumpymap.core import BumpymapError
 from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Correction, fail_features, ride_features
 from bumpymap.rating.ride.geometry import Rides
 
-__all__ = ["MOST_FAILED", "DrivenPatches", "NoisyPatches", "fit_correction"]
+__all__ = ["MAX_FAILED_SHARE", "DrivenPatches", "NoisyPatches", "fit_correction"]
 
 Floats = NDArray[np.float64]
 _Table = tuple[tuple[float, ...], ...]
 
-MOST_FAILED = 0.25
+MAX_FAILED_SHARE = 0.25
 """C_r of a patch on which more drives failed is that of the survivors: it does not count."""
 _LEAST_PATCHES = 20
 _RIDGE = 1e-3
@@ -71,7 +71,7 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
         Too few patches were driven to the end.
     """
     share = driven.failed / (driven.failed + driven.completed)
-    good = (share <= MOST_FAILED) & (driven.completed >= 2) & (driven.c_r > 0) & (driven.error > 0)
+    good = (share <= MAX_FAILED_SHARE) & (driven.completed >= 2) & (driven.c_r > 0) & (driven.error > 0)
     if int(good.sum()) < _LEAST_PATCHES:
         raise BumpymapError(
             f"the vehicle completed its drives on {int(good.sum())} of {len(good)} terrains; a ride model needs "

@@ -11,14 +11,14 @@ from pyproj import CRS
 
 from bumpymap.core import BadInputError, ClassedSectors, Scan
 
-__all__ = ["Gathered", "ground_points", "open_gathered"]
+__all__ = ["AccumulatedSurvey", "ground_points", "open_accumulated"]
 
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
 """Classes of LAS."""
 
 
-class Gathered:
+class AccumulatedSurvey:
     """Takes frame after frame; holds one at most."""
 
     def __init__(self, writer: laspy.LasWriter) -> None:
@@ -77,7 +77,7 @@ def ground_points(classed: ClassedSectors) -> NDArray[np.bool_]:
 
 
 @contextmanager
-def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[Gathered]:
+def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
     """Open gathered.laz for writing: LAZ 1.4, point format 6, in millimetres from the first pose.
 
     Parameters
@@ -96,5 +96,5 @@ def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> It
         header.add_crs(crs)
     with path.open("w+b") as stream:
         writer = laspy.LasWriter(stream, header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
-        yield Gathered(writer)
+        yield AccumulatedSurvey(writer)
         writer.close()

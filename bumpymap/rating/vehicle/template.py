@@ -9,13 +9,13 @@ from bumpymap.core import UNFILLED, OutputError, UsageError
 from bumpymap.rating.vehicle.keys import ProfileKey
 from bumpymap.rating.vehicle.profile import KEYS, load_profile, shipped_profiles
 
-__all__ = ["blank_profile", "write_blank"]
+__all__ = ["profile_template", "write_profile_template"]
 
 _NAME = re.compile(r"[\w-]{1,64}")
 
 
-def write_blank(name: str, path: Path, like: str | None) -> None:
-    """Write `blank_profile` to a new file.
+def write_profile_template(name: str, path: Path, like: str | None) -> None:
+    """Write `profile_template` to a new file.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def write_blank(name: str, path: Path, like: str | None) -> None:
         raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
     if name in shipped_profiles():
         raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
-    text = blank_profile(name, like)
+    text = profile_template(name, like)
     try:
         with path.open("x", encoding="utf-8") as file:  # a link in its place is not followed either
             _fill(file, path, text)
@@ -48,7 +48,7 @@ def _fill(file: TextIO, path: Path, text: str) -> None:
         raise
 
 
-def blank_profile(name: str, like: str | None) -> str:
+def profile_template(name: str, like: str | None) -> str:
     """Make the text of a profile.
 
     Parameters
