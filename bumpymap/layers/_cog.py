@@ -134,7 +134,7 @@ def write_cog(
 
 
 def _convert(scratch: str, layer: str, temporary: Path, spec: RasterSpec) -> None:
-    """Convert the scratch raster to the COG ``layer``; a virtual raster, if one is needed, goes beside ``temporary``."""
+    """Convert the scratch raster to the COG ``layer``; a virtual raster goes beside ``temporary`` if one is needed."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block), "STATISTICS": "YES"}
     options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if spec.write_empty else "YES"}

@@ -20,8 +20,8 @@ class _NoPandas(MetaPathFinder):
 def import_without_pandas(*names: str) -> None:
     """Import modules while pandas is hidden; pyarrow, which looks for pandas once, does so now.
 
-    No layer needs pandas, and importing it takes a third of a second. Afterwards pyogrio cannot make data frames in this
-    process, so this is for the command line only, never for a process that runs a caller's code.
+    No layer needs pandas, and importing it takes a third of a second. Afterwards pyogrio cannot make data frames in
+    this process, so this is for the command line only, never for a process that runs a caller's code.
 
     Parameters
     ----------
