@@ -68,7 +68,7 @@ class Regions:
 
     @property
     def c_r_basis(self) -> NDArray[np.object_]:
-        """(m,) drives that ``c_r`` holds for: ``drives`` (all), ``survivors`` (``p_fail`` >= ``FAIL_SHARE``), or None."""
+        """(m,) drives behind ``c_r``: ``drives`` (all), ``survivors`` (``p_fail`` >= ``FAIL_SHARE``), or None."""
         basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
         basis[np.isnan(self.c_r)] = None
         return basis

@@ -1,4 +1,4 @@
-"""frames/NAME.ply: the points of a scan with their classes."""
+"""Write frames/NAME.ply: the points of a scan with their classes."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ _ABOUT = (
 
 
 def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
-    """Write binary little-endian PLY: x, y, z, red, green, blue, class; intensity and label where the scan has them."""
+    """Write binary little-endian PLY: x, y, z, red, green, blue, class; intensity and label if the scan has them."""
     kinds = [(axis, "<f4") for axis in "xyz"] + [(colour, "u1") for colour in ("red", "green", "blue", "class")]
     beside = {
         name: values for name, values in (("intensity", scan.intensity), ("label", scan.label)) if values is not None

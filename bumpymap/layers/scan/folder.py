@@ -1,4 +1,4 @@
-"""The folder of a scan run: checked before the long work; what an earlier run left and this one does not write goes."""
+"""The output folder of a scan run: check it before the run, remove stale files of an earlier run afterwards."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,16 +36,26 @@ _SIDE = ("class.tif.aux.xml",)
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
-    """Make sure that the products of a scan run can be written to a folder; create it where it is missing.
+    """Check that the files of a scan run can be written to a folder; create the folder if it is missing.
 
-    With ``unfinished``, products of the run that goes on there may be replaced: it was killed between moving them to
-    their places and clearing up. A product that is a link is replaced itself, what it points to stays.
+    A file that is a symbolic link will be replaced as a link; its target is not touched.
+
+    Parameters
+    ----------
+    folder : Path
+        The output folder.
+    inputs : iterable of Path
+        Input files of this run, which must not be where the output goes.
+    overwrite : bool
+        Allow files of any earlier run to be replaced.
+    unfinished : bool
+        Allow files of the run that is being resumed to be replaced: it may have been killed after it moved them here.
 
     Raises
     ------
     OutputError
-        It cannot be created or written, or it holds products that may not be replaced, or ``inputs`` of this run or
-        files of somebody else where products would go.
+        The folder cannot be created or written, or holds files that must not be replaced: of an earlier run, inputs of
+        this run, or files that no scan run wrote.
     """
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
@@ -62,23 +72,23 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         is_link = (folder / name).is_symlink()
         if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
-    strange = _strange(folder, unfinished=unfinished)
-    if strange:
+    foreign = _foreign_file(folder, unfinished=unfinished)
+    if foreign:
         raise OutputError(
-            f"{strange} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
+            f"{foreign} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
             "or choose another `out`"
         )
 
 
 def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
-    """Take away the products of an earlier run that this one, which wrote ``kept``, did not replace."""
+    """Remove the files of an earlier run, except ``kept``, the names that this run has just written."""
     for name in _NAMES:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
             for layer in (*PRODUCT_NAMES, *_SIDE):
                 (folder / name / layer).unlink(missing_ok=True)
-            with suppress(OSError):  # it stays where it holds anything else
+            with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()
         else:
             take_away(folder / name)
@@ -86,7 +96,7 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
 
 @contextmanager
 def output_errors(folder: Path) -> Iterator[None]:
-    """Turn what goes wrong while products are written into an OutputError."""
+    """Convert errors of the libraries that write files into an OutputError."""
     try:
         yield
     except (OSError, lazrs.LazrsError, pa.ArrowException, RasterioError) as error:
@@ -97,13 +107,13 @@ def output_errors(folder: Path) -> Iterator[None]:
 
 
 def sync_to_disk(path: Path) -> None:
-    """Make sure that a file is on the disk."""
+    """Flush a file to the disk (fsync)."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
-def _strange(folder: Path, *, unfinished: bool) -> Path | None:
-    """Return a file among the frames that no run wrote; their folder itself where no run ended here."""
+def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
+    """Return a file in ``frames`` that no scan run wrote (``frames`` itself if there is no run here), or None."""
     frames = folder / FRAME_FOLDER
     if frames.is_symlink() or not frames.is_dir():
         return None

@@ -1,4 +1,4 @@
-"""What is written of one frame."""
+"""Write the files of one frame."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -14,13 +14,13 @@ __all__ = ["has_files", "write_frame"]
 
 
 def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
-    """Whether everything is there that `write_frame` would write."""
+    """Return whether all files exist that `write_frame` would write."""
     wanted = [ending for product, ending in FRAME_FILES.items() if product in products]
     return all((folder / FRAME_FOLDER / f"{name}{ending}").is_file() for ending in wanted)
 
 
 def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
-    """Write those of the products that are files of a frame to ``folder / "frames"``."""
+    """Write those ``products`` that are files per frame (polygons, cloud, picture) to ``folder / "frames"``."""
     wanted = {product: ending for product, ending in FRAME_FILES.items() if product in products}
     for product, ending in wanted.items():
         path = folder / FRAME_FOLDER / f"{name}{ending}"

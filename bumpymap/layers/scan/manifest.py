@@ -1,4 +1,4 @@
-"""scan.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+"""scan.json, the manifest of a scan run: inputs, settings, software versions and files, enough to repeat the run."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -23,10 +23,10 @@ def write_scan_manifest(
     ----------
     folder : Path
     known : mapping
-        What the run knows: settings, method, skipped frames, seconds. Its entries are kept.
+        The run's own entries: settings, method, skipped frames, seconds. They are kept.
     frames : iterable of FrameReport
     identities : mapping
-        Path of each input to what tells the file from another, see `bumpymap.readers.source.identity`.
+        Identity of each input file by its path, see `bumpymap.readers.source.identity`.
     """
     files = [
         describe_file(folder / name) | {"path": name}
