@@ -200,15 +200,9 @@ def _write_scratch(
         photometric="MINISBLACK",
         alpha="NO",
     ) as file:
-        file.update_tags(**spec.tags)
-        for number, layer in enumerate(spec.bands, start=1):
-            file.set_band_description(number, layer.name)
-            file.set_band_unit(number, layer.unit)
-            file.update_tags(number, **({"long_name": layer.text} if layer.text else {}))
-        if spec.colours:
-            file.write_colormap(1, spec.colours)
-        whole = max(placement.window.cols, placement.window.rows)
-        for window in placement.windows(side or whole, aligned=side is not None):
+        _write_metadata(file, spec)
+        longest = max(placement.window.cols, placement.window.rows)
+        for window in placement.windows(side or longest, aligned=side is not None):
             canvas = paint(window)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
@@ -218,15 +212,28 @@ def _write_scratch(
     return painted
 
 
-def _name_categories(scratch: str, virtual: Path, layers: Sequence[BandSpec]) -> str:
-    # rasterio cannot set category names; GDAL reads them from a virtual raster, and the COG driver copies them.
-    if not any(layer.categories for layer in layers):
+def _write_metadata(file: rasterio.io.DatasetWriter, spec: RasterSpec) -> None:
+    file.update_tags(**spec.tags)
+    for number, band in enumerate(spec.bands, start=1):
+        file.set_band_description(number, band.name)
+        file.set_band_unit(number, band.unit)
+        file.update_tags(number, **({"long_name": band.text} if band.text else {}))
+    if spec.colours:
+        file.write_colormap(1, spec.colours)
+
+
+def _name_categories(scratch: str, virtual: Path, bands: Sequence[BandSpec]) -> str:
+    """Return the name of a raster with category names: the scratch raster, or a virtual raster made from it.
+
+    rasterio cannot set category names; GDAL reads them from a virtual raster, and the COG driver copies them.
+    """
+    if not any(band.categories for band in bands):
         return scratch
     rasterio.shutil.copy(scratch, virtual, driver="VRT")
     tree = ET.parse(virtual)  # noqa: S314 (GDAL has just written it)
-    for band, layer in zip(tree.getroot().iter("VRTRasterBand"), layers, strict=True):
-        names = ET.SubElement(band, "CategoryNames")
-        for category in layer.categories:
+    for element, band in zip(tree.getroot().iter("VRTRasterBand"), bands, strict=True):
+        names = ET.SubElement(element, "CategoryNames")
+        for category in band.categories:
             ET.SubElement(names, "Category").text = category
     tree.write(virtual, encoding="utf-8")
     return str(virtual)

@@ -87,7 +87,7 @@ def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = N
         write_empty=True,  # tiles without points have a reason too
     )
     gaps = {"class_id": NO_CLASS, "reason": Reason.NO_POINTS}
-    write_cog(path, place, spec, _painter(table.tiles, gaps, "uint8", everywhere=True), _TILE_WINDOW)
+    write_cog(path, place, spec, _painter(table.tiles, gaps, "uint8", write_empty=True), _TILE_WINDOW)
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -159,12 +159,12 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
 
 
 def _painter(
-    tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, everywhere: bool = False
+    tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, write_empty: bool = False
 ) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
     """Return a function that paints one value per tile and band; ``gaps`` are the values of pixels without a tile."""
 
     def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not (everywhere or tiles.holds(window.tiles)):
+        if not (write_empty or tiles.holds(window.tiles)):
             return None
         canvas = np.empty((len(gaps), window.tiles.rows, window.tiles.cols), dtype=dtype)
         found = tiles.read(tuple(gaps), window.tiles)

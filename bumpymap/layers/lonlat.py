@@ -104,7 +104,7 @@ class BoundingBox:
 
 def _outside(placement: Placement) -> BadInputError:
     return BadInputError(
-        f"the survey's coordinates lie outside of what its CRS ({placement.horizontal_crs}) can turn into "
+        f"the survey's coordinates lie outside the area where its CRS ({placement.horizontal_crs}) can be converted to "
         "longitude and latitude. Pass the right one with `crs='EPSG:CODE'`, or `local=True`"
     )
 

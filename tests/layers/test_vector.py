@@ -228,7 +228,7 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
-    with pytest.raises(BadInputError, match=r"outside of what its CRS.*`crs="):
+    with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
 
 

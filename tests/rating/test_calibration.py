@@ -99,7 +99,7 @@ def test_another_file_is_no_calibration(tmp_path, content):
 
 
 def test_unknown_names_list_the_known_ones():
-    with pytest.raises(UsageError, match=r"there are: .*warthog"):
+    with pytest.raises(UsageError, match=r"available are: .*warthog"):
         Calibration.shipped("bicycle")
 
 

@@ -1,4 +1,4 @@
-"""Faults of a vehicle profile that no value shows alone: values that cannot go together."""
+"""Find values of a vehicle profile that are each plausible but cannot occur together."""
 
 import math
 from typing import TYPE_CHECKING
@@ -8,19 +8,19 @@ from bumpymap.core import shown
 if TYPE_CHECKING:
     from bumpymap.rating.vehicle.profile import Chassis, Rocker, Vehicle
 
-__all__ = ["faults_together"]
+__all__ = ["find_contradictions"]
 
 _LONGEST_BELLY = 4.0
-"""Wheelbases; the overhangs of a bus make two of them."""
+"""Longest belly in wheelbases; a bus with its overhangs has about two."""
 _LIGHTEST, _HEAVIEST = 5.0, 3000.0
-"""Mass over the cube of the vehicle's size, the root of length times width, kg/m3: 98 to 140 for those that ship."""
+"""Bounds of mass / size^3, kg/m3, with size = sqrt(length * width); included vehicles have 98 to 140."""
 _GYRATION = {"chassis": (0.03, 0.6), "rocker": (0.003, 0.6)}
-"""Radius of gyration, the root of moment over mass, over the vehicle's length: no body has more than 0.6, two masses at
-its ends; those that ship have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
+"""Bounds of the radius of gyration, sqrt(moment / mass), over the vehicle's size. Even two masses at the ends of a body
+stay below 0.6; included vehicles have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
 
 
-def faults_together(profile: "Vehicle") -> list[str]:
-    """Find what no value shows alone, in a profile without a fault in any key."""
+def find_contradictions(profile: "Vehicle") -> list[str]:
+    """Return messages about values that contradict each other, in a profile whose values are each valid."""
     found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
     found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
     return [fault for fault in found if fault]

@@ -140,7 +140,7 @@ def test_all_faults_are_said_at_once(warthog):
     with pytest.raises(BadInputError) as caught:
         Vehicle.from_dict(warthog, "my.toml")
     first, *faults = caught.value.args
-    assert first.startswith("my.toml: 4 faults")
+    assert first.startswith("my.toml: 4 errors")
     assert [fault.split()[0] for fault in faults] == ["unknown", "wheelbase_m", "slope_limit_deg", "missing"]
 
 
