@@ -177,8 +177,8 @@ def _hashed(path: Path) -> tuple[int, str, str]:
 
 def _changed(path: Path) -> BadInputError:
     return BadInputError(
-        f"{path} changed during the run, so its checksum would not be that of the data that was read; nothing was "
-        "written. Run again when no other program writes to it, or on a copy"
+        f"{path} changed while the run was in progress, so its checksum would not be that of the data that was read; "
+        "nothing was written. Run again when no other program writes to it, or on a copy"
     )
 
 
