@@ -1,12 +1,12 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
-``map_survey`` maps surveys, ``open`` opens the layers of a run, ``classify_scan`` and ``ScanClassifier`` class the
-ground of a robot's scans. A name is imported when it is used first.
+``map_survey`` maps surveys, ``open`` opens the layers of a run, ``classify_scan`` and ``ScanClassifier`` classify the
+ground in the scans of a robot. Names are imported on first use.
 """
 
 from importlib import import_module
 
-TYPE_CHECKING = False  # checkers take it for True; typing itself takes longer to import than all else here
+TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
 if TYPE_CHECKING:
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
     from bumpymap.layers import (
@@ -35,7 +35,7 @@ __all__ = [
     "open",
 ]
 
-_PLACES = {
+_EXPORTS = {
     "BadInputError": ("bumpymap.core", "BadInputError"),
     "BumpymapError": ("bumpymap.core", "BumpymapError"),
     "Calibration": ("bumpymap.rating", "Calibration"),
@@ -49,24 +49,24 @@ _PLACES = {
     "map_survey": ("bumpymap.survey", "map_survey"),
     "open": ("bumpymap.layers", "open_layers"),
 }
-"""Name: the module that it is in, and its name there."""
+"""Public name: the module to import and the name in it."""
 
 
-if not TYPE_CHECKING:  # a checker that saw this would take any name
+if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept any name
 
     def __getattr__(name: str) -> object:
-        """Import a name when it is used first; the version too, which takes longer to find than many a command."""
+        """Import a public name on first use; the version too, because looking it up is slow."""
         if name == "__version__":
             from importlib.metadata import version
 
             return version("bumpymap")
-        if name not in _PLACES:
+        if name not in _EXPORTS:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module, attribute = _PLACES[name]
+        module, attribute = _EXPORTS[name]
         value = globals()[name] = getattr(import_module(module), attribute)
         return value
 
 
 def __dir__() -> list[str]:
-    """Name what can be used."""
+    """Return the public names."""
     return [*__all__]

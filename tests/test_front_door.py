@@ -161,7 +161,7 @@ def test_a_damaged_layer_is_said(layers, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "words"), [(None, "no folder"), ((), "no complete run"), (("scan.json",), "folder map")]
+    ("files", "words"), [(None, "no folder"), ((), "no complete run"), (("scan.json",), "map of this drive is in")]
 )
 def test_a_folder_without_layers_is_refused(tmp_path, files, words):
     folder = tmp_path / "folder"

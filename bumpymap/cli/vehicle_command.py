@@ -58,10 +58,10 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
 
     It holds every key with its unit and allowed range. NAME is the name of the vehicle.
     """
-    from bumpymap.rating import write_blank
+    from bumpymap.rating import write_profile_template
 
     path = out or Path(f"{name}.toml")
-    write_blank(name, path, like)
+    write_profile_template(name, path, like)
     what = "change what differs" if like else "fill it in"
     say(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
 

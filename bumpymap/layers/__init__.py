@@ -1,4 +1,4 @@
-"""What a run leaves, written and read back: rasters, vectors, tables, manifest."""
+"""Write the files of a run (rasters, vectors, tables, manifest) and read them back."""
 
 import lazy_loader
 

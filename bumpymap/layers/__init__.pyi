@@ -1,10 +1,10 @@
 from ._imports import (
     import_without_pandas as import_without_pandas,
 )
-from .complete import (
-    complete_record as complete_record,
+from .completed_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,
+    verified_record as verified_record,
 )
 from .folder import (
     PRODUCT_NAMES as PRODUCT_NAMES,
@@ -40,24 +40,24 @@ from .placement import (
 from .regions import (
     dissolve as dissolve,
 )
+from .scan.accumulated import (
+    AccumulatedSurvey as AccumulatedSurvey,
+    ground_points as ground_points,
+    open_accumulated as open_accumulated,
+)
 from .scan.folder import (
-    GATHERED as GATHERED,
-    MANIFEST as MANIFEST,
+    ACCUMULATED_NAME as ACCUMULATED_NAME,
     MAP_FOLDER as MAP_FOLDER,
-    TABLE as TABLE,
+    SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
+    SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
     check_scan_folder as check_scan_folder,
-    drop_older as drop_older,
-    sync as sync,
-    writing as writing,
+    output_errors as output_errors,
+    remove_stale_products as remove_stale_products,
+    sync_to_disk as sync_to_disk,
 )
 from .scan.frame import (
     has_files as has_files,
     write_frame as write_frame,
-)
-from .scan.gather import (
-    Gathered as Gathered,
-    ground_points as ground_points,
-    open_gathered as open_gathered,
 )
 from .scan.manifest import (
     write_scan_manifest as write_scan_manifest,
@@ -66,23 +66,23 @@ from .scan.names import (
     FRAME_FOLDER as FRAME_FOLDER,
     Frame as Frame,
     name_frames as name_frames,
-    spread_out as spread_out,
+    sample_evenly as sample_evenly,
 )
 from .scan.part import (
     FramePart as FramePart,
-    finished_parts as finished_parts,
+    has_finished_parts as has_finished_parts,
     load_part as load_part,
     part_path as part_path,
     save_part as save_part,
 )
 from .scan.report import (
     FrameReport as FrameReport,
+    explain_empty_scan as explain_empty_scan,
     report_frame as report_frame,
-    why_empty as why_empty,
 )
 from .scan.style import (
-    COLOURS as COLOURS,
-    NAMES as NAMES,
+    SCAN_CLASS_NAMES as SCAN_CLASS_NAMES,
+    SCAN_COLOURS as SCAN_COLOURS,
 )
 from .scan.table import (
     SectorTable as SectorTable,
@@ -97,7 +97,7 @@ from .table import (
     write_tiles as write_tiles,
 )
 from .vector import (
-    GeoJsonPlace as GeoJsonPlace,
+    GeoJsonCoordinates as GeoJsonCoordinates,
     flatgeobuf_writer as flatgeobuf_writer,
     geojson_writer as geojson_writer,
 )

@@ -1,7 +1,7 @@
-"""Cloud-optimised GeoTIFF: a sparse scratch raster, then GDAL's COG driver, which adds overviews and statistics.
+"""Write cloud-optimised GeoTIFFs (COG).
 
-The scratch raster is filled window by window, so that neither a large survey nor a large gap needs memory. A small one
-stays in memory.
+A sparse scratch raster is filled window by window, so that memory does not grow with the survey or with gaps in it.
+GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory.
 """
 
 import os
@@ -27,127 +27,127 @@ except ImportError:  # not on Windows
     resource = None  # type: ignore[assignment]
 
 from bumpymap.core import atomic
-from bumpymap.layers._whole import digest, require_room, require_same
+from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
 from bumpymap.layers.placement import Placement, RasterWindow
 
-__all__ = ["Layer", "Sheet", "write_cog"]
+__all__ = ["BandSpec", "RasterSpec", "write_cog"]
 
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError, ET.ParseError)  # noqa: SLF001 (no public name)
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
-"""The block cache, MB: from 16 to 256 the time and the bytes are the same (236 million pixels). Overviews stay unpacked
-while they wait for their place: packing them took a third of the time of a dense raster, two thirds of an empty one."""
+"""The block cache, MB: time and bytes are the same from 16 to 256 (236 million pixels). Temporary overviews are not
+compressed: compressing them took a third of the time of a dense raster and two thirds of that of an empty one."""
 _SMALL = 16 << 20
-"""Largest scratch raster to keep in memory, bytes."""
+"""Largest scratch raster that is kept in memory, bytes."""
 _SCRATCH_BLOCK = 256
-"""Side of a scratch block, pixels. 11 bands of 2560 x 2560 pixels become a COG in 13 s of CPU time; with scratch blocks
-of 512, or bands mixed pixel by pixel, it was measured to take up to 3 times as long."""
+"""Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
+of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 _EXTRA_SAMPLES = 338
-"""TIFF tag: what samples beyond the photometric ones mean; 0 is "unspecified", 2 is "unassociated alpha"."""
+"""TIFF tag ExtraSamples, the meaning of further bands: 0 is "unspecified", 2 is "unassociated alpha"."""
 
 
 @dataclass(frozen=True, slots=True)
-class Layer:
-    """One band."""
+class BandSpec:
+    """Name, unit and description of one band."""
 
     name: str
     unit: str = ""
     text: str = ""
-    """What it is, in words."""
+    """Description, written as ``long_name``."""
     categories: tuple[str, ...] = ()
     """Names of the values 0, 1, 2, ..."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
-    """A raster to write: everything but its pixels."""
+class RasterSpec:
+    """Everything about a raster but its pixels."""
 
-    layers: Sequence[Layer]
+    bands: Sequence[BandSpec]
     dtype: str
     nodata: float
     pixels: int
     """Pixels along the side of a tile."""
     crs: CRS | None
     overviews: str
-    """How overviews are made, as GDAL names it."""
+    """Resampling method of the overviews, as GDAL names it."""
     block: int
-    """Side of a block of the file, pixels."""
+    """Side of an internal block of the file, pixels."""
     colours: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
     """Colour table of band 1."""
-    about: dict[str, str] = field(default_factory=dict)
+    tags: dict[str, str] = field(default_factory=dict)
     """Metadata of the file."""
-    everywhere: bool = False
-    """Blocks without any tile are written too."""
+    write_empty: bool = False
+    """Write blocks without tiles too, instead of leaving them out of the file."""
     level: int = 6
-    """How hard DEFLATE tries, 1 to 9."""
+    """DEFLATE compression level, 1 to 9."""
 
 
 def write_cog(
     path: Path,
     placement: Placement,
-    sheet: Sheet,
+    spec: RasterSpec,
     paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int,
 ) -> None:
-    """Write a COG, whole or not at all.
+    """Write a COG; the file appears only when it is complete.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file to write.
     placement : Placement
-        Where the tiles lie.
-    sheet : Sheet
-        Bands, type, overviews.
+        Extent and CRS of the raster.
+    spec : RasterSpec
+        Bands, data type, overviews.
     paint : callable
-        Gives the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None where all are nodata.
+        Returns the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata.
     side : int
-        Side of a window, tiles: a multiple of a block's.
+        Side of a window in tiles, a multiple of a block's.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        The file cannot be written.
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
-        pixels = placement.window.cols * placement.window.rows * sheet.pixels**2
-        if pixels * len(sheet.layers) * np.dtype(sheet.dtype).itemsize <= _SMALL:
+        pixels = placement.window.cols * placement.window.rows * spec.pixels**2
+        if pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize <= _SMALL:
             with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
-                _write_scratch(scratch.name, placement, sheet, paint, None)
-                _convert(scratch.name, layer.name, temporary, sheet)
-                if any(band.categories for band in sheet.layers):  # which GDAL keeps in a side file
+                _write_scratch(scratch.name, placement, spec, paint, None)
+                _convert(scratch.name, layer.name, temporary, spec)
+                if any(band.categories for band in spec.bands):  # GDAL keeps category names in a side file
                     rasterio.shutil.copyfiles(layer.name, str(temporary))
                 temporary.write_bytes(layer.getbuffer())
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
-            painted = _write_scratch(str(waiting), placement, sheet, paint, side)
-            require_room(path.parent, waiting.stat().st_size)
-            _convert(str(waiting), str(temporary), temporary, sheet)
+            painted = _write_scratch(str(waiting), placement, spec, paint, side)
+            require_disk_space(path.parent, waiting.stat().st_size)
+            _convert(str(waiting), str(temporary), temporary, spec)
             waiting.unlink()
-            require_same(temporary, painted)
+            require_intact(temporary, painted)
         names = temporary.with_name(f"{temporary.name}.aux.xml")
         if names.exists():
-            ET.parse(names)  # noqa: S314 (GDAL has just written it; a full disk may have cut it)
-        elif any(band.categories for band in sheet.layers):  # GDAL says nothing when a disk is full
-            raise OSError("the names of its classes could not be written beside it; the disk may be full")
-        if sheet.colours:
+            ET.parse(names)  # noqa: S314 (GDAL has just written it; fails if a full disk cut it short)
+        elif any(band.categories for band in spec.bands):  # GDAL reports no error when the disk is full
+            raise OSError("the class names could not be written to its .aux.xml file; the disk may be full")
+        if spec.colours:
             _extra_band_is_no_alpha(temporary)
 
 
-def _convert(scratch: str, layer: str, temporary: Path, sheet: Sheet) -> None:
-    """Make the COG ``layer``; a virtual raster that may be needed on the way lies beside ``temporary``."""
-    options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
-    options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
-    options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
-    named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), sheet.layers)
+def _convert(scratch: str, layer: str, temporary: Path, spec: RasterSpec) -> None:
+    """Convert the scratch raster to the COG ``layer``; a virtual raster goes beside ``temporary`` if one is needed."""
+    options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
+    options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block), "STATISTICS": "YES"}
+    options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if spec.write_empty else "YES"}
+    named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), spec.bands)
     rasterio.shutil.copy(named, layer, driver="COG", **options)
 
 
 def _threads() -> str:
-    """Give how many threads GDAL may pack blocks with; they are written in order, so the bytes do not depend on it.
+    """Return the number of threads that GDAL may compress blocks with, for its option ``NUM_THREADS``.
 
-    GDAL waits for ever for a thread that could not be started (seen in 3.10). So it gets one where memory has a limit
-    (``ulimit -v``: what GDAL takes may leave no room for a thread's stack), or where as many as there are cores cannot
-    be started at this moment.
+    Blocks are written in order, so the bytes do not depend on it. GDAL waits forever for a thread that could not be
+    started (seen in 3.10), so it gets one thread if address space is limited (with ``ulimit -v``, GDAL's own memory may
+    leave no space for a thread's stack) or if one thread for each core cannot be started right now.
     """
     if resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
         return "1"
@@ -170,15 +170,15 @@ def _threads() -> str:
 def _write_scratch(
     scratch: str,
     placement: Placement,
-    sheet: Sheet,
+    spec: RasterSpec,
     paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int | None,
 ) -> list[tuple[Window, int]]:
-    """Paint the raster window by window; give those that were painted, with their checksums.
+    """Fill the scratch raster window by window; return the windows that were written, with their checksums.
 
-    Without a ``side`` all is painted at once, in one write that cannot lose a part, and there are no checksums.
+    If ``side`` is None, the raster is written in one call, which cannot lose a part, and the list is empty.
     """
-    pixels = sheet.pixels
+    pixels = spec.pixels
     painted: list[tuple[Window, int]] = []
     with rasterio.open(
         scratch,
@@ -186,10 +186,10 @@ def _write_scratch(
         driver="GTiff",
         width=placement.window.cols * pixels,
         height=placement.window.rows * pixels,
-        count=len(sheet.layers),
-        dtype=sheet.dtype,
-        nodata=sheet.nodata,
-        crs=None if sheet.crs is None else rasterio.crs.CRS.from_wkt(sheet.crs.to_wkt()),
+        count=len(spec.bands),
+        dtype=spec.dtype,
+        nodata=spec.nodata,
+        crs=None if spec.crs is None else rasterio.crs.CRS.from_wkt(spec.crs.to_wkt()),
         transform=placement.transform(pixels),
         tiled=True,
         interleave="band",
@@ -200,44 +200,51 @@ def _write_scratch(
         photometric="MINISBLACK",
         alpha="NO",
     ) as file:
-        file.update_tags(**sheet.about)
-        for number, layer in enumerate(sheet.layers, start=1):
-            file.set_band_description(number, layer.name)
-            file.set_band_unit(number, layer.unit)
-            file.update_tags(number, **({"long_name": layer.text} if layer.text else {}))
-        if sheet.colours:
-            file.write_colormap(1, sheet.colours)
-        whole = max(placement.window.cols, placement.window.rows)
-        for window in placement.windows(side or whole, aligned=side is not None):
+        _write_metadata(file, spec)
+        longest = max(placement.window.cols, placement.window.rows)
+        for window in placement.windows(side or longest, aligned=side is not None):
             canvas = paint(window)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
                 place = Window(window.column * pixels, window.line * pixels, across, down)
                 file.write(canvas, window=place)
-                painted += [] if side is None else [(place, digest(canvas))]
+                painted += [] if side is None else [(place, checksum(canvas))]
     return painted
 
 
-def _name_categories(scratch: str, virtual: Path, layers: Sequence[Layer]) -> str:
-    # rasterio cannot set category names; GDAL takes them from a virtual raster, and the COG driver passes them on.
-    if not any(layer.categories for layer in layers):
+def _write_metadata(file: rasterio.io.DatasetWriter, spec: RasterSpec) -> None:
+    file.update_tags(**spec.tags)
+    for number, band in enumerate(spec.bands, start=1):
+        file.set_band_description(number, band.name)
+        file.set_band_unit(number, band.unit)
+        file.update_tags(number, **({"long_name": band.text} if band.text else {}))
+    if spec.colours:
+        file.write_colormap(1, spec.colours)
+
+
+def _name_categories(scratch: str, virtual: Path, bands: Sequence[BandSpec]) -> str:
+    """Return the name of a raster with category names: the scratch raster, or a virtual raster made from it.
+
+    rasterio cannot set category names; GDAL reads them from a virtual raster, and the COG driver copies them.
+    """
+    if not any(band.categories for band in bands):
         return scratch
     rasterio.shutil.copy(scratch, virtual, driver="VRT")
     tree = ET.parse(virtual)  # noqa: S314 (GDAL has just written it)
-    for band, layer in zip(tree.getroot().iter("VRTRasterBand"), layers, strict=True):
-        names = ET.SubElement(band, "CategoryNames")
-        for category in layer.categories:
+    for element, band in zip(tree.getroot().iter("VRTRasterBand"), bands, strict=True):
+        names = ET.SubElement(element, "CategoryNames")
+        for category in band.categories:
             ET.SubElement(names, "Category").text = category
     tree.write(virtual, encoding="utf-8")
     return str(virtual)
 
 
 def _extra_band_is_no_alpha(path: Path) -> None:
-    """Say in every directory of the file that the band after the colour-mapped one is no transparency.
+    """Mark the band after the colour-mapped one as "unspecified" instead of alpha, in every directory of the file.
 
-    GDAL takes the second band of a colour-mapped TIFF for alpha whenever it copies one, without an option to say
-    otherwise (seen in 3.6, 3.10), and viewers would fade the classes by the reason code. The tag's value is two
-    bytes in place, so the layout stays that of a COG. Layout: TIFF 6.0 section 2, BigTIFF with 8-byte offsets.
+    When GDAL copies a colour-mapped TIFF with a second band, it declares that band alpha, and no option prevents it
+    (seen in 3.6, 3.10); viewers would fade the classes by the reason code. Two bytes are overwritten in place, so the
+    file stays a valid COG. Layout: TIFF 6.0 section 2, BigTIFF with 8-byte offsets.
     """
     with path.open("rb+") as file:
         head = file.read(16)

@@ -1,4 +1,4 @@
-"""Import pyarrow and pyogrio without pandas, which both load wherever it is installed."""
+"""Import pyarrow and pyogrio without pandas, which both import if it is installed."""
 
 import sys
 from importlib import import_module
@@ -9,19 +9,19 @@ __all__ = ["import_without_pandas"]
 
 
 class _NoPandas(MetaPathFinder):
-    """Finds no pandas and no geopandas, and leaves every other module to the finders after it."""
+    """Import hook that hides pandas and geopandas, and leaves other modules to the next finders."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
-        """Refuse the two modules."""
+        """Raise ModuleNotFoundError for the two packages."""
         if fullname in {"pandas", "geopandas"}:
             raise ModuleNotFoundError(f"{fullname} is not imported here", name=fullname)
 
 
 def import_without_pandas(*names: str) -> None:
-    """Import modules, and let pyarrow look for pandas, while pandas cannot be found.
+    """Import modules while pandas is hidden; pyarrow, which looks for pandas once, does so now.
 
-    No layer needs pandas, and it takes a third of a second. pyogrio, imported so, makes no data frames in this process:
-    for a process of the command line, which runs no code of others, and not for callers of the library.
+    No layer needs pandas, and importing it takes a third of a second. Afterwards pyogrio cannot make data frames in
+    this process, so this is for the command line only, never for a process that runs a caller's code.
 
     Parameters
     ----------
@@ -33,6 +33,6 @@ def import_without_pandas(*names: str) -> None:
     try:
         for name in names:
             import_module(name)
-        import_module("pyarrow").array([0])  # pyarrow looks for pandas once, with the first array that it makes
+        import_module("pyarrow").array([0])  # pyarrow looks for pandas once, when it makes its first array
     finally:
         sys.meta_path.remove(finder)

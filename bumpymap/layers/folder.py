@@ -1,4 +1,4 @@
-"""The folder of a run: checked before the long work, filled after it, the manifest last."""
+"""The output folder of a map: check it before the run, write all files after it, the manifest last."""
 
 import logging
 import time
@@ -18,7 +18,7 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
-from bumpymap.layers.vector import GeoJsonPlace, flatgeobuf_writer, geojson_writer
+from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
 __all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
 
@@ -32,30 +32,30 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "cost.fgb",
     MANIFEST_NAME,
 )
-"""Files of a run. ``class.tif.aux.xml`` belongs to class.tif: GDAL's category names."""
+"""Files of a run. ``class.tif.aux.xml`` belongs to class.tif and holds GDAL's category names."""
 
 _log = logging.getLogger(__name__)
 
 
 def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
-    """Make sure that the products of a run can be written to a folder; create it where it is missing.
+    """Check that the files of a run can be written to a folder; create the folder if it is missing.
 
-    What a killed run left half-written there goes away; the caller holds the lock of the folder, so no other run is
-    at it. A product that is a link is replaced itself, what it points to stays.
+    Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
+    it. A file that is a symbolic link will be replaced as a link; its target is not touched.
 
     Parameters
     ----------
     folder : Path
-        The folder.
+        The output folder.
     overwrite : bool
-        Products of any run may be replaced.
+        Allow files of any earlier run to be replaced.
     resume : bool
-        Products of a run that did not end (without run.json) may be replaced.
+        Allow files of an incomplete run (without run.json) to be replaced.
 
     Raises
     ------
     OutputError
-        It cannot be created or written, or it holds products that may not be replaced.
+        The folder cannot be created or written, or holds files that must not be replaced.
     """
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`")
@@ -87,22 +87,22 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
 def write_products(
     table: CostTable, folder: Path, *, local: bool, manifest: Mapping[str, Any], progress: Progress | None = None
 ) -> tuple[list[Path], MapSummary]:
-    """Write every file of a run, all or none; run.json comes last, so a folder that has one is complete.
+    """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
-    Files of an earlier run stay until all the new ones are complete. Nothing in the files but run.json depends on time,
-    on the order of the tiles, or on names of folders: the same map gives the same bytes.
+    Files of an earlier run stay until all new ones are complete. Except for run.json, no file depends on the time, on
+    the order of the tiles or on folder names: the same map has the same bytes.
 
     Parameters
     ----------
-    mosaic : CostTable
+    table : CostTable
         The tiles.
     folder : Path
         An existing folder, see `check_folder`.
     local : bool
-        Write cost.geojson in the survey's own coordinates where the survey has no CRS.
+        Write cost.geojson in the survey's own coordinates if it has no CRS.
     manifest : mapping
-        What the run knows about itself, see `complete_manifest`; ``inputs`` are records with a ``path``, to which size
-        and checksum are added, see `describe_input`.
+        The run's own entries for run.json, see `complete_manifest`; ``inputs`` are records with a ``path``, to which
+        size and checksum are added, see `describe_input`.
     progress : Progress, optional
         Counts the layers as they are written.
 
@@ -111,29 +111,29 @@ def write_products(
     list of Path
         The files, in the order of ``PRODUCT_NAMES``.
     MapSummary
-        What they hold.
+        Counts and medians of the map.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        A file cannot be written.
     BadInputError
-        The tiles span too much for a raster; no CRS and ``local`` is False; an input is gone.
+        The extent is too large for a raster; there is no CRS and ``local`` is False; an input is missing.
     """
     started = time.perf_counter()
     placement = Placement.of(table)
-    # First what may be refused: the survey's CRS may have no relation to longitude and latitude.
-    globe = GeoJsonPlace.of(placement, local=local)
+    # Fail early: there may be no transformation from the survey's CRS to longitude and latitude.
+    coordinates = GeoJsonCoordinates.of(placement, local=local)
     progress = progress or SilentProgress()
-    with together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as beside:
-        counting = beside.submit(summarise, table)
-        inputs = [beside.submit(describe_input, record) for record in manifest.get("inputs", ())]
+    with together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
+        counting = background.submit(summarise, table)
+        inputs = [background.submit(describe_input, record) for record in manifest.get("inputs", ())]
         try:
-            layers = _write_layers(_layers(table, globe, staged, _facts(manifest)), staged, progress)
+            layers = _write_layers(_layers(table, coordinates, staged, _provenance(manifest)), staged, progress)
             summary = counting.result()
             known = [future.result() for future in inputs]
         finally:
-            beside.shutdown(wait=False, cancel_futures=True)
+            background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, known, layers)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_manifest(record, staged / MANIFEST_NAME)
@@ -142,13 +142,13 @@ def write_products(
 
 
 def _layers(
-    table: CostTable, globe: GeoJsonPlace, folder: Path, facts: dict[str, Any]
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, provenance: dict[str, Any]
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
-    """Give what writes each layer, by the names of its files; layers of one group are written one after the other.
+    """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
-    GDAL's cache loses pixels where two threads write rasters, see `_whole`.
+    All rasters are in one group: GDAL loses pixels if two threads write rasters, see `_integrity`.
     """
-    tags = {key: str(value) for key, value in facts.items()}
+    tags = {key: str(value) for key, value in provenance.items()}
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
@@ -157,7 +157,7 @@ def _layers(
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
         },
         {
-            ("cost.geojson", "cost.fgb"): partial(_write_regions, table, globe, folder, facts),
+            ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, provenance),
             ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet"),
         },
     ]
@@ -166,7 +166,7 @@ def _layers(
 def _write_layers(
     groups: Sequence[Mapping[tuple[str, ...], Callable[[], None]]], folder: Path, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Write groups of layers side by side; give name, size and checksum of each file, in the order of the names."""
+    """Write groups of layers in parallel; return name, size and checksum of each file in ``PRODUCT_NAMES`` order."""
     stop = Event()
 
     def write(group: Mapping[tuple[str, ...], Callable[[], None]]) -> list[dict[str, Any]]:
@@ -189,20 +189,22 @@ def _write_layers(
     return sorted(files, key=lambda file: PRODUCT_NAMES.index(file["path"]))
 
 
-def _write_regions(table: CostTable, globe: GeoJsonPlace, folder: Path, facts: Mapping[str, Any]) -> None:
-    place = globe.placement
+def _write_regions(
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, provenance: Mapping[str, Any]
+) -> None:
+    placement = coordinates.placement
     with (
-        geojson_writer(folder / "cost.geojson", globe, facts) as to_globe,
-        flatgeobuf_writer(folder / "cost.fgb", place) as to_flat,
+        geojson_writer(folder / "cost.geojson", coordinates, provenance) as write_geojson,
+        flatgeobuf_writer(folder / "cost.fgb", placement) as write_flatgeobuf,
     ):
-        for regions in dissolve(table, place):
-            to_globe(regions)
-            to_flat(regions)
+        for regions in dissolve(table, placement):
+            write_geojson(regions)
+            write_flatgeobuf(regions)
 
 
-def _facts(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Pick what a layer should say about its making: vehicle, calibration, texture model."""
+def _provenance(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a manifest that layers carry as metadata: vehicle, calibration, texture model."""
     calibration = manifest.get("calibration")
-    facts = dict(calibration) if isinstance(calibration, Mapping) else {"id": calibration}
-    picked = {"vehicle": facts.get("vehicle"), "calibration": facts.get("id"), "texture_model": manifest.get("model")}
-    return {key: value for key, value in picked.items() if isinstance(value, str)}
+    known = dict(calibration) if isinstance(calibration, Mapping) else {"id": calibration}
+    entries = {"vehicle": known.get("vehicle"), "calibration": known.get("id"), "texture_model": manifest.get("model")}
+    return {key: value for key, value in entries.items() if isinstance(value, str)}

@@ -1,4 +1,4 @@
-"""The raster layers: roughness.tif, class.tif, cost.tif, heightmap.tif."""
+"""Write the raster layers: roughness.tif, class.tif, cost.tif, heightmap.tif."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BANDS, CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
-from bumpymap.layers._cog import Layer, Sheet, write_cog
+from bumpymap.layers._cog import BandSpec, RasterSpec, write_cog
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
 
@@ -20,61 +20,61 @@ CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     3: (215, 25, 28, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
-"""Red, green, blue, alpha of each class: blue is smooth, red is very rough; told apart by colour-blind eyes too."""
+"""Red, green, blue, alpha of each class, from blue (smooth) to red (very rough); safe for colour-blind readers."""
 
 _TILE_BLOCK = 128
 _HEIGHT_BLOCK = 512
 _TILE_WINDOW = 16 * BLOCK_TILES
-"""Side of the windows that are painted at a time, tiles: whole blocks, so that none is read twice."""
+"""Side of a window, tiles: whole blocks, so that none is read twice."""
 _WINDOW_PIXELS = 1024
-"""The same for the height map, pixels: as many blocks as fit."""
+"""Side of a window of heightmap.tif, pixels; rounded down to whole blocks, at least one."""
 
 
 def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write roughness.tif: a COG, float32, one pixel a tile, one band for each of ``BANDS``, NaN where there is none.
+    """Write roughness.tif: a float32 COG, one pixel per tile, one band for each of ``BANDS``, NaN if unknown.
 
     Parameters
     ----------
-    mosaic : CostTable
+    table : CostTable
         The tiles.
     path : Path
-        The file.
+        The file to write.
     about : dict, optional
         Metadata of the file, such as vehicle and calibration.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        The file cannot be written.
     BadInputError
-        The tiles span too much for a raster.
+        The extent is too large for a raster.
     """
     place = Placement.of(table)
     gaps = {band.name: np.nan for band in BANDS}
-    sheet = Sheet(
-        layers=[Layer(band.name, band.unit, band.description) for band in BANDS],
+    spec = RasterSpec(
+        bands=[BandSpec(band.name, band.unit, band.description) for band in BANDS],
         dtype="float32",
         nodata=float("nan"),
         pixels=1,
         crs=place.horizontal_crs,
         overviews="AVERAGE",
         block=_TILE_BLOCK,
-        about=_about(table, "ride cost and roughness of each tile", about),
+        tags=_tags(table, "ride cost and roughness of each tile", about),
     )
-    write_cog(path, place, sheet, _painter(table.tiles, gaps, "float32"), _TILE_WINDOW)
+    write_cog(path, place, spec, _painter(table.tiles, gaps, "float32"), _TILE_WINDOW)
 
 
 def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write class.tif: a COG, uint8; band 1 the class, ``NO_CLASS`` (nodata) where there is none; band 2 the reason.
+    """Write class.tif: a uint8 COG; band 1 is the class, ``NO_CLASS`` (nodata) if unknown, band 2 the reason.
 
-    Category names stand in ``class.tif.aux.xml``, where GDAL keeps them; the colour table is in the TIFF itself.
-    Parameters and failures: see `write_roughness`.
+    Category names are in ``class.tif.aux.xml``, where GDAL keeps them; the colour table is in the TIFF itself.
+    For parameters and errors see `write_roughness`.
     """
     place = Placement.of(table)
-    sheet = Sheet(
-        layers=[
-            Layer("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
-            Layer("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason)),
+    spec = RasterSpec(
+        bands=[
+            BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
+            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason)),
         ],
         dtype="uint8",
         nodata=NO_CLASS,
@@ -83,17 +83,17 @@ def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = N
         overviews="MODE",
         block=_TILE_BLOCK,
         colours=CLASS_COLOURS,
-        about=_about(table, "roughness class of each tile", about),
-        everywhere=True,  # the reason says something about tiles without points too
+        tags=_tags(table, "roughness class of each tile", about),
+        write_empty=True,  # tiles without points have a reason too
     )
     gaps = {"class_id": NO_CLASS, "reason": Reason.NO_POINTS}
-    write_cog(path, place, sheet, _painter(table.tiles, gaps, "uint8", everywhere=True), _TILE_WINDOW)
+    write_cog(path, place, spec, _painter(table.tiles, gaps, "uint8", write_empty=True), _TILE_WINDOW)
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write cost.tif: a COG, float32, one pixel a tile: the factor on distance, NaN where a tile is not passable.
+    """Write cost.tif: a float32 COG, one pixel per tile: the factor on distance, NaN if the tile is not passable.
 
-    Overviews are averages of the passable tiles below them. Parameters and failures: see `write_roughness`.
+    Overviews average the passable tiles. For parameters and errors see `write_roughness`.
     """
     place = Placement.of(table)
     rule = table.rule
@@ -102,15 +102,15 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
         "drive_m": f"{rule.drive_m:g}",
         "slope_limit_deg": f"{rule.slope_limit_deg:g}",
     }
-    sheet = Sheet(
-        layers=[Layer("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
+    spec = RasterSpec(
+        bands=[BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
         dtype="float32",
         nodata=float("nan"),
         pixels=1,
         crs=place.horizontal_crs,
         overviews="AVERAGE",
         block=_TILE_BLOCK,
-        about=_about(table, "cost of driving over each tile", own | (about or {})),
+        tags=_tags(table, "cost of driving over each tile", own | (about or {})),
     )
 
     def paint(window: RasterWindow) -> NDArray[np.float32] | None:
@@ -119,29 +119,29 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
         found = table.tiles.read(PASSABLE_COLUMNS, window.tiles)
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
         canvas = np.full((1, window.tiles.rows, window.tiles.cols), np.nan, dtype=np.float32)
-        canvas[0][window.places(found)] = np.where(rule.passable(found), cost, np.nan)
+        canvas[0][window.pixel_indices(found)] = np.where(rule.passable(found), cost, np.nan)
         return canvas
 
-    write_cog(path, place, sheet, paint, _TILE_WINDOW)
+    write_cog(path, place, spec, paint, _TILE_WINDOW)
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write heightmap.tif: a COG, float32, the heightmaps of all tiles side by side, NaN where no point fell.
+    """Write heightmap.tif: a float32 COG, the heightmaps of all tiles side by side, NaN in pixels without points.
 
-    Parameters and failures: see `write_roughness`.
+    For parameters and errors see `write_roughness`.
     """
     place = Placement.of(table)
     pixels = place.grid.pixels
-    sheet = Sheet(
-        layers=[Layer("height", "m", "mean height of the points in the pixel")],
+    spec = RasterSpec(
+        bands=[BandSpec("height", "m", "mean height of the points in the pixel")],
         dtype="float32",
         nodata=float("nan"),
         pixels=pixels,
-        crs=place.crs_of_heights,
+        crs=place.height_crs,
         overviews="AVERAGE",
         block=_HEIGHT_BLOCK,
-        about=_about(table, "height map", about),
-        # Measured on 56 million pixels: level 6 takes twice the time of level 1 and saves 4 % of the bytes.
+        tags=_tags(table, "height map", about),
+        # On 56 million pixels, level 6 took twice the time of level 1 and saved 4 % of the bytes.
         level=1,
     )
 
@@ -149,26 +149,26 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
         if not table.tiles.holds(window.tiles):
             return None
         found = table.tiles.read(("heights",), window.tiles)
-        line, column = window.places(found)
+        line, column = window.pixel_indices(found)
         lines, columns = window.tiles.rows, window.tiles.cols
         canvas = np.full((lines, pixels, columns, pixels), np.nan, dtype=np.float32)
         canvas[line, :, column, :] = found["heights"]
         return canvas.reshape(1, lines * pixels, columns * pixels)
 
-    write_cog(path, place, sheet, paint, max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
+    write_cog(path, place, spec, paint, max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
 
 
 def _painter(
-    tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, everywhere: bool = False
+    tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, write_empty: bool = False
 ) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
-    """Give the function that lays out one value a tile and band; ``gaps`` are what stands where there is no tile."""
+    """Return a function that paints one value per tile and band; ``gaps`` are the values of pixels without a tile."""
 
     def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not (everywhere or tiles.holds(window.tiles)):
+        if not (write_empty or tiles.holds(window.tiles)):
             return None
         canvas = np.empty((len(gaps), window.tiles.rows, window.tiles.cols), dtype=dtype)
         found = tiles.read(tuple(gaps), window.tiles)
-        place = window.places(found)
+        place = window.pixel_indices(found)
         for band, (name, gap) in zip(canvas, gaps.items(), strict=True):
             band[...] = gap
             band[place] = found[name]
@@ -177,7 +177,7 @@ def _painter(
     return paint
 
 
-def _about(table: CostTable, title: str, about: dict[str, str] | None) -> dict[str, str]:
+def _tags(table: CostTable, title: str, about: dict[str, str] | None) -> dict[str, str]:
     grid = table.tiles.grid
     own = {
         "title": title,

@@ -1,4 +1,4 @@
-"""Outlines of regions in the survey's CRS, and on the globe: WGS 84 longitude and latitude."""
+"""Outlines of regions in the survey's CRS and in WGS 84 longitude and latitude."""
 
 import numpy as np
 import shapely
@@ -10,29 +10,29 @@ from bumpymap.core import BadInputError
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
-__all__ = ["BoundingBox", "globe_transformer", "outlines_in_crs", "outlines_on_globe"]
+__all__ = ["BoundingBox", "outlines_in_crs", "outlines_in_wgs84", "wgs84_transformer"]
 
 _TRIES = 33
-"""Points along each side of the raster that are tried before the work."""
+"""Points along each side of the raster at which the transformation is tried first."""
 
 _SEGMENT = 32
-"""Longest straight piece of an outline, tiles. The middle of a 96 m side moves by at most 1.2 mm on the way to
-longitude and latitude (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
+"""Longest straight segment of an outline, tiles. In longitude and latitude, the middle of a 96 m segment is off by at
+most 1.2 mm (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
 
 
 def outlines_in_crs(regions: Regions) -> NDArray[np.object_]:
-    """Outlines in units of the survey's CRS, (m,) polygons."""
+    """Return the outlines in units of the survey's CRS, (m,) polygons."""
     outlines: NDArray[np.object_] = shapely.transform(regions.outlines, regions.placement.to_crs)
     return outlines
 
 
-def globe_transformer(placement: Placement) -> Transformer:
-    """Give what turns the survey's CRS into WGS 84 longitude and latitude, after a try all over the raster.
+def wgs84_transformer(placement: Placement) -> Transformer:
+    """Return the transformer from the survey's CRS to WGS 84 longitude and latitude, tried on points of the raster.
 
     Raises
     ------
     BadInputError
-        No CRS, or one that has no known relation to longitude and latitude here.
+        There is no CRS, or no known transformation from it to longitude and latitude at this place.
     """
     transformer = _transformer(placement.horizontal_crs)
     window = placement.window
@@ -45,26 +45,27 @@ def globe_transformer(placement: Placement) -> Transformer:
     return transformer
 
 
-def outlines_on_globe(regions: Regions, to_degrees: Transformer, decimals: int = 7) -> NDArray[np.object_]:
-    """Outlines in WGS 84 longitude and latitude, right-hand rings, cut where they cross the antimeridian.
+def outlines_in_wgs84(regions: Regions, to_degrees: Transformer, decimals: int = 7) -> NDArray[np.object_]:
+    """Return the outlines in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
 
     Parameters
     ----------
     regions : Regions
-        Of a survey whose CRS is known.
+        Regions of a survey with a CRS.
     to_degrees : Transformer
-        From `globe_transformer`.
+        From `wgs84_transformer`.
     decimals : int
-        Coordinates are rounded to so many; 7 are 1 cm.
+        Decimals to round coordinates to; 7 are 1 cm.
 
     Returns
     -------
-    array (m,) of polygons, or multipolygons where one was cut
+    array (m,) of polygons
+        A multipolygon for each outline that was cut.
 
     Raises
     ------
     BadInputError
-        The CRS has no known relation to longitude and latitude.
+        A point cannot be transformed to longitude and latitude.
     """
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,24 +79,24 @@ def outlines_on_globe(regions: Regions, to_degrees: Transformer, decimals: int =
 
 
 class BoundingBox:
-    """The smallest box around outlines that come bit by bit."""
+    """Running bounding box of outlines."""
 
     def __init__(self) -> None:
         self._boxes = np.empty((0, 4))
 
     def add(self, outlines: NDArray[np.object_]) -> None:
-        """Take some more outlines in; those east of longitude 0 are kept apart from those west of it."""
+        """Include outlines; those with x > 0 (east of Greenwich) are kept apart from the others."""
         boxes = np.concatenate([self._boxes, shapely.bounds(shapely.get_parts(outlines))])
         sides = [boxes[boxes[:, 0] > 0], boxes[boxes[:, 0] <= 0]]
         self._boxes = np.array([[*side[:, :2].min(0), *side[:, 2:].max(0)] for side in sides if len(side)])
 
-    def sides(self) -> list[float]:
-        """West, south, east, north."""
+    def bounds(self) -> list[float]:
+        """Return west, south, east, north."""
         return [*map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))]
 
-    def sides_on_globe(self) -> list[float]:
-        """Give the same in degrees; where the antimeridian is inside, west is the greater one (RFC 7946 5.2)."""
-        west, south, east, north = self.sides()
+    def bounds_in_wgs84(self) -> list[float]:
+        """Return the bounds in degrees; if the box crosses the antimeridian, west exceeds east (RFC 7946, 5.2)."""
+        west, south, east, north = self.bounds()
         if west < -90.0 and east > 90.0 and len(self._boxes) == 2:
             west, east = float(self._boxes[0, 0]), float(self._boxes[1, 2])
         return [west, south, east, north]
@@ -103,7 +104,7 @@ class BoundingBox:
 
 def _outside(placement: Placement) -> BadInputError:
     return BadInputError(
-        f"the survey's coordinates lie outside of what its CRS ({placement.horizontal_crs}) can turn into "
+        f"the survey's coordinates lie outside the area where its CRS ({placement.horizontal_crs}) can be converted to "
         "longitude and latitude. Pass the right one with `crs='EPSG:CODE'`, or `local=True`"
     )
 

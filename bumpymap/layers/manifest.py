@@ -1,4 +1,4 @@
-"""run.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+"""run.json, the manifest of a run: inputs, settings, software versions and files, enough to repeat the run."""
 
 import hashlib
 import json
@@ -39,16 +39,16 @@ _PACKAGES = (
 
 
 def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
-    """Write a manifest as JSON, whole or not at all.
+    """Write a manifest as JSON; the file appears only when it is complete.
 
-    Records, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. The bytes of a file name
-    that are no UTF-8 stand as Python has them, as escaped surrogates (udce9 behind a backslash is the byte E9):
-    `os.fsencode` of what `json` reads is the name again.
+    Dataclasses, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. Bytes of a file name
+    that are not UTF-8 are written as escaped surrogates (byte E9 as a backslash and udce9), so that `os.fsencode` of
+    the parsed string is the name again.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        The file cannot be written.
     """
     text = json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
@@ -62,26 +62,26 @@ def complete_manifest(
     inputs: Sequence[Mapping[str, Any]],
     files: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Add to a run's own record what can be told from its map and files.
+    """Add the entries that follow from the map and its files to a run's own entries.
 
     Parameters
     ----------
     manifest : mapping
-        What the run knows: settings, model, calibration, timings. Its entries are kept.
-    mosaic : CostTable
+        The run's own entries: settings, model, calibration, timings. They are kept.
+    table : CostTable
         The map.
     summary : MapSummary
-        Of that map.
+        Counts and medians of that map.
     inputs, files : sequences of mappings
         From `describe_input` and `describe_file`.
 
     Returns
     -------
     dict
-        With ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files`` beside.
+        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``.
     """
     place, grid = table.georeference, table.tiles.grid
-    crs = Placement.of(table).crs_of_heights
+    crs = Placement.of(table).height_crs
     return {
         "format": MANIFEST_FORMAT,
         "version": _VERSION,
@@ -114,7 +114,7 @@ def complete_manifest(
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of everything that has a say in the numbers."""
+    """Return the versions of Python, GDAL, PROJ and the packages that the results depend on."""
     versions = {"python": platform.python_version(), "gdal": rasterio.__gdal_version__, "proj": proj_version_str}
     for package in _PACKAGES:
         try:
@@ -125,31 +125,31 @@ def software_versions() -> dict[str, str]:
 
 
 def describe_file(path: Path) -> dict[str, Any]:
-    """Size in bytes and SHA-256 of a file.
+    """Return path, size in bytes and SHA-256 of a file.
 
     Raises
     ------
     BadInputError
-        It cannot be read, or changes meanwhile.
+        The file cannot be read, or changes while it is read.
     """
     size, _, digest = _hashed(path)
     return {"path": str(path), "bytes": size, "sha256": digest}
 
 
 def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Add size and checksum to what a run knows of an input.
+    """Add size and checksum to the record of an input.
 
-    A record that has size and checksum already (None where nobody knows, as for a URL) is not read again.
+    If the record has both already (None if unknown, as for a URL), the file is not read.
 
     Parameters
     ----------
     record : mapping
-        ``path``; where they are known, ``bytes`` and ``mtime_ns`` (a text) of the file that was read.
+        ``path`` and, if known, ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it.
 
     Raises
     ------
     BadInputError
-        It cannot be read, or is another file than the one that was read: its checksum would not be that of the map.
+        The file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
     """
     known = dict(record)
     if {"bytes", "sha256"} <= known.keys():
@@ -162,7 +162,7 @@ def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _hashed(path: Path) -> tuple[int, str, str]:
-    """Size, time of change and SHA-256 of a file that stays the same meanwhile."""
+    """Return size, modification time and SHA-256 of a file; raise BadInputError if it changes meanwhile."""
     try:
         with path.open("rb") as file:
             before = os.fstat(file.fileno())
@@ -177,13 +177,13 @@ def _hashed(path: Path) -> tuple[int, str, str]:
 
 def _changed(path: Path) -> BadInputError:
     return BadInputError(
-        f"{path} changed while the run went on, so its checksum would not be that of what was read; nothing was "
-        "written. Run again once nothing writes to it any more, or on a copy"
+        f"{path} changed while the run was in progress, so its checksum would not be that of the data that was read; "
+        "nothing was written. Run again when no other program writes to it, or on a copy"
     )
 
 
 def _code(crs: CRS) -> str | None:
-    """Such as EPSG:32614, or EPSG:32614+5703 where the two parts have codes and their whole has none."""
+    """Return a code such as EPSG:32614, or EPSG:32614+5703 if only the two parts of a compound CRS have codes."""
     authority = crs.to_authority()
     if authority is not None:
         return ":".join(authority)
@@ -194,7 +194,7 @@ def _code(crs: CRS) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Turn any value of a manifest into what JSON knows."""
+    """Convert any value of a manifest to types that JSON has."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if is_dataclass(value) and not isinstance(value, type):

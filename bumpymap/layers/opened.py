@@ -1,4 +1,4 @@
-"""The layers of a run, read back: a lazy dataset, tables of tiles and regions, the manifest."""
+"""Read the layers of a run: a lazy dataset, tables of tiles and regions, the manifest."""
 
 import os
 import shutil
@@ -28,17 +28,17 @@ _FLAGS = {"class": CLASS_NAMES, "reason": tuple(REASON_TEXT.values())}
 
 
 class Layers:
-    """The layers that a run left in a folder; `map_survey` and `open` give them.
+    """The layers of a run, as returned by `map_survey` and `open`.
 
-    Nothing is read before it is asked for. ``dataset``, ``heights``, ``tiles`` and ``regions`` need the extra
-    ``notebook``.
+    Only the manifest is read at once; the other files are read when a method needs them. ``dataset``, ``heights``,
+    ``tiles`` and ``regions`` need the extra ``notebook``.
 
     Parameters
     ----------
     folder : path
-        Of a complete run.
+        The output folder of a complete run.
     in_memory : bool
-        The folder goes when the object does, so datasets are read as a whole.
+        Delete the folder together with this object. Datasets are then loaded at once instead of lazily.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
@@ -50,12 +50,12 @@ class Layers:
 
     @property
     def folder(self) -> Path:
-        """Where the files are."""
+        """The folder that holds the files."""
         return self._folder
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """What run.json says: inputs, settings, versions, calibration, counts, files with their checksums."""
+        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
         return self._manifest
 
     def dataset(self) -> "xarray.Dataset":
@@ -64,10 +64,10 @@ class Layers:
         Returns
         -------
         xarray.Dataset
-            Dimensions ``y`` (north first) and ``x``, the centres of the tiles. A float32 variable for each band of
-            roughness.tif (``c_r``, ``slope`` ...) and ``cost``, NaN where there is none; ``class`` (255: unknown)
-            and ``reason``, uint8. Each has ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``.
-            Values are read from the files when they are used; those of a run in memory are there.
+            Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
+            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown) and ``reason``
+            are uint8. Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``.
+            Values are read from the files when they are used; those of a run in memory are loaded already.
 
         Raises
         ------
@@ -87,24 +87,29 @@ class Layers:
         return dataset
 
     def heights(self) -> "xarray.DataArray":
-        """Open heightmap.tif: the mean height of the points in each pixel, m; NaN where no point fell.
+        """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
 
         Returns
         -------
         xarray.DataArray
-            Dimensions ``y`` (north first) and ``x``, the centres of the pixels; read when it is used.
+            Dimensions ``y`` (north first) and ``x``, at pixel centres. Values are read when they are used.
 
         Raises
         ------
         UsageError
             The extra ``notebook`` is not installed.
         BadInputError
-            The run left no heightmap.tif, or it is damaged.
+            heightmap.tif is missing or damaged.
         """
         return next(self._variables("heightmap.tif", (_HEIGHT,)))
 
     def tiles(self) -> "geopandas.GeoDataFrame":
-        """Read tiles.parquet: a row for each tile that holds points, its square as the geometry.
+        """Read tiles.parquet.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
 
         Raises
         ------
@@ -117,7 +122,13 @@ class Layers:
             return _import("geopandas").read_parquet(path)
 
     def regions(self) -> "geopandas.GeoDataFrame":
-        """Read cost.fgb: a row for each region of neighbouring tiles of one class, its outline as the geometry.
+        """Read cost.fgb.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
+            survey's CRS.
 
         Raises
         ------
@@ -155,7 +166,7 @@ class Layers:
 
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
-        """West, south, east and north end of the layers in units of their CRS; None where they cannot be read."""
+        """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
         import rasterio
         from rasterio.errors import RasterioError
 
@@ -166,7 +177,7 @@ class Layers:
             return None
 
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
-        """Give the bands of a raster as variables."""
+        """Yield the bands of a raster as named variables with units."""
         with self._file(name) as path:
             raster = _import("rioxarray").open_rasterio(path)
             if self._in_memory:
@@ -187,25 +198,25 @@ class Layers:
 
     @contextmanager
     def _file(self, name: str) -> Iterator[Path]:
-        """Name a file of the run, for the body of the ``with`` to read."""
+        """Yield the path of a file; errors while the body of the ``with`` reads it become BadInputErrors."""
         path = self._folder / name
         if not path.exists():
-            raise BadInputError(f"{path} is missing: the run left none, or it was taken away. Map the survey again")
+            raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:
             yield path
         except UsageError:
             raise
-        except Exception as error:  # rasterio's, pyarrow's and pyogrio's have no base of their own
+        except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
 
 
 def open_layers(folder: str | os.PathLike[str]) -> Layers:
-    """Open the layers that ``bumpymap map`` or `map_survey` left in a folder.
+    """Open the layers that ``bumpymap map`` or `map_survey` wrote to a folder.
 
     Parameters
     ----------
     folder : path
-        The one that was given as ``out``.
+        The output folder of the run, given to it as ``out``.
 
     Returns
     -------
@@ -214,7 +225,7 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
     Raises
     ------
     BadInputError
-        There is no such folder, or no complete run in it.
+        The folder does not exist, or holds no complete run.
 
     Examples
     --------
@@ -227,17 +238,17 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
 
 
 def temporary_folder() -> str:
-    """Make the folder of a run whose layers go with their object."""
+    """Create a temporary folder for a run in memory; `Layers` deletes it."""
     return tempfile.mkdtemp(prefix="bumpymap-layers-")
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
-        raise BadInputError(f"there is no folder {folder}. Give the one that the layers were written to")
+        raise BadInputError(f"there is no folder {folder}. Give the folder that the layers were written to")
     record = read_record(folder / MANIFEST_NAME)
     if record is None or record.get("format") != MANIFEST_FORMAT:
-        inside = " The map of a drive is in its folder map" if (folder / "scan.json").exists() else ""
-        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{inside}")
+        hint = f" The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else ""
+        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{hint}")
     return record
 
 

@@ -1,4 +1,4 @@
-"""Where the tiles of a map lie in its files: the raster that they span, windows of it, CRS units."""
+"""Extent of a map: the raster that its tiles span, windows of that raster, conversion to CRS units."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from bumpytiles import Grid, TileWindow
 __all__ = ["MAX_PIXELS", "MAX_SIDE", "MAX_TILES", "Placement", "RasterWindow", "check_extent"]
 
 MAX_TILES = 100_000_000
-"""Most tiles that the window around a survey may span: 30 km x 30 km of 3 m tiles."""
+"""Most tiles in the bounding window of a map: 30 km x 30 km of 3 m tiles."""
 MAX_SIDE = 100_000
-"""Most tiles along a side: 300 km. GDAL walks along a raster even where it is empty, however few tiles high it is."""
+"""Most tiles along a side: 300 km. GDAL visits every block of a raster, even empty ones."""
 MAX_PIXELS = 25_000_000_000
-"""Most pixels of the height map of that window."""
+"""Most pixels in heightmap.tif."""
 
 
 def check_extent(grid: Grid, window: TileWindow) -> None:
-    """Refuse a window that no raster should span: two sites far apart, or a point far outside.
+    """Refuse a window that is too large for a raster, as for two sites far apart or an outlying point.
 
-    Gaps cost next to no disk and no memory, but GDAL walks through every pixel of a raster, empty or not.
+    Gaps take almost no disk space or memory, but GDAL visits every pixel of a raster, empty or not.
 
     Raises
     ------
@@ -47,63 +47,63 @@ def check_extent(grid: Grid, window: TileWindow) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RasterWindow:
-    """A rectangle of the raster."""
+    """A window of the raster."""
 
     tiles: TileWindow
     """The tiles in it."""
     line: int
-    """Its northmost raster row, in tiles from the top."""
+    """Raster row of its north edge, in tiles from the top."""
     column: int
-    """Its westmost raster column, in tiles."""
+    """Raster column of its west edge, in tiles."""
 
-    def places(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Line and column inside the window, counted from its north-west corner, of tiles that were read for it."""
+    def pixel_indices(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return line and column in the window, from its north-west corner, of tiles given by ``row`` and ``col``."""
         return self.tiles.row + self.tiles.rows - 1 - found["row"], found["col"] - self.tiles.col
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The raster that a map spans, and its place in the survey's CRS."""
+    """The raster that a map spans, and its position in the survey's CRS."""
 
     georeference: Georeference
     grid: Grid
     window: TileWindow
-    """The smallest window around all tiles: what the rasters span."""
+    """The smallest window around all tiles, which the rasters span."""
 
     @classmethod
     def of(cls, table: CostTable) -> "Placement":
-        """Place the tiles of a map. Raises BadInputError where they span too much."""
+        """Return the placement of a map. Raises BadInputError if it is too large for a raster."""
         check_extent(table.tiles.grid, table.tiles.window)
         return cls(table.georeference, table.tiles.grid, table.tiles.window)
 
     @property
     def horizontal_crs(self) -> CRS | None:
-        """The survey's CRS without its vertical part: what flat geometries lie in."""
+        """The survey's CRS without its vertical part, for two-dimensional geometries."""
         crs = self.georeference.crs
         return None if crs is None else crs.to_2d()
 
     @property
-    def crs_of_heights(self) -> CRS | None:
-        """The survey's CRS with its vertical part, where that is in metres, as every height in the files is."""
+    def height_crs(self) -> CRS | None:
+        """The survey's CRS, with its vertical part only if that is in metres, as all heights in the files are."""
         crs = self.georeference.crs
         in_metres = crs is not None and crs.is_compound and crs.axis_info[-1].unit_conversion_factor == 1.0
         return crs if in_metres else self.horizontal_crs
 
     def to_crs(self, tiles: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
-        """Turn grid coordinates (1 = one tile, 0 = the CRS origin) into units of the CRS."""
+        """Convert grid coordinates (1 = one tile, 0 = the CRS origin) to units of the CRS."""
         return np.asarray(tiles * self.grid.tile_size / self.georeference.metres_per_unit, dtype=np.float64)
 
     def transform(self, pixels: int) -> Affine:
-        """Affine of a raster with ``pixels`` x ``pixels`` pixels a tile, in units of the CRS."""
+        """Return the affine transform of a raster with ``pixels`` x ``pixels`` pixels per tile, in units of the CRS."""
         west, north = self.to_crs(np.array([self.window.col, self.window.row + self.window.rows]))
         step = self.grid.tile_size / self.georeference.metres_per_unit / pixels
         return Affine(step, 0.0, float(west), 0.0, -step, float(north))
 
     def windows(self, side: int, *, aligned: bool) -> Iterator[RasterWindow]:
-        """Cut the raster into squares of ``side`` tiles, north-west first; those on the rim may be smaller.
+        """Split the raster into windows of ``side`` x ``side`` tiles, north-west first; smaller ones at the edges.
 
-        Cuts lie ``side`` tiles apart, counted from the CRS origin where ``aligned`` (a multiple of a block's side then
-        cuts no block), and from the north-west corner of the raster elsewhere.
+        If ``aligned``, cuts are counted from the CRS origin (a multiple of a block's side then cuts no block), else
+        from the north-west corner of the raster.
         """
         window = self.window
         east, north = window.col + window.cols, window.row + window.rows
@@ -116,6 +116,6 @@ class Placement:
 
 
 def _cuts(start: int, stop: int, side: int, origin: int) -> list[tuple[int, int]]:
-    """Cut ``start`` to ``stop`` wherever the distance from ``origin`` is a multiple of ``side``."""
+    """Split ``start`` to ``stop`` at multiples of ``side`` from ``origin``."""
     edges = [start, *range(start + 1 + (origin - start - 1) % side, stop, side), stop]
     return list(pairwise(edges))

@@ -1,6 +1,6 @@
-"""Tiles of one class that touch along a side, dissolved into regions with the mean cost of their tiles.
+"""Dissolve adjacent tiles of one class into regions with the mean values of their tiles.
 
-Passable tiles and tiles that are not never share a region.
+A region is either passable as a whole or not at all.
 """
 
 import itertools
@@ -21,17 +21,17 @@ from bumpytiles import BLOCK_TILES, TileWindow
 __all__ = ["REGION_WINDOW", "Regions", "dissolve"]
 
 REGION_WINDOW = 2_048
-"""Side of the windows that regions are cut at, tiles: 6 km of 3 m tiles."""
+"""Side of the windows at whose borders regions are cut, tiles: 6 km of 3 m tiles."""
 _BATCH = 8_192
-"""Most regions at a time: some tens of megabytes of outlines even where every tile is a region of its own."""
+"""Most regions at a time: some tens of megabytes of outlines even if every tile is a region of its own."""
 _STRIP = REGION_WINDOW * BLOCK_TILES
-"""Most tiles to read at a time: a row of blocks in one piece, so that sums run along the rows of a window."""
+"""Most tiles to read at a time: one row of blocks, so that sums run along the rows of a window."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
-_BARRED = 10
-"""Added to the key of a class where a tile is not passable. A class's key is the class plus one; 0: no points."""
+# Tiles with equal keys join. 0: no points; class + 1: passable; class + 1 + _IMPASSABLE: not passable;
+# _UNKNOWN + reason: no class.
+_IMPASSABLE = 10
 _UNKNOWN = 100
-"""Key of an unknown tile: this plus its reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,34 +48,34 @@ class Regions:
     tiles: NDArray[np.int64]
     """(m,) number of tiles."""
     passable: NDArray[np.bool_]
-    """(m,) every tile may be driven on; where False, none may."""
+    """(m,) True: every tile is passable; False: none is."""
     c_r: NDArray[np.float64]
-    """(m,) mean over the tiles, rad/m; NaN where unknown (so are the next three)."""
+    """(m,) mean over the tiles, rad/m; NaN where unknown (as in the next three)."""
     c_r_low: NDArray[np.float64]
     c_r_high: NDArray[np.float64]
     p_fail: NDArray[np.float64]
     hazard: NDArray[np.float64]
-    """(m,) mean over the tiles, 1/m; NaN where not passable, or where the rating knows no ``p_fail``."""
+    """(m,) mean over the tiles, 1/m; NaN where not passable, or if the rating has no ``p_fail``."""
     cost: NDArray[np.float64]
     """(m,) factor on distance, mean over the tiles; NaN where not passable."""
 
     @property
     def class_name(self) -> NDArray[np.object_]:
-        """(m,) class in words."""
+        """(m,) name of the class, or "unknown"."""
         names = np.array([*CLASS_NAMES, "unknown"], dtype=object)
         picked: NDArray[np.object_] = names[np.minimum(self.class_id, len(CLASS_NAMES))]
         return picked
 
     @property
     def c_r_basis(self) -> NDArray[np.object_]:
-        """(m,) ``drives``: C_r is that of all; ``survivors``: at least ``FAIL_SHARE`` of them fail; None if unknown."""
+        """(m,) drives behind ``c_r``: ``drives`` (all), ``survivors`` (``p_fail`` >= ``FAIL_SHARE``), or None."""
         basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
         basis[np.isnan(self.c_r)] = None
         return basis
 
     @property
     def reason_text(self) -> NDArray[np.object_]:
-        """(m,) reason in words."""
+        """(m,) description of the reason."""
         names = np.array([REASON_TEXT[code] for code in Reason], dtype=object)
         picked: NDArray[np.object_] = names[self.reason]
         return picked
@@ -87,29 +87,29 @@ class Regions:
 
 
 def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:
-    """Join neighbouring tiles of one class, all passable or none, or unknown for one reason, into regions.
+    """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
-    Tiles are neighbours when they share a side. Outlines run along tile sides; vertices are whole numbers of tiles.
-    A large map is dissolved window by window, `REGION_WINDOW` tiles a side, counted from its north-west corner: a
-    region that crosses the border of a window is cut there, and memory does not depend on the size of the map.
+    Outlines run along tile sides; vertices are whole numbers of tiles. A large map is dissolved in windows of
+    `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
+    memory does not depend on the size of the map.
 
     Parameters
     ----------
-    mosaic : CostTable
+    table : CostTable
         The tiles.
     placement : Placement, optional
-        Where they lie, if that is known already.
+        Placement of the map, if already known.
 
     Yields
     ------
     Regions
-        Some thousand at a time: the windows north-west first, in each the region with the northmost (then westmost)
-        tile first.
+        Up to some thousand regions: windows north-west first, regions of a window in the order of their first tile,
+        northmost (then westmost) first.
 
     Raises
     ------
     BadInputError
-        The tiles span too much for a raster.
+        The extent is too large for a raster.
     """
     place = placement or Placement.of(table)
     for window in place.windows(REGION_WINDOW, aligned=False):
@@ -118,13 +118,13 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
 
 
 def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -> Iterator[Regions]:
-    keys = _lay_out(table, window)
+    keys = _region_keys(table, window)
     labels, first, last = label(keys)
     key = keys.ravel()[first]
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
-    means = _add_up(table, window, labels, len(first)) / tiles
-    passable = key < _BARRED
-    class_id = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _BARRED).astype(np.uint8)
+    means = _sum_values(table, window, labels, len(first)) / tiles
+    passable = key < _IMPASSABLE
+    class_id = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _IMPASSABLE).astype(np.uint8)
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
     for start in range(0, len(first), _BATCH):
         some = slice(start, start + _BATCH)
@@ -147,26 +147,26 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -
         )
 
 
-def _lay_out(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
-    """Keys (rows, cols) of a window, 0 where there is no tile, north row first."""
+def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
+    """Return the keys (rows, cols) of a window, north row first; 0 where there is no tile."""
     keys = np.zeros((window.tiles.rows, window.tiles.cols), dtype=np.uint8)
     for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
-        known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _BARRED)
+        known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _IMPASSABLE)
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
-        keys[window.places(found)] = key
+        keys[window.pixel_indices(found)] = key
     return keys
 
 
-def _add_up(table: CostTable, window: RasterWindow, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Give sums (5, count) over the tiles of each label, of ``_VALUES`` and the hazard.
+def _sum_values(table: CostTable, window: RasterWindow, labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Return the sums (5, count) of ``_VALUES`` and of the hazard over the tiles of each label.
 
-    Reading twice takes less memory than values laid out.
+    Columns are read a second time here because that takes less memory than keeping them.
     """
     totals = np.zeros((len(_VALUES) + 1, count))
     for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read(_VALUES, strip)
-        area = labels[window.places(found)] - 1
+        area = labels[window.pixel_indices(found)] - 1
         for total, name in zip(totals, _VALUES, strict=False):
             add_up(area, found[name], total)
         add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
@@ -174,7 +174,7 @@ def _add_up(table: CostTable, window: RasterWindow, labels: NDArray[np.int32], c
 
 
 def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
-    """Trace the outlines of some labels of a window, which lie in some of its rows, in grid coordinates."""
+    """Trace the outlines of the labels in ``wanted``, which lie in ``rows`` of the window, in grid coordinates."""
     part = labels[rows]
     grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
     mask = (part >= wanted.start) & (part < wanted.stop)
@@ -183,11 +183,11 @@ def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted
         order.append(int(number) - wanted.start)
         sizes.append(len(shape["coordinates"]))
         rings += shape["coordinates"]
-    # All at once: one by one takes three times as long.
+    # In one call: one call per ring takes three times as long.
     points = np.array(list(itertools.chain.from_iterable(rings)))
     lines = shapely.linearrings(points, indices=np.repeat(np.arange(len(rings)), [len(ring) for ring in rings]))
     traced = np.empty(len(wanted), dtype=object)
     traced[order] = shapely.polygons(lines, indices=np.repeat(np.arange(len(sizes)), sizes))
-    # GEOS's normal form runs clockwise; right-hand rings are its reverse. It also fixes where a ring starts.
+    # GEOS normalises exterior rings to clockwise order with a fixed first vertex; reversed, they follow RFC 7946.
     outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))
     return outlines

@@ -1,4 +1,4 @@
-"""What a map holds in a few numbers, counted in one pass over its tiles."""
+"""Counts and medians of a map, computed in one pass over its tiles."""
 
 import math
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ __all__ = ["MapSummary", "summarise"]
 _STRIP = 65_536
 _BINS = 1 << 16
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
-"""Width of a bin, rad/m and degrees: an eighth of the last digit that is printed, up to 8 rad/m and 128 degrees."""
+"""Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapSummary:
-    """Tiles of a map by class and reason, and their medians.
+    """Numbers of tiles by class and reason, and medians.
 
-    Medians come from a histogram, so that a map of any size needs the same memory: those of c_r are true to
-    0.0001 rad/m, those of slope to 0.001 degrees; that of the points is exact up to 65,534.
+    Medians come from histograms, so that memory does not grow with the map: those of c_r are accurate to 0.0001 rad/m,
+    those of slope to 0.001 degrees; that of the point count is exact up to 65,534.
     """
 
     tiles: int
@@ -33,19 +33,19 @@ class MapSummary:
     by_class: tuple[int, ...]
     """(4,) tiles of each class."""
     by_reason: tuple[int, ...]
-    """(6,) tiles without a class for each ``Reason``."""
+    """(6,) tiles without a class, for each ``Reason``."""
     passable: int
-    """Tiles that the vehicle may drive on."""
+    """Passable tiles."""
     median_c_r: tuple[float, ...]
-    """(5,) of each class, then of the tiles without one, rad/m; NaN where no tile has a number (so is the next)."""
+    """(5,) rad/m, for each class, then for tiles without a class; NaN if there is no value."""
     median_slope: tuple[float, ...]
-    """(5,) the same, degrees."""
+    """(5,) degrees, likewise."""
     median_count: float
-    """Points a tile."""
+    """Points per tile."""
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
-        """Take up what run.json says under ``counts``; medians that it lacks are NaN."""
+        """Read the entry ``counts`` of run.json; missing medians become NaN."""
         medians = {
             name: tuple(math.nan if value is None else value for value in counts.get(name, [None] * 5))
             for name in ("median_c_r", "median_slope")
@@ -73,12 +73,12 @@ class MapSummary:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Tiles without a class, by the reason in words; reasons that occur."""
+        """Tiles without a class, by the description of the reason; only reasons that occur."""
         return {REASON_TEXT[code]: self.by_reason[code] for code in Reason if self.by_reason[code]}
 
 
 def summarise(table: CostTable) -> MapSummary:
-    """Count the tiles of a map."""
+    """Count the tiles of a map and find the medians."""
     groups = len(CLASS_NAMES) + 1
     spread = {name: np.zeros((groups, _BINS), dtype=np.int64) for name in _STEPS}
     counts = np.zeros((1, _BINS), dtype=np.int64)
@@ -109,7 +109,7 @@ def summarise(table: CostTable) -> MapSummary:
 
 
 def _count(histogram: NDArray[np.int64], group: NDArray[np.int64], value: NDArray[np.floating]) -> None:
-    """Add values, in bins, to the histogram of their group; what is beyond the last bin goes there."""
+    """Add values, in units of bins, to the histogram of their group; the last bin takes those beyond it."""
     known = np.isfinite(value)
     places = group[known] * _BINS + np.minimum(value[known], _BINS - 1).astype(np.int64)
     where, how_many = np.unique(places, return_counts=True)
@@ -117,7 +117,7 @@ def _count(histogram: NDArray[np.int64], group: NDArray[np.int64], value: NDArra
 
 
 def _median(histogram: NDArray[np.int64]) -> float:
-    """Bin of the median: the mean of two where their number is even; NaN where there is none."""
+    """Return the bin of the median, the mean of two bins if the count is even; NaN if the histogram is empty."""
     total = np.cumsum(histogram)
     if total[-1] == 0:
         return float("nan")

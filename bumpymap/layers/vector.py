@@ -1,6 +1,6 @@
-"""The cost map as regions: cost.geojson on the globe, cost.fgb in the survey's CRS.
+"""Write the cost map as regions: cost.geojson in WGS 84, cost.fgb in the survey's CRS.
 
-Both are fed some thousand regions at a time, so that neither the regions nor the files need memory.
+Both take some thousand regions at a time, so that memory does not grow with the map.
 """
 
 import json
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import NO_CLASS, BadInputError, atomic
-from bumpymap.layers.lonlat import BoundingBox, globe_transformer, outlines_in_crs, outlines_on_globe
+from bumpymap.layers.lonlat import BoundingBox, outlines_in_crs, outlines_in_wgs84, wgs84_transformer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
-__all__ = ["GeoJsonPlace", "flatgeobuf_writer", "geojson_writer"]
+__all__ = ["GeoJsonCoordinates", "flatgeobuf_writer", "geojson_writer"]
 
 _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
@@ -39,28 +39,28 @@ _PROPERTIES = (
 )
 _GEOMETRY = "geometry"
 _IN_MEMORY = 16 << 20
-"""Most bytes of regions that become FlatGeobuf in memory."""
+"""Most bytes of regions that are converted to FlatGeobuf in memory."""
 
 
 @dataclass(frozen=True, slots=True)
-class GeoJsonPlace:
-    """Where cost.geojson lies: on the globe, or in the survey's own coordinates."""
+class GeoJsonCoordinates:
+    """The coordinates of cost.geojson: WGS 84 longitude and latitude, or the survey's own."""
 
     placement: Placement
     to_degrees: Transformer | None
-    """None: the survey's own coordinates."""
+    """Transformer to longitude and latitude; None: keep the survey's own coordinates."""
 
     @classmethod
-    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonPlace":
-        """Settle it.
+    def of(cls, placement: Placement, *, local: bool) -> "GeoJsonCoordinates":
+        """Choose longitude and latitude if possible, else the survey's own coordinates if ``local``.
 
         Raises
         ------
         BadInputError
-            The survey has no CRS, or one without relation to longitude and latitude, and ``local`` is False.
+            The survey has no CRS, or one that cannot be transformed, and ``local`` is False.
         """
         try:
-            return cls(placement, globe_transformer(placement))
+            return cls(placement, wgs84_transformer(placement))
         except BadInputError:
             if not local:
                 raise
@@ -68,49 +68,49 @@ class GeoJsonPlace:
 
     @property
     def members(self) -> dict[str, Any]:
-        """Members of the collection that say so."""
+        """Members of the feature collection that declare local coordinates; none for longitude and latitude."""
         if self.to_degrees is not None:
             return {}
         return {"local_coordinates": _LOCAL, "metres_per_unit": self.placement.georeference.metres_per_unit}
 
     def outlines(self, regions: Regions) -> NDArray[np.object_]:
-        """Outlines of regions, there."""
+        """Return the outlines of regions in these coordinates."""
         if self.to_degrees is not None:
-            return outlines_on_globe(regions, self.to_degrees)
+            return outlines_in_wgs84(regions, self.to_degrees)
         own: NDArray[np.object_] = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
         return own
 
-    def sides(self, box: BoundingBox) -> list[float]:
-        """West, south, east, north of a box around outlines."""
-        return box.sides() if self.to_degrees is None else box.sides_on_globe()
+    def bounds(self, box: BoundingBox) -> list[float]:
+        """Return west, south, east, north of a box in these coordinates."""
+        return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
 
 
 @contextmanager
 def geojson_writer(
-    path: Path, place: GeoJsonPlace, about: Mapping[str, Any] | None = None
+    path: Path, place: GeoJsonCoordinates, about: Mapping[str, Any] | None = None
 ) -> Iterator[Callable[[Regions], None]]:
-    """Write cost.geojson: RFC 7946, one feature a region, WGS 84 with 7 decimals.
+    """Write cost.geojson: RFC 7946, one feature per region, WGS 84 with 7 decimals.
 
-    Where the survey has no CRS: its own coordinates, rounded to 1 mm, with a member that says so.
+    Local coordinates are rounded to 1 mm, and a member of the collection declares them.
 
     Parameters
     ----------
     path : Path
-        The file. It appears when the ``with`` ends.
-    place : GeoJsonPlace
-        Where it lies.
+        The file, which appears when the ``with`` ends without an error.
+    place : GeoJsonCoordinates
+        Coordinates of the file.
     about : mapping, optional
         Further members of the feature collection, such as vehicle and calibration.
 
     Yields
     ------
     callable
-        Call it with regions, some at a time.
+        Appends `Regions`; call it repeatedly.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        The file cannot be written.
     """
     head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
@@ -130,11 +130,11 @@ def geojson_writer(
                 separator = ",\n"
 
         yield add
-        file.write(f'\n], "bbox": {encode(place.sides(box))}}}\n')
+        file.write(f'\n], "bbox": {encode(place.bounds(box))}}}\n')
 
 
 def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:
-    """Give polygons and multipolygons as GeoJSON has them; all at once takes a quarter of the time of one by one."""
+    """Yield polygons and multipolygons as GeoJSON; converting all at once takes a quarter of the time."""
     parts, owner = shapely.get_parts(outlines, return_index=True)
     _, coordinates, (ring, polygon) = shapely.to_ragged_array(parts)
     points, ring, polygon = coordinates.tolist(), ring.tolist(), polygon.tolist()
@@ -151,26 +151,26 @@ def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:
 
 @contextmanager
 def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Regions], None]]:
-    """Write cost.fgb: the regions of `geojson_writer`, in the survey's CRS (none where it has none).
+    """Write cost.fgb: FlatGeobuf with the regions of cost.geojson, in the survey's CRS if it has one.
 
-    Regions wait in a file of Arrow batches: FlatGeobuf begins with an index of all of them.
+    FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file.
 
     Parameters
     ----------
     path : Path
-        The file. It appears when the ``with`` ends.
+        The file, which appears when the ``with`` ends without an error.
     placement : Placement
-        Where the tiles lie.
+        Placement of the map.
 
     Yields
     ------
     callable
-        Call it with regions, some at a time.
+        Appends `Regions`; call it repeatedly.
 
     Raises
     ------
     OutputError
-        The place cannot be written.
+        The file cannot be written.
     """
     with atomic(path, (pa.ArrowException,)) as temporary:
         waiting = temporary.with_name(f"{temporary.stem}.arrow")
@@ -198,15 +198,15 @@ def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
-    """Turn the regions that wait, so many, into FlatGeobuf."""
+    """Convert the Arrow file ``waiting``, which holds ``regions`` rows, to FlatGeobuf."""
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
     from pyogrio.raw import read, write_arrow
 
     crs = placement.horizontal_crs
-    # Small ones through memory. GDAL takes what follows a '!' in a path for a part of an archive, and does not notice
-    # when a disk fills up in the last few bytes (seen in 3.8 and 3.12): so the last feature of a large one is read.
-    straight = waiting.stat().st_size > _IN_MEMORY and "!" not in str(temporary)
-    target = temporary if straight else BytesIO()
+    # Small files are made in memory. GDAL takes what follows a '!' in a path for a member of an archive, and does not
+    # notice if the disk fills up in the last bytes (seen in 3.8 and 3.12), so the last feature is read back.
+    to_disk = waiting.stat().st_size > _IN_MEMORY and "!" not in str(temporary)
+    target = temporary if to_disk else BytesIO()
     with pa.OSFile(str(waiting), "rb") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="'crs' was not provided")
         try:
@@ -228,7 +228,7 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement)
 
 
 def _columns(regions: Regions) -> dict[str, list[Any]]:
-    """Properties of the regions as Python values, None where there is nothing to say."""
+    """Return the properties of the regions as Python values; None becomes null."""
     known = regions.class_id != NO_CLASS
     return {
         "class": [int(value) if is_known else None for value, is_known in zip(regions.class_id, known, strict=True)],

@@ -1,4 +1,4 @@
-"""Heightmaps in; class, ride cost with its interval, probability of failure and cost out."""
+"""Rate heightmaps: class, ride cost with its interval, probability of failure, cost."""
 
 import lazy_loader
 

@@ -15,7 +15,7 @@ from .ride.correction import (
     subtract_noise as subtract_noise,
 )
 from .ride.fitting import (
-    MOST_FAILED as MOST_FAILED,
+    MAX_FAILED_SHARE as MAX_FAILED_SHARE,
     DrivenPatches as DrivenPatches,
     NoisyPatches as NoisyPatches,
     fit_correction as fit_correction,
@@ -44,11 +44,11 @@ from .textures import (
     normalise as normalise,
     remove_plane as remove_plane,
 )
-from .vehicle.blank import (
-    write_blank as write_blank,
-)
 from .vehicle.profile import (
     Vehicle as Vehicle,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,
+)
+from .vehicle.template import (
+    write_profile_template as write_profile_template,
 )

@@ -1,4 +1,4 @@
-"""The calibration of one vehicle: what each ground costs it. ``bumpymap calibrate`` makes it, ``map`` reads it."""
+"""The calibration of a vehicle: its ride cost on each kind of ground, made by ``bumpymap calibrate``."""
 
 import hashlib
 import json
@@ -13,28 +13,28 @@ from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, parse_j
 __all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "shipped_calibrations"]
 
 _DRIVE_S = 10.0
-"""Seconds that a drive is measured, where the calibration does not say."""
+"""Measured seconds of a drive, if the calibration does not give them."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
-"""Keys of a vehicle profile that no drive depends on."""
+"""Keys of a vehicle profile that do not affect the simulated drives."""
 DEFAULT_FAIL_WEIGHT = 300.0
-"""``fail_weight`` of vehicles whose profile does not say it, m."""
+"""``fail_weight`` of profiles without that key, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class DrivenTerrain:
-    """One terrain of the library and what the drives over it gave: what a ride model is fitted to."""
+    """Results of the drives over one terrain of the library, to which a ride model is fitted."""
 
     kind: str
     index: int
-    """Of the terrain in its kind."""
+    """Number of the terrain within its kind."""
     c_r: float | None
-    """Mean over the completed drives, rad/m; None without one."""
+    """Mean over the completed drives, rad/m; None if there are none."""
     c_r_error: float | None
     """Standard error of that mean, rad/m; None with fewer than two completed drives."""
     completed: int
-    """Drives that came through."""
+    """Drives that reached their end."""
     stuck: int
     rolled: int
 
@@ -45,7 +45,7 @@ class DrivenTerrain:
 
     @property
     def drives(self) -> int:
-        """All drives."""
+        """Number of all drives."""
         return self.completed + self.failed
 
     @property
@@ -56,37 +56,38 @@ class DrivenTerrain:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """C_r and p_fail of one vehicle over textures x z_range, and the class intervals made from them.
+    """Ride cost (C_r) and probability of failure (p_fail) of a vehicle by texture and z_range, and its class limits.
 
-    Tables are nested tuples ``[texture][z_range]``, textures in the order of ``textures``.
+    They are measured in simulated drives. Tables are nested tuples ``[texture][z_range]``.
     """
 
     vehicle: dict[str, Any]
-    """The vehicle profile, as in its TOML file. ``map`` reads what `cost_rule` needs, and its shape."""
+    """The vehicle profile, as in its TOML file."""
     tile_size: float
-    """Side of the patches that were driven, m."""
+    """Side of the driven patches, m."""
     pixels: int
-    """Pixels along a side."""
+    """Pixels along a side of a patch."""
     textures: tuple[str, ...]
+    """Rows of the tables."""
     z_range: tuple[float, ...]
-    """max - min of the plane-removed patches that were driven, m, rising."""
+    """Columns of the tables: max - min of the driven patches after their plane is removed, m, increasing."""
     c_r: tuple[tuple[float | None, ...], ...]
-    """Mean C_r over the completed drives, rad/m; None where none was completed."""
+    """Mean C_r over the completed drives, rad/m; None if none was completed."""
     c_r_log_sd: tuple[tuple[float | None, ...], ...]
-    """Standard deviation of ln C_r between patches of one cell; None where fewer than two patches have one."""
+    """Standard deviation of ln C_r between patches of one cell; None with fewer than two patches."""
     p_fail: tuple[tuple[float, ...], ...]
-    """Share of the drives that rolled over or got stuck."""
+    """Share of the drives that rolled over or got stuck, 0..1."""
     drives: tuple[tuple[int, ...], ...]
-    """Number of drives, failed ones too."""
+    """Number of drives, including failed ones."""
     class_limits: tuple[float, float, float]
-    """C_r [rad/m] between class 0 and 1, 1 and 2, 2 and 3."""
+    """C_r between class 0 and 1, 1 and 2, 2 and 3, rad/m."""
     class_c_r: tuple[float, float, float, float]
-    """Mean C_r [rad/m] of the driven terrains of each class."""
+    """Mean C_r of the driven terrains of each class, rad/m."""
     ride: dict[str, Any] | None = None
-    """What the drives over the terrain library taught the ride model, in its own words; None where none was fitted."""
+    """Coefficients of the ride model, fitted to drives over the terrain library; None if none was fitted."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """Seed, command, versions, integrator settings, rule of the class limits: all it takes to make it again. Also
-    ``library``: what the drives over the terrain library gave, to fit a ride model to without driving again."""
+    """Everything needed to repeat the calibration: seed, command, versions, integrator settings, rule of the class
+    limits. ``library`` holds the results of the drives over the terrain library, to fit a ride model again."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -103,19 +104,19 @@ class Calibration:
             raise ValueError("class_limits must be positive and increasing")
         if not isinstance(self.ride, dict | None):
             raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
-        self._body()
+        self._hashed_text()  # raises ValueError if a number is not finite
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
             raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
 
     @property
     def id(self) -> str:
-        """Twelve hex digits that change with any number of the calibration."""
-        return hashlib.sha256(self._body().encode()).hexdigest()[:12]
+        """Twelve hex digits of a hash of the content."""
+        return hashlib.sha256(self._hashed_text().encode()).hexdigest()[:12]
 
     @property
     def cost_rule(self) -> CostRule:
-        """What is passable for the vehicle, and what its ride costs."""
+        """The rule that decides which tiles are passable for the vehicle, and the weights of the cost."""
         seconds = self.settings.get("drive", {}).get("measure_s", _DRIVE_S)
         return CostRule(
             ride_weight=float(self.vehicle["ride_weight"]),
@@ -125,7 +126,7 @@ class Calibration:
         )
 
     def require_grid(self, tile_size: float, pixels: int) -> None:
-        """Raise UsageError where tiles of another size [m] or another number of pixels are to be rated."""
+        """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
             raise UsageError(
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
@@ -133,21 +134,27 @@ class Calibration:
                 f"bumpymap calibrate --tile-size {tile_size:g} --pixels {pixels}"
             )
 
-    def _body(self) -> str:
+    def _hashed_text(self) -> str:
         return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
 
     def to_json(self) -> str:
-        """Return the text of the file."""
+        """Return the text of the calibration file."""
         return json.dumps({"format": _FORMAT, "version": _VERSION, "id": self.id, **asdict(self)}, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str, origin: str) -> "Calibration":
-        """Read the text of a calibration file; ``origin`` names it in messages.
+        """Read the text of a calibration file.
+
+        Parameters
+        ----------
+        text : str
+        origin : str
+            Name of the file for error messages.
 
         Raises
         ------
         BadInputError
-            Not a calibration, another version, a table of the wrong shape.
+            The text is not a calibration, is of another version, or has a table of the wrong shape.
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
@@ -169,7 +176,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> "Calibration":
-        """Read a calibration file. Raises BadInputError where it is none."""
+        """Read a calibration file. Raises BadInputError if it is not one."""
         try:
             text = Path(path).read_text(encoding="utf-8")
         except OSError as error:
@@ -180,59 +187,66 @@ class Calibration:
 
     @classmethod
     def shipped(cls, vehicle: str) -> "Calibration":
-        """Read the calibration that ships for a vehicle, such as ``warthog``."""
+        """Read the calibration of an included vehicle, such as ``warthog``.
+
+        Raises
+        ------
+        UsageError
+            No calibration for a vehicle of that name is included.
+        """
         known = shipped_calibrations()
         if vehicle not in known:
             raise UsageError(
                 f"no calibration for a vehicle named '{vehicle}' is included; available are: {', '.join(known)}. "
-                "For others: bumpymap calibrate --vehicle NAME_OR_FILE --out FILE, then pass `calibration='FILE'`"
+                "Calibrate another vehicle (bumpymap calibrate --vehicle NAME_OR_FILE --out FILE) and pass the result "
+                "with `calibration='FILE'`"
             )
         resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
 
     @property
     def preferences(self) -> dict[str, Any]:
-        """Keys of the vehicle that no drive depends on: of the profile that was driven, or `with_preferences`."""
+        """Name, description and weights of the vehicle, which do not affect the drives."""
         return {"fail_weight": DEFAULT_FAIL_WEIGHT} | {
             key: value for key, value in self.vehicle.items() if key in _PREFERENCES
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
-        """Take name, description and weights from a vehicle profile; all else must be what was driven.
+        """Return this calibration with the name, description and weights of a vehicle profile.
 
-        Preferences change what a map says, so they change the ``id``; equal ones leave it alone.
+        Weights change the cost layer, so a changed preference changes the ``id``.
 
         Parameters
         ----------
         profile : dict
-            Of the vehicle, as in its TOML file.
+            A vehicle profile, as in its TOML file.
         origin : str
-            The files that are compared, for the message.
+            Name of the calibration for the error message.
 
         Raises
         ------
         BadInputError
-            The profile is of another vehicle: any other key differs.
+            Any other key differs, so the profile is of another vehicle.
         """
-        driven, asked = _flat(self.vehicle), _flat(profile)
-        differ = [key for key in {**driven, **asked} if key not in _PREFERENCES and driven.get(key) != asked.get(key)]
+        driven, given = _flat(self.vehicle), _flat(profile)
+        differ = [key for key in {**driven, **given} if key not in _PREFERENCES and driven.get(key) != given.get(key)]
         if differ:
-            named = "; ".join(f"{key} is {asked.get(key)}, was {driven.get(key)}" for key in differ)
+            named = "; ".join(f"{key} is {given.get(key)}, was {driven.get(key)}" for key in differ)
             raise BadInputError(f"{origin} was made for another vehicle: {named}")
         own = self.preferences
-        changed = {key: asked[key] for key in _PREFERENCES if key in asked and asked[key] != own.get(key)}
+        changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
 
 def _flat(vehicle: dict[str, Any]) -> dict[str, Any]:
-    """Put the tables of a profile beside its other keys, as ``belly.length_m``."""
+    """Flatten the tables of a profile to keys such as ``belly.length_m``."""
     tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
     rest = {name: value for name, value in vehicle.items() if name not in tables}
     return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def _check_numbers(calibration: Calibration) -> None:
-    """Raise ValueError where something is not a finite number that has to be one, or is missing."""
+    """Raise ValueError if a number is missing, not finite or out of range."""
     vehicle = calibration.vehicle
     rule = calibration.cost_rule
     if not isinstance(vehicle["name"], str):
@@ -256,7 +270,7 @@ def _is_number(value: Any) -> bool:
 
 
 def shipped_calibrations() -> list[str]:
-    """Names of the vehicles whose calibration is in the package."""
+    """Return the names of the vehicles whose calibration is included in the package."""
     folder = files("bumpymap.rating") / "data" / "calibrations"
     return sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
 

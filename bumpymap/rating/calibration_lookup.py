@@ -1,4 +1,4 @@
-"""Which calibration a vehicle has: every command finds it by the same rules."""
+"""Find the calibration of a vehicle, by the same rules in every command."""
 
 import shlex
 from pathlib import Path
@@ -16,16 +16,16 @@ def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibrati
     Parameters
     ----------
     vehicle : str or Path
-        Name of one that ships, or a TOML file: its calibration is the JSON file of the same name beside it. Without
-        one, a profile that describes a vehicle that ships has the calibration of that. Name, description and weights
-        are those of the TOML file.
+        Name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside it. If
+        there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
+        description and weights are those of the TOML file.
     file : Path, optional
-        A calibration file; ``vehicle`` is then not looked at.
+        A calibration file; ``vehicle`` is then ignored.
 
     Raises
     ------
     UsageError
-        No vehicle of that name, no such file.
+        There is no vehicle of that name, or no such file.
     BadInputError
         The profile or the calibration cannot be read, or they are of different vehicles.
     """
@@ -54,11 +54,11 @@ def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibrati
 
 
 def calibration_beside(profile: Path) -> Path:
-    """Name the calibration file of a TOML file."""
+    """Return the path of the calibration file that belongs to a TOML file."""
     return profile.with_suffix(".json")
 
 
 def _checked(calibration: Calibration, origin: str) -> Calibration:
-    """Hold the stored vehicle to the bounds of profiles, before anything is built of it."""
+    """Check the stored vehicle like a profile before it is used."""
     Vehicle.from_dict(calibration.vehicle, f"{origin}, vehicle")
     return calibration

@@ -1,8 +1,7 @@
-"""Which texture each tile has, by a small network.
+"""Classify the texture of tiles with a small neural network.
 
-The answer for a tile must not depend on which tiles stand beside it in a stack. Patches therefore go through the
-network in batches of one fixed size, the last one padded, on one thread, through a graph that treats each patch by
-itself.
+The result for a tile must not depend on the other tiles of a stack. Patches therefore pass through the network in
+batches of a fixed size, the last one padded, on one thread, and the graph has no operation across patches.
 """
 
 import hashlib
@@ -30,11 +29,11 @@ from bumpymap.rating.textures import FEATURE_VERSION, normalise
 __all__ = ["FLAT_RELIEF", "TextureModel", "classify"]
 
 FLAT_RELIEF = 1e-3
-"""A patch with no more relief than this is ``flat`` with probability 1, whatever its texture would be after scaling:
-it shows the rounding of the survey's coordinates, not ground, m."""
+"""A patch with at most this relief, m, is ``flat`` with probability 1: scaled up, it would show the rounding of the
+survey's coordinates instead of ground."""
 
 _BATCH = 16
-"""Larger ones gain 3 % a patch and lose more to padding: a block has some two hundred tiles."""
+"""Larger batches save 3 % per patch but lose more to padding: a block has about two hundred tiles."""
 _FORMAT = "bumpymap-textures"
 _KIND = "texture network"
 _REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
@@ -42,12 +41,12 @@ _REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
 
 @dataclass(frozen=True, slots=True)
 class TextureModel:
-    """A texture network, as plain data that travels between processes."""
+    """A texture network as plain data that can be sent to other processes."""
 
     content: bytes
-    """The ONNX file."""
+    """Content of the ONNX file."""
     metadata: dict[str, str]
-    """Its ``metadata_props``: seed, command, accuracies."""
+    """``metadata_props`` of the file: seed, command, accuracies."""
     tile_size: float
     """Side of the tiles it was trained for, m."""
     pixels: int
@@ -55,11 +54,11 @@ class TextureModel:
 
     @property
     def id(self) -> str:
-        """Twelve hex digits that change with any byte of the file."""
+        """Twelve hex digits of the SHA-256 of the file."""
         return hashlib.sha256(self.content).hexdigest()[:12]
 
     def require_grid(self, tile_size: float, pixels: int) -> None:
-        """Raise UsageError where tiles of another size [m] or another number of pixels are to be classified."""
+        """Raise UsageError if tiles to classify differ in size [m] or number of pixels from the network's."""
         if (tile_size, pixels) != (self.tile_size, self.pixels):
             raise UsageError(
                 f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
@@ -69,12 +68,12 @@ class TextureModel:
 
     @classmethod
     def shipped(cls) -> "TextureModel":
-        """Read the network that ships with bumpymap."""
+        """Read the network that is included in bumpymap."""
         return cls._from_bytes(shipped_network("rating", "textures.onnx"), "the texture network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "TextureModel":
-        """Read a network that ``bumpymap train`` wrote. Raises BadInputError where it is none."""
+        """Read a network written by ``bumpymap train``. Raises BadInputError if it is not one."""
         return cls._from_bytes(read_network(path, _KIND, _REMEDY), str(path))
 
     @classmethod
@@ -87,26 +86,27 @@ class TextureModel:
             raise BadInputError(f"{origin} is a damaged texture network: {error!r}. {_REMEDY}") from error
         if (classes, version) != (TEXTURES, FEATURE_VERSION):
             raise BadInputError(
-                f"{origin} tells {', '.join(map(str, classes))} apart from patches of version {version}; this bumpymap "
-                f"needs {', '.join(TEXTURES)} from patches of version {FEATURE_VERSION}. {_REMEDY}"
+                f"{origin} has the classes {', '.join(map(str, classes))} and takes patches of version {version}; this "
+                f"bumpymap needs {', '.join(TEXTURES)} and version {FEATURE_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, tile_size, pixels)
 
 
 def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
-    """Tell the texture of each tile.
+    """Classify the texture of each tile.
 
     Parameters
     ----------
     patches : PatchStack
         n tiles; ``relief_map``, ``reason`` and ``grid`` are used.
     model : TextureModel
-        Trained for tiles of that grid.
+        Network for tiles of that grid.
 
     Returns
     -------
     TextureMap
-        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat for certain.
+        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat with
+        probability 1.
 
     Raises
     ------
@@ -117,18 +117,18 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     known = np.flatnonzero(patches.reason == Reason.OK)
     relief = patches.relief_map[known]
     if not np.isfinite(relief).all():
-        raise ValueError("a tile that can be judged has holes in its relief_map")
+        raise ValueError("a tile with reason 0 has NaN in its relief_map")
     probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
-    level = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
-    probability[known[level]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
-    rough = relief[~level]
-    scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # one long axis: four times faster than two short
-    probability[known[~level]] = _infer(model, scaled.reshape(rough.shape))
+    flat = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
+    probability[known[flat]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
+    rough = relief[~flat]
+    scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # min and max over one axis are 4 times faster
+    probability[known[~flat]] = _infer(model, scaled.reshape(rough.shape))
     return TextureMap(probability)
 
 
 def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; returns (n, 4)."""
+    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; return probabilities (n, 4)."""
     network = session(model.content)
     name = network.get_inputs()[0].name
     probability = np.empty((len(scaled), len(TEXTURES)), np.float32)

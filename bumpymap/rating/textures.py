@@ -1,13 +1,13 @@
-"""The paper's four terrain forms, made from Perlin noise, sine waves and Gaussian blur.
+"""Generate the paper's four terrain forms from Perlin noise, sine waves and Gaussian blur.
 
-A texture is a square of ground seen the way ``PatchStack.relief_map`` shows it to the network and to the simulated
-vehicle: its least-squares plane taken off, then min-max scaled. Lengths are shares of the patch's side; metres in the
-docstrings are those of the default patch, 3 m and 15 px. Every parameter is drawn anew for each patch, so that a form
-is a family. Over one z range the forms get rougher from ``flat`` to ``high_noise``.
+A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
+least-squares plane removed, then min-max scaled. Lengths are fractions of the patch's side; metres in the docstrings
+are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At equal z range the forms get
+rougher from ``flat`` to ``high_noise``.
 
-Strategy: all patches of a chunk are made at once. Each has its own lattice, turned by its own angle and shifted by its
-own offset, so that no lattice line agrees with a row of pixels. Blurred forms are made with a margin that is cut off
-after the blur: a blur that mirrors at the border would level the border.
+Strategy: many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a
+random offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is
+cropped after the blur, because a blur that mirrors at the border would flatten the border.
 """
 
 from collections.abc import Callable
@@ -20,23 +20,24 @@ from bumpymap.core import TEXTURES, Texture, UsageError
 __all__ = ["FEATURE_VERSION", "make_short_waves", "make_textures", "normalise", "perlin", "remove_plane"]
 
 FEATURE_VERSION = 1
-"""Version of what the network sees: plane-removed, hole-filled, min-max scaled relief. A change asks for training."""
+"""Version of the network's input (plane-removed, hole-filled, min-max scaled relief). If it changes, train again."""
 
-_CHUNK = 1024
+_BATCH = 1024
+"""Patches made in one call: another number changes the random patches."""
 _Floats = NDArray[np.float64]
 
 
 def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
-    """Make patches of one terrain form.
+    """Generate random patches of one terrain form.
 
     Parameters
     ----------
     texture : str
         One of ``TEXTURES``.
     count : int
-        How many.
+        Number of patches.
     rng : numpy Generator
-        The same state gives the same bits.
+        Equal states generate equal patches.
     pixels : int
         Pixels along a side, at least 4.
 
@@ -49,18 +50,18 @@ def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels
         raise UsageError(f"texture is '{texture}'; it must be one of {', '.join(TEXTURES)}")
     if count < 0 or pixels < 4:
         raise UsageError(f"{count} patches of {pixels} pixels; count must be 0 or more, pixels 4 or more")
-    chunks = [np.empty((0, pixels, pixels), np.float32)]
-    for start in range(0, count, _CHUNK):
-        raw = _FORMS[texture](min(_CHUNK, count - start), rng, pixels)
-        chunks.append(normalise(remove_plane(raw)))
-    return np.concatenate(chunks)
+    batches = [np.empty((0, pixels, pixels), np.float32)]
+    for start in range(0, count, _BATCH):
+        raw = _FORMS[texture](min(_BATCH, count - start), rng, pixels)
+        batches.append(normalise(remove_plane(raw)))
+    return np.concatenate(batches)
 
 
 def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
-    """Make ground with regular waves too short for ``noise_sin``: washboard, tracks, ripples, one way or crossing.
+    """Generate ground with regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
 
-    No form of the paper holds such ground, and a network that never met it may take it for flat. It is as rough as
-    ``high_noise``, so that is what the network is taught to call it. Wavelengths are 0.4 to 0.75 m.
+    The paper has no such form, and a network that was not trained on it may take it for flat. It is as rough as
+    ``high_noise``, so it is labelled ``high_noise`` in training. Wavelengths are 0.4 to 0.75 m.
 
     Parameters
     ----------
@@ -72,21 +73,21 @@ def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> 
     array (count, pixels, pixels) float32
         Plane-removed relief, each patch scaled to [0, 1].
     """
-    along, across = _turned_axes(count, rng, pixels, 0)
+    along, across = _rotated_axes(count, rng, pixels, 0)
     wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
     phase = rng.uniform(0, 2 * np.pi, (2, count, 1, 1))
-    one_way = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
-    crossing = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
-    way = rng.integers(0, 3, (count, 1, 1))
-    waves = np.select([way == 0, way == 1], [one_way, one_way * crossing], one_way + crossing)
+    first = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
+    second = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
+    pattern = rng.integers(0, 3, (count, 1, 1))
+    waves = np.select([pattern == 0, pattern == 1], [first, first * second], first + second)
     ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.8, count), rng.uniform(0.3, 0.7, count), 3)
     return normalise(remove_plane(waves + rng.uniform(0.0, 0.3, (count, 1, 1)) * ground))
 
 
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale each patch to [0, 1] by its own minimum and maximum: what the texture network sees.
+    """Scale each patch to [0, 1] by its own minimum and maximum, as the texture network takes it.
 
-    Training and inference both use this function. A patch without any range becomes zeros.
+    Training and inference both use this function. A patch of constant height becomes zeros.
 
     Parameters
     ----------
@@ -107,9 +108,9 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def remove_plane(patches: NDArray[np.floating]) -> _Floats:
-    """Take the least-squares plane off each patch.
+    """Subtract the least-squares plane from each patch.
 
-    On a full square of pixels the columns 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
+    On a full square of pixels the regressors 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
 
 
 def perlin(count: int, rng: np.random.Generator, pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
-    """Gradient noise after Perlin (2002), one lattice per patch.
+    """Generate gradient noise after Perlin (2002), with one lattice per patch.
 
     With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
     ``s(t) = 6 t^5 - 15 t^4 + 10 t^3``::
@@ -146,16 +147,16 @@ def perlin(count: int, rng: np.random.Generator, pixels: int, cell: _Floats, mar
     count, rng, pixels
         As in ``make_textures``.
     cell : array (count,)
-        Side of a lattice cell, shares of the patch's side.
+        Side of a lattice cell, as a fraction of the patch's side.
     margin : int
         Pixels to add on each of the four sides.
 
     Returns
     -------
     array (count, pixels + 2 margin, pixels + 2 margin) float64
-        Noise with unit standard deviation over an endless surface.
+        Noise with unit standard deviation over an infinite surface.
     """
-    x, y = _turned_axes(count, rng, pixels, margin)
+    x, y = _rotated_axes(count, rng, pixels, margin)
     reach = np.sqrt(0.5) * (1 + 2 * margin / pixels)
     offset = rng.uniform(0, 1, (2, count, 1, 1)) + reach / cell[:, None, None]
     nodes = int(np.ceil(2 * reach / cell.min())) + 3
@@ -182,15 +183,15 @@ def _perlin_sd() -> float:
     """Return the standard deviation of ``n(u, v)``: gradients are independent, each component has variance 1/2."""
     t = (np.arange(400) + 0.5) / 400
     near, near_t2 = np.mean((1 - _fade(t)) ** 2), np.mean((1 - _fade(t)) ** 2 * t**2)
-    # Four corners alike; E[(g . d)^2] = |d|^2 / 2, and |d|^2 is a sum of two like terms.
+    # The four corners contribute equally; E[(g . d)^2] = |d|^2 / 2, and |d|^2 is a sum of two equal terms.
     return float(np.sqrt(4 * near * near_t2))
 
 
 _PERLIN_SD = _perlin_sd()
 
 
-def _turned_axes(count: int, rng: np.random.Generator, pixels: int, margin: int) -> tuple[_Floats, _Floats]:
-    """Pixel centres of each patch, centred and turned by a random angle: two (count, side, side), shares of a side."""
+def _rotated_axes(count: int, rng: np.random.Generator, pixels: int, margin: int) -> tuple[_Floats, _Floats]:
+    """Return x and y of pixel centres, (count, side, side) each, rotated about the patch's centre by a random angle."""
     axis = (np.arange(-margin, pixels + margin) + 0.5) / pixels - 0.5
     turn = rng.uniform(0, 2 * np.pi, (count, 1, 1))
     east, south = axis[None, None, :], axis[None, :, None]
@@ -206,7 +207,7 @@ def _octaves(
     octaves: int,
     margin: int = 0,
 ) -> _Floats:
-    """Sum of Perlin noises; each octave halves the cell and multiplies the amplitude by the persistence. Unit sd."""
+    """Sum octaves of Perlin noise, each with half the cell and ``persistence`` times the amplitude; unit variance."""
     amplitude, power = np.ones(count), np.zeros(count)
     total: _Floats = np.zeros((count, pixels + 2 * margin, pixels + 2 * margin))
     for octave in range(octaves):
@@ -219,10 +220,10 @@ def _octaves(
 def _blurred_noise(
     count: int, rng: np.random.Generator, pixels: int, cell: _Floats, persistence: _Floats, octaves: int, sigma: _Floats
 ) -> _Floats:
-    """``_octaves`` after a Gaussian blur by ``sigma`` (count,) shares of a side, correct up to the border.
+    """Return ``_octaves`` after a Gaussian blur by ``sigma`` (count,), a fraction of a side, correct up to the border.
 
     The blur of a patch is ``K P K^T`` with its own matrix ``K[i, j] ~ exp(-(i - j)^2 / (2 sigma^2))``, rows sum to 1,
-    which also cuts the margin off.
+    which also crops the margin.
     """
     margin = int(np.ceil(3 * sigma.max() * pixels)) + 1
     noise = _octaves(count, rng, pixels, cell, persistence, octaves, margin)
@@ -234,29 +235,29 @@ def _blurred_noise(
 
 
 def _flat(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
+    """Generate long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
     cell, persistence = rng.uniform(0.8, 2.3, count), rng.uniform(0.0, 0.15, count)
     return _blurred_noise(count, rng, pixels, cell, persistence, 2, rng.uniform(0.1, 0.16, count))
 
 
 def _low_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
+    """Generate soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
     cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
     return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
 
 
 def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
+    """Generate waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
     ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
     wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
     phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
-    along, _ = _turned_axes(count, rng, pixels, 0)
+    along, _ = _rotated_axes(count, rng, pixels, 0)
     wave: _Floats = np.sqrt(2) * np.sin(2 * np.pi * along / wavelength + phase)
     return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
 
 
 def _high_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
-    """Rubble: heights change from pixel to pixel (cells of 0.4 to 1.2 m, persistence near 1, white noise on top)."""
+    """Generate rubble, heights varying from pixel to pixel (cells 0.4 to 1.2 m, persistence near 1, white noise)."""
     ground = _octaves(count, rng, pixels, rng.uniform(0.13, 0.4, count), rng.uniform(0.7, 1.0, count), 3)
     return ground + rng.uniform(0.1, 0.6, (count, 1, 1)) * rng.standard_normal((count, pixels, pixels))
 

@@ -37,37 +37,37 @@ from bumpymap.core import (
     what_is_kept,
 )
 from bumpymap.layers import (
+    ACCUMULATED_NAME,
     FRAME_FOLDER,
-    GATHERED,
-    MANIFEST,
     MAP_FOLDER,
-    TABLE,
+    SCAN_MANIFEST_NAME,
+    SECTOR_TABLE_NAME,
+    AccumulatedSurvey,
     Frame,
     FramePart,
     FrameReport,
-    Gathered,
     SectorTable,
     check_scan_folder,
     describe_file,
-    drop_older,
-    finished_parts,
+    explain_empty_scan,
     ground_points,
     has_files,
+    has_finished_parts,
     is_complete,
     load_part,
     name_frames,
-    open_gathered,
+    open_accumulated,
     open_table,
+    output_errors,
     part_path,
+    remove_stale_products,
     report_frame,
+    sample_evenly,
     save_part,
     sector_rows,
-    spread_out,
-    sync,
-    why_empty,
+    sync_to_disk,
     write_frame,
     write_scan_manifest,
-    writing,
 )
 from bumpymap.rating import find_calibration
 from bumpymap.readers import find_frames, read_poses, read_scan
@@ -114,7 +114,7 @@ class _Sinks:
     """What takes frame after frame."""
 
     table: SectorTable | None
-    gathered: Gathered | None
+    gathered: AccumulatedSurvey | None
 
 
 def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun:
@@ -145,7 +145,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
     """
     progress = progress or SilentProgress()
     _check_fit(config)
-    frames = spread_out(name_frames(find_frames(config.frames)), _MOST_FITTED)
+    frames = sample_evenly(name_frames(find_frames(config.frames)), _MOST_FITTED)
     skipped: dict[str, str] = {}
     stacks: list[SectorStack] = []
     progress.start("measuring frames", len(frames))
@@ -167,7 +167,7 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
     clock = Stopwatch()
     with clock.stage("prepare"):
         unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
-        is_there = not (unfinished or config.overwrite) and is_complete(config.out, MANIFEST)
+        is_there = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
         method = choose_method(config)
         crs = _world(config)
         drive = _drive(config)
@@ -204,9 +204,14 @@ def _scan_frames(
     advice = f"Pass `resume=True` {how} to continue from the finished frames."
     with (
         RunFolder.opened(
-            config.out, run_spec, resume=config.resume, finished=finished_parts, advice=advice, judge=lambda _: Kept.ALL
+            config.out,
+            run_spec,
+            resume=config.resume,
+            finished=has_finished_parts,
+            advice=advice,
+            judge=lambda _: Kept.ALL,
         ) as run,
-        writing(config.out),
+        output_errors(config.out),
         in_utf8(_staged(run.path, frames)) as staged,
     ):
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
@@ -233,9 +238,13 @@ def _scan_frames(
         with suppress(OSError):  # it stays where it holds files
             (staged / FRAME_FOLDER).rmdir()
         write_scan_manifest(staged, known, reports, run_spec["inputs"])
-        files = tuple(name for name in (FRAME_FOLDER, TABLE, GATHERED, MANIFEST) if (staged / name).exists())
-        move_together(staged, config.out, MANIFEST)
-        drop_older(config.out, files)
+        files = tuple(
+            name
+            for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
+            if (staged / name).exists()
+        )
+        move_together(staged, config.out, SCAN_MANIFEST_NAME)
+        remove_stale_products(config.out, files)
     return DoneFrames(files, method.name, tuple(reports), skipped, gathered, clock.seconds)
 
 
@@ -286,7 +295,7 @@ def _classed(frame: Frame, config: ScanConfig, method: Method) -> tuple[Scan, Cl
     with _about(frame):
         classed = method.classify(scan)
     seconds = time.perf_counter() - begin
-    if reason := why_empty(scan, classed):
+    if reason := explain_empty_scan(scan, classed):
         _log.warning("no ground was classified in %s: %s", frame.path, reason)
     return scan, classed, seconds
 
@@ -340,12 +349,14 @@ def _opened(config: ScanConfig, frames: list[Frame], crs: CRS | None, folder: Pa
     """Open what takes frame after frame; close it, and put it on the disk, where all went well."""
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
-        table = open_files.enter_context(open_table(folder / TABLE)) if "table" in config.products else None
-        gathered = open_files.enter_context(open_gathered(folder / GATHERED, poses[0], crs)) if poses else None
+        table = open_files.enter_context(open_table(folder / SECTOR_TABLE_NAME)) if "table" in config.products else None
+        gathered = (
+            open_files.enter_context(open_accumulated(folder / ACCUMULATED_NAME, poses[0], crs)) if poses else None
+        )
         yield _Sinks(table, gathered)
-    for name in (TABLE, GATHERED):
+    for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME):
         if (folder / name).exists():
-            sync(folder / name)
+            sync_to_disk(folder / name)
 
 
 def _world(config: ScanConfig) -> CRS | None:
@@ -364,7 +375,7 @@ def _drive(config: ScanConfig) -> MapConfig | None:
         return None
     own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
     drive = MapConfig(
-        surveys=(config.out / GATHERED,),
+        surveys=(config.out / ACCUMULATED_NAME,),
         out=config.out / MAP_FOLDER,
         ground="class",
         calibration=config.calibration,

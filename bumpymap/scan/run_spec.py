@@ -7,16 +7,16 @@ from typing import Any
 
 from bumpymap.core import OutputError, ScanMethod, as_done, differences, flat_settings, same_content
 from bumpymap.layers import (
+    ACCUMULATED_NAME,
     FRAME_FOLDER,
-    GATHERED,
-    MANIFEST,
-    TABLE,
+    SCAN_MANIFEST_NAME,
+    SECTOR_TABLE_NAME,
     Frame,
     FrameReport,
-    complete_record,
     has_files,
     refuse_replacing,
     software_versions,
+    verified_record,
 )
 from bumpymap.readers import identity, label_file
 from bumpymap.scan.config import ScanConfig
@@ -66,7 +66,7 @@ def done_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequenc
     OutputError
         It was asked something else, or its products are not whole any more.
     """
-    with complete_record(config.out, (), MANIFEST) as record:
+    with verified_record(config.out, (), SCAN_MANIFEST_NAME) as record:
         method = record["method"]
         inputs = [*record["frames"], *record["side_files"]]
         no_say = _NO_SAY - {"skip_bad"} if record["skipped"] else _NO_SAY
@@ -76,7 +76,11 @@ def done_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequenc
         own = {str(frame.path): frame for frame in frames}
         reports = tuple(FrameReport.of(own[each["path"]], each) for each in record["frames"])
         _refuse_missing(config, reports)
-        files = tuple(name for name in (FRAME_FOLDER, TABLE, GATHERED, MANIFEST) if (config.out / name).exists())
+        files = tuple(
+            name
+            for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
+            if (config.out / name).exists()
+        )
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         return DoneFrames(files, method["name"], reports, skipped, record["gathered"], record["seconds"])
 

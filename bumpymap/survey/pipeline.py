@@ -37,10 +37,10 @@ from bumpymap.layers import (
     MapSummary,
     check_extent,
     check_folder,
-    complete_record,
     is_complete,
     refuse_replacing,
     software_versions,
+    verified_record,
     write_products,
 )
 from bumpymap.patches import close_filter, filter_version, mark_ground, measure, require_filter
@@ -223,7 +223,7 @@ def _check_out(config: MapConfig) -> bool:
 def _done_before(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
     """Give what the run noted that is complete in ``out``; refuse where it was asked something else."""
     names = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
-    with complete_record(config.out, names) as record:
+    with verified_record(config.out, names) as record:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         no_say = _NO_SAY if skipped else {*_NO_SAY, "skip_bad"}
         before = as_done(record, no_say, {"model": record["model"], "calibration": record["calibration"]["id"]})

@@ -8,7 +8,7 @@ from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, together
 from bumpymap.core.types import CostTable
 from bumpymap.layers import (
-    GeoJsonPlace,
+    GeoJsonCoordinates,
     dissolve,
     flatgeobuf_writer,
     geojson_writer,
@@ -26,7 +26,7 @@ def regions_of(cost_map):
 
 
 def write_geojson(regions, path, *, local, about=None):
-    place = GeoJsonPlace.of(regions.placement, local=local)
+    place = GeoJsonCoordinates.of(regions.placement, local=local)
     with geojson_writer(path, place, about) as add:
         add(regions)
 

@@ -10,7 +10,7 @@ from rio_cogeo import cog_validate
 from bumpymap.core.errors import OutputError
 from bumpymap.core.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference
 from bumpymap.layers import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
-from bumpymap.layers._whole import digest, require_room, require_same
+from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
 from bumpytiles import Grid
 
 WRITERS = {
@@ -282,18 +282,18 @@ def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map,
 def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
     with rasterio.open(rasters["heightmap"]) as file:
         windows = [window for _, window in file.block_windows(1)]
-        painted = [(window, digest(file.read(window=window))) for window in windows]
+        painted = [(window, checksum(file.read(window=window))) for window in windows]
         blank = rasterio.open(tmp_path / "blank.tif", "w", **file.profile)
-    require_same(rasters["heightmap"], painted)
+    require_intact(rasters["heightmap"], painted)
     blank.close()
     with pytest.raises(OSError, match="disk may be full"):
-        require_same(tmp_path / "blank.tif", painted)
+        require_intact(tmp_path / "blank.tif", painted)
 
 
 def test_room_is_asked_for(tmp_path):
-    require_room(tmp_path, 1)
+    require_disk_space(tmp_path, 1)
     with pytest.raises(OSError, match=r"1,?000000000\.0 GB are needed"):
-        require_room(tmp_path, 10**18)
+        require_disk_space(tmp_path, 10**18)
 
 
 def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monkeypatch):
@@ -301,6 +301,6 @@ def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monke
         Path(target).touch()
 
     monkeypatch.setattr("bumpymap.layers._cog.rasterio.shutil.copyfiles", lose_the_side_file)
-    with pytest.raises(OutputError, match="names of its classes"):
+    with pytest.raises(OutputError, match="class names could not be written"):
         WRITERS["class"](cost_map, tmp_path / "class.tif")
     assert not list(tmp_path.iterdir())

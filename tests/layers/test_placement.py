@@ -35,7 +35,7 @@ def test_chunks_cover_the_raster_once(aligned, window, side):
 
 def test_tiles_find_their_places_in_a_chunk():
     cut = RasterWindow(TileWindow(4, 1, 2, 2), 0, 0)
-    line, column = cut.places({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
+    line, column = cut.pixel_indices({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
     assert (line.tolist(), column.tolist()) == ([1, 0, 0], [1, 0, 1])
 
 

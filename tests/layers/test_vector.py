@@ -8,7 +8,7 @@ from pyproj import CRS, Transformer
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import GeoJsonPlace, dissolve, flatgeobuf_writer, geojson_writer
+from bumpymap.layers import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
 
 US_FOOT = 1200 / 3937
 SITES = {
@@ -28,7 +28,7 @@ def regions_of(cost_map):
 
 
 def write_geojson(regions, path, *, local, about=None):
-    place = GeoJsonPlace.of(regions.placement, local=local)
+    place = GeoJsonCoordinates.of(regions.placement, local=local)
     with geojson_writer(path, place, about) as add:
         add(regions)
 
@@ -228,7 +228,7 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
-    with pytest.raises(BadInputError, match=r"outside of what its CRS.*`crs="):
+    with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
 
 
@@ -246,7 +246,7 @@ def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkey
         batches = list(dissolve(table))
         place = batches[0].placement
         with (
-            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonPlace.of(place, local=False)) as to_globe,
+            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonCoordinates.of(place, local=False)) as to_globe,
             flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
         ):
             for regions in batches:

@@ -139,7 +139,7 @@ def test_no_tiles_at_all(model):
 def test_a_hole_in_known_ground_is_an_error(model):
     relief = _textures(1)
     relief[0, 3, 3] = np.nan
-    with pytest.raises(ValueError, match="holes"):
+    with pytest.raises(ValueError, match="has NaN"):
         classify(_stack(relief), model)
 
 

@@ -251,7 +251,7 @@ def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tm
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.scan.pipeline.drop_older", killed)
+        patch.setattr("bumpymap.scan.pipeline.remove_stale_products", killed)
         with pytest.raises(KeyboardInterrupt):
             scan_frames(config)
     assert (left / "scan.json").exists()
@@ -331,7 +331,7 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
             raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan.frame.sync", full)
+        patch.setattr("bumpymap.layers.scan.frame.sync_to_disk", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == ["Pass `resume=True` to the same command to continue from the finished frames."]

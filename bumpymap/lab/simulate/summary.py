@@ -19,7 +19,7 @@ from bumpymap.lab.simulate.journal import Key
 from bumpymap.lab.simulate.library import FitRide, driven_library, library_ground, library_record
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings
-from bumpymap.rating import MOST_FAILED, Calibration, DrivenTerrain
+from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain
 
 __all__ = ["class_limits", "natural_breaks", "summarise"]
 
@@ -89,7 +89,7 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     BumpymapError
         The vehicle can cross too few of them, or hardly pitches on any.
     """
-    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MOST_FAILED]
+    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MAX_FAILED_SHARE]
     if len(set(crossable)) < len(CLASS_NAMES):
         raise BumpymapError(
             f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "

@@ -1,4 +1,4 @@
-"""The files of a scan run: polygons, clouds, pictures, a table, an accumulated survey."""
+"""Write the files of a scan run: polygons, clouds, pictures, a table of sectors, an accumulated survey."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The folder of a scan run: checked before the long work; what an earlier run left and this one does not write goes."""
+"""The output folder of a scan run: check it before the run, remove stale files of an earlier run afterwards."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,24 +14,48 @@ from bumpymap.core import OutputError, take_away
 from bumpymap.layers.folder import PRODUCT_NAMES, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
-__all__ = ["GATHERED", "MANIFEST", "MAP_FOLDER", "TABLE", "check_scan_folder", "drop_older", "sync", "writing"]
+__all__ = [
+    "ACCUMULATED_NAME",
+    "MAP_FOLDER",
+    "SCAN_MANIFEST_NAME",
+    "SECTOR_TABLE_NAME",
+    "check_scan_folder",
+    "output_errors",
+    "remove_stale_products",
+    "sync_to_disk",
+]
 
-MANIFEST, TABLE, GATHERED, MAP_FOLDER = "scan.json", "sectors.parquet", "gathered.laz", "map"
-_NAMES = (FRAME_FOLDER, TABLE, GATHERED, MAP_FOLDER, MANIFEST)
+SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
+    "scan.json",
+    "sectors.parquet",
+    "gathered.laz",
+    "map",
+)
+_NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
 _SIDE = ("class.tif.aux.xml",)
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
-    """Make sure that the products of a scan run can be written to a folder; create it where it is missing.
+    """Check that the files of a scan run can be written to a folder; create the folder if it is missing.
 
-    With ``unfinished``, products of the run that goes on there may be replaced: it was killed between moving them to
-    their places and clearing up. A product that is a link is replaced itself, what it points to stays.
+    A file that is a symbolic link will be replaced as a link; its target is not touched.
+
+    Parameters
+    ----------
+    folder : Path
+        The output folder.
+    inputs : iterable of Path
+        Input files of this run, which must not be where the output goes.
+    overwrite : bool
+        Allow files of any earlier run to be replaced.
+    unfinished : bool
+        Allow files of the run that is being resumed to be replaced: it may have been killed after it moved them here.
 
     Raises
     ------
     OutputError
-        It cannot be created or written, or it holds products that may not be replaced, or ``inputs`` of this run or
-        files of somebody else where products would go.
+        The folder cannot be created or written, or holds files that must not be replaced: of an earlier run, inputs of
+        this run, or files that no scan run wrote.
     """
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
@@ -48,31 +72,31 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         is_link = (folder / name).is_symlink()
         if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
-    strange = _strange(folder, unfinished=unfinished)
-    if strange:
+    foreign = _foreign_file(folder, unfinished=unfinished)
+    if foreign:
         raise OutputError(
-            f"{strange} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
+            f"{foreign} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
             "or choose another `out`"
         )
 
 
-def drop_older(folder: Path, kept: Sequence[str]) -> None:
-    """Take away the products of an earlier run that this one, which wrote ``kept``, did not replace."""
+def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
+    """Remove the files of an earlier run, except ``kept``, the names that this run has just written."""
     for name in _NAMES:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
             for layer in (*PRODUCT_NAMES, *_SIDE):
                 (folder / name / layer).unlink(missing_ok=True)
-            with suppress(OSError):  # it stays where it holds anything else
+            with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()
         else:
             take_away(folder / name)
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Turn what goes wrong while products are written into an OutputError."""
+def output_errors(folder: Path) -> Iterator[None]:
+    """Convert errors of the libraries that write files into an OutputError."""
     try:
         yield
     except (OSError, lazrs.LazrsError, pa.ArrowException, RasterioError) as error:
@@ -82,17 +106,17 @@ def writing(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def sync(path: Path) -> None:
-    """Make sure that a file is on the disk."""
+def sync_to_disk(path: Path) -> None:
+    """Flush a file to the disk (fsync)."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
-def _strange(folder: Path, *, unfinished: bool) -> Path | None:
-    """Return a file among the frames that no run wrote; their folder itself where no run ended here."""
+def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
+    """Return a file in ``frames`` that no scan run wrote (``frames`` itself if there is no run here), or None."""
     frames = folder / FRAME_FOLDER
     if frames.is_symlink() or not frames.is_dir():
         return None
-    if not (unfinished or (folder / MANIFEST).exists()):
+    if not (unfinished or (folder / SCAN_MANIFEST_NAME).exists()):
         return frames
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)

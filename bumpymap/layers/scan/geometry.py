@@ -1,4 +1,4 @@
-"""The outlines of sectors."""
+"""Compute the outlines of sectors."""
 
 import math
 
@@ -9,14 +9,14 @@ from bumpymap.core import PolarSettings, SectorStack, sector_bounds
 
 __all__ = ["outlines"]
 
-_OFF_M = 0.01
-"""An outline keeps within this of the arc that it stands for."""
+_MAX_DEVIATION_M = 0.01
+"""Largest distance between an arc and the line segments that approximate it."""
 
 
 def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
-    """Return the outline of each sector: (k, 2) x and y, counter-clockwise, first and last vertex alike, m.
+    """Return the outline of each sector: (k, 2) x and y, m, counter-clockwise, last vertex equal to the first.
 
-    Sectors of one zone have vertices at the same azimuths, so that neighbours share theirs.
+    Adjacent sectors of a zone share their vertices.
     """
     bounds = sector_bounds(stack)
     steps = _steps(stack.settings)
@@ -32,7 +32,7 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
 
 
 def _steps(settings: PolarSettings) -> list[int]:
-    """Straight pieces of the arcs of each zone."""
+    """Return the number of line segments per arc in each zone."""
     ends = [*settings.zone_starts_m[1:], settings.end_m]
     pairs = zip(ends, settings.sectors, strict=True)
-    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _OFF_M / end, -1.0))) for end, sectors in pairs]
+    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0))) for end, sectors in pairs]

@@ -1,11 +1,11 @@
-"""scan.json: what went in, with which settings and software, what came out; enough to repeat the run."""
+"""scan.json, the manifest of a scan run: inputs, settings, software versions and files, enough to repeat the run."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from bumpymap.layers.manifest import describe_file, software_versions, write_manifest
-from bumpymap.layers.scan.folder import GATHERED, MANIFEST, TABLE
+from bumpymap.layers.scan.folder import ACCUMULATED_NAME, SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME
 from bumpymap.layers.scan.report import FrameReport
 
 __all__ = ["write_scan_manifest"]
@@ -23,12 +23,16 @@ def write_scan_manifest(
     ----------
     folder : Path
     known : mapping
-        What the run knows: settings, method, skipped frames, seconds. Its entries are kept.
+        The run's own entries: settings, method, skipped frames, seconds. They are kept.
     frames : iterable of FrameReport
     identities : mapping
-        Path of each input to what tells the file from another, see `bumpymap.readers.source.identity`.
+        Identity of each input file by its path, see `bumpymap.readers.source.identity`.
     """
-    files = [describe_file(folder / name) | {"path": name} for name in (TABLE, GATHERED) if (folder / name).exists()]
+    files = [
+        describe_file(folder / name) | {"path": name}
+        for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME)
+        if (folder / name).exists()
+    ]
     record = {
         "format": _FORMAT,
         "version": _VERSION,
@@ -37,4 +41,4 @@ def write_scan_manifest(
         "files": files,
         "frames": [{**frame.record(), "mtime_ns": identities[str(frame.frame.path)]["mtime_ns"]} for frame in frames],
     }
-    write_manifest(record, folder / MANIFEST)
+    write_manifest(record, folder / SCAN_MANIFEST_NAME)

@@ -1,4 +1,4 @@
-"""The frames of a run and what they are called."""
+"""The frames of a scan run and their names."""
 
 import os
 from collections.abc import Sequence
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "spread_out"]
+__all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "sample_evenly"]
 
 FRAME_FOLDER = "frames"
 FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
-"""Ending of what is written of each frame."""
+"""File suffix of each product that is written per frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,21 +20,21 @@ class Frame:
     """One frame of a run, before it is read."""
 
     name: str
-    """Of its files; no other frame of the run has it."""
+    """Stem of its output files, unique in the run."""
     path: Path
     pose: NDArray[np.float64] | None = None
-    """(4, 4) takes the sensor's frame to the world's, m; None where nobody said."""
+    """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
 
 
 def name_frames(paths: Sequence[Path], poses: NDArray[np.float64] | None = None) -> list[Frame]:
-    """Give each frame a name of its own.
+    """Give each frame a unique name.
 
     Returns
     -------
     list of Frame
-        Named by the stems of their files; of one that is no text in the encoding of file names, every byte beyond ASCII
-        becomes ``%`` and two digits (``caf%E9``), since names stand in Parquet and in the names of products. Where two
-        stems are equal (on some disks ``a`` and ``A`` are), every name starts with the frame's number in the run:
+        Named by the stems of their files. In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and
+        two hex digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal
+        (ignoring case, as some file systems do), all names start with the number of the frame in the run:
         ``000000_STEM``, ``000001_STEM``.
     """
     names = [_as_text(path.stem) for path in paths]
@@ -52,8 +52,8 @@ def _as_text(stem: str) -> str:
     return stem
 
 
-def spread_out(frames: Sequence[Frame], most: int) -> list[Frame]:
-    """Return at most so many frames, evenly spread, the first and the last among them."""
+def sample_evenly(frames: Sequence[Frame], most: int) -> list[Frame]:
+    """Return at most ``most`` frames at even intervals, including the first and the last."""
     if len(frames) <= most:
         return list(frames)
     return [frames[place] for place in np.linspace(0, len(frames) - 1, most).round().astype(int)]

@@ -1,4 +1,4 @@
-"""What a run keeps of each finished frame, so that it can go on: all that the files of the drive need of it."""
+"""Checkpoints of a scan run: one file per finished frame, with all that the files of the drive need from it."""
 
 import json
 import zipfile
@@ -13,34 +13,34 @@ from bumpymap.core import atomic, parse_json
 from bumpymap.layers.scan.names import Frame
 from bumpymap.layers.scan.report import FrameReport
 
-__all__ = ["FramePart", "finished_parts", "load_part", "part_path", "save_part"]
+__all__ = ["FramePart", "has_finished_parts", "load_part", "part_path", "save_part"]
 
 
 @dataclass(frozen=True, slots=True)
 class FramePart:
-    """One finished frame."""
+    """What a finished frame adds to the files of the drive."""
 
     report: FrameReport
     rows: pa.Table | None
-    """Of sectors.parquet; None where that is not written."""
+    """Rows for sectors.parquet; None if that is not written."""
     points: NDArray[np.float32]
-    """(n, 3) m, in the frame of the sensor, for gathered.laz; none where that is not written."""
+    """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
     is_ground: NDArray[np.bool_]
-    """(n,) whether they lie in traversable sectors."""
+    """(n,) True for points in traversable sectors."""
 
 
 def part_path(folder: Path, number: int) -> Path:
-    """Where the frame of that number in the run is kept."""
+    """Return the checkpoint file of the frame with that number in the run."""
     return folder / f"frame-{number:06d}.npz"
 
 
-def finished_parts(folder: Path) -> bool:
-    """Whether any frame is kept in a folder."""
+def has_finished_parts(folder: Path) -> bool:
+    """Return whether a folder holds the checkpoint of any frame."""
     return next(folder.glob("frame-*.npz"), None) is not None
 
 
 def save_part(part: FramePart, path: Path) -> None:
-    """Keep a finished frame, whole or not at all."""
+    """Write the checkpoint of a finished frame; the file appears only when it is complete."""
     rows = np.empty(0, np.uint8)
     if part.rows is not None:
         sink = pa.BufferOutputStream()
@@ -53,13 +53,13 @@ def save_part(part: FramePart, path: Path) -> None:
 
 
 def load_part(path: Path, frame: Frame) -> FramePart | None:
-    """Take up a finished frame; None where it was not finished, or what is kept of it is damaged."""
+    """Read the checkpoint of a frame; None if it is missing, damaged or of another frame."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            record = parse_json(kept["report"].tobytes().decode())
-            rows = pa.ipc.open_stream(kept["rows"].tobytes()).read_all() if kept["rows"].size else None
+        with np.load(path, allow_pickle=False) as saved:
+            record = parse_json(saved["report"].tobytes().decode())
+            rows = pa.ipc.open_stream(saved["rows"].tobytes()).read_all() if saved["rows"].size else None
             if record["name"] != frame.name:
                 return None
-            return FramePart(FrameReport.of(frame, record), rows, kept["points"], kept["is_ground"])
+            return FramePart(FrameReport.of(frame, record), rows, saved["points"], saved["is_ground"])
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
         return None

@@ -1,7 +1,7 @@
-"""frames/NAME.png: a scan from above, forward up, sectors and points in the colours of their classes.
+"""Write frames/NAME.png: a scan from above, forward up, sectors and points in the colours of their classes.
 
-The sector of every pixel follows from its distance and azimuth, so sectors, points and range rings are painted in the
-array of pixels. Pillow draws the text and the arrows, with the font that it carries: no font of the machine is used.
+The sector of every pixel follows from its distance and azimuth, so sectors, points and range rings are painted directly
+in the pixel array. Pillow draws text and arrows with its own font, so pictures do not depend on installed fonts.
 """
 
 import math
@@ -13,45 +13,45 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, sector_bounds
-from bumpymap.layers.scan.style import COLOURS, NAMES, looks_of
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SCAN_COLOURS, style_index
 
-__all__ = ["SIDE", "paint", "reach_of", "write_picture"]
+__all__ = ["SIDE", "paint", "scene_radius", "write_picture"]
 
 SIDE = 960
-"""Pixels along a side of the scene."""
+"""Side of the scene, pixels."""
 _PANEL = 300
-"""Pixels of the legend's width, to the right of the scene."""
+"""Width of the legend to the right of the scene, pixels."""
 _PAPER, _INK, _FAINT_INK, _RING = (16, 18, 22), (235, 235, 235), (170, 174, 182), (120, 124, 132)
 _FILL = 0.42
-"""How much of its class colour the area of a sector takes; its points take all of it."""
+"""Opacity of the class colour of a sector; points are opaque."""
 _BORDER = 0.7
-"""How bright it is between two sectors."""
+"""Brightness factor of the border between sectors."""
 _STEPS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 _FEWEST_RINGS = 3
 _ARROW = ((0, -16), (12, 14), (0, 9), (-12, 14))
-"""Corners of the arrow that points forward, pixels to the right and down from the sensor."""
+"""Corners of the forward arrow, pixels right and down from the sensor."""
 _TEXT_PX, _SMALL_PX = 21, 17
-"""Sizes of the letters of names, and of all other text."""
+"""Font sizes of names and of all other text, pixels."""
 _SWATCH_PX = 34
 
 Picture = NDArray[np.uint8]
 
 
 def write_picture(scan: Scan, classed: ClassedSectors, path: Path) -> None:
-    """Write the picture of a scan as PNG."""
+    """Draw a scan and write it as PNG."""
     paint(scan, classed).save(path, "PNG", compress_level=4)
 
 
 def paint(scan: Scan, classed: ClassedSectors) -> Image.Image:
-    """Paint a scan.
+    """Draw a scan.
 
     Returns
     -------
     Image
-        RGB, ``SIDE`` high and wider by the legend. Forward (x) is up, left (y) is left; the sensor is in the middle of
-        the scene.
+        RGB, ``SIDE`` pixels high; the scene is square, with the legend to its right. Forward (x) is up, left (y) is
+        left; the sensor is at the centre of the scene.
     """
-    reach = reach_of(classed.sectors)
+    reach = scene_radius(classed.sectors)
     step = _ring_step(reach)
     picture: Picture = np.full((SIDE, SIDE + _PANEL, 3), _PAPER, np.uint8)
     picture[:, :SIDE] = _scene(scan, classed, reach, step)
@@ -64,7 +64,7 @@ def paint(scan: Scan, classed: ClassedSectors) -> Image.Image:
 
 
 def _scene(scan: Scan, classed: ClassedSectors, reach: float, step: float) -> Picture:
-    """Paint what lies around the sensor, (SIDE, SIDE, 3): sectors, points over them, range rings over both."""
+    """Return the square around the sensor, (SIDE, SIDE, 3): sectors, points over them, range rings over both."""
     scene: Picture = np.full((SIDE, SIDE, 3), _PAPER, np.uint8)
     _paint_sectors(scene, classed, reach)
     _paint_points(scene, scan, classed, reach)
@@ -74,26 +74,26 @@ def _scene(scan: Scan, classed: ClassedSectors, reach: float, step: float) -> Pi
     return scene
 
 
-def reach_of(stack: SectorStack) -> float:
-    """Return how far a picture reaches from the sensor, m: to the end of its farthest sector, or of the first zone."""
+def scene_radius(stack: SectorStack) -> float:
+    """Return the half width of the scene, m: the far end of the farthest sector, at least that of the first zone."""
     first = (*stack.settings.zone_starts_m[1:], stack.settings.end_m)[0]
     return float(sector_bounds(stack).far.max(initial=first))
 
 
 @lru_cache(maxsize=2)
 def _polar_pixels(reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Distance (m) and azimuth (turns, -0.5 to 0.5) of every pixel of the scene."""
+    """Return distance (m) and azimuth (turns, -0.5 to 0.5) of every pixel of the scene."""
     middle = (np.arange(SIDE, dtype=np.float32) + 0.5) * np.float32(2.0 * reach / SIDE) - np.float32(reach)
     forward, left = -middle[:, None], -middle[None, :]
     return np.hypot(forward, left), np.arctan2(left, forward) / np.float32(2.0 * math.pi)
 
 
 def _paint_sectors(scene: Picture, classed: ClassedSectors, reach: float) -> None:
-    """Fill sectors with a shade of their colour, darker where two cells of the grid meet."""
+    """Fill sectors with a shade of their colour, darker at the borders of grid cells."""
     stack, first = classed.sectors, _first_cells(classed.sectors.settings)
     own = first[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone] + stack.sector
     shades = np.full((first[-1] + 1, 3), _PAPER, np.uint8)
-    colours = COLOURS[looks_of(classed.class_id, np.arange(len(own), dtype=np.int32))]
+    colours = SCAN_COLOURS[style_index(classed.class_id, np.arange(len(own), dtype=np.int32))]
     shades[own] = (np.array(_PAPER) + _FILL * (colours - np.array(_PAPER, float))).astype(np.uint8)
     cell = _cells(stack.settings, stack.azimuth_start_rad, reach)
     scene[:] = shades[cell]
@@ -104,12 +104,12 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, reach: float) -> Non
 
 
 def _first_cells(settings: PolarSettings) -> NDArray[np.int64]:
-    """Where the cells of each zone start, when they are counted by zone, ring and sector; then how many there are."""
+    """Return the index of the first cell of each zone (cells in zone, ring, sector order), then the number of cells."""
     return np.concatenate([[0], np.cumsum(np.array(settings.sectors) * settings.rings)])
 
 
 def _cells(settings: PolarSettings, azimuth_start: float, reach: float) -> NDArray[np.int32]:
-    """Cell of the polar grid of every pixel; the number of cells where it is in none."""
+    """Return the index of the grid cell of every pixel; outside the grid, the number of cells."""
     base, sectors = _ring_pixels(settings, reach)
     share = _polar_pixels(reach)[1] - np.float32(azimuth_start / (2.0 * math.pi))
     share -= np.floor(share)
@@ -120,7 +120,7 @@ def _cells(settings: PolarSettings, azimuth_start: float, reach: float) -> NDArr
 
 @lru_cache(maxsize=2)
 def _ring_pixels(settings: PolarSettings, reach: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """First cell of the ring of every pixel, and its number of sectors: 0 outside the grid."""
+    """Return, for every pixel, the first cell of its ring and the ring's number of sectors (0 outside the grid)."""
     distance, _ = _polar_pixels(reach)
     edges = np.array([*settings.zone_starts_m, settings.end_m], np.float32)
     zone = np.searchsorted(edges, distance, side="right") - 1
@@ -134,26 +134,26 @@ def _ring_pixels(settings: PolarSettings, reach: float) -> tuple[NDArray[np.int3
 
 
 def _paint_points(scene: Picture, scan: Scan, classed: ClassedSectors, reach: float) -> None:
-    """Paint points, those without a sector first, rougher ones over smoother ones."""
-    style = looks_of(classed.class_id, classed.sectors.point_sector)
+    """Paint points: those without a sector first, then from smooth to rough."""
+    styles = style_index(classed.class_id, classed.sectors.point_sector)
     with np.errstate(over="ignore"):
         place = np.floor((reach - scan.points[:, :2].astype(np.float64)) * (SIDE / (2.0 * reach)))
     inside = ((place >= 0) & (place < SIDE)).all(axis=1)
     row, column = place[inside].astype(np.int64).T
-    style = style[inside]
-    for look in (len(COLOURS) - 1, *range(len(COLOURS) - 1)):
-        chosen = style == look
-        scene[row[chosen], column[chosen]] = COLOURS[look]
+    styles = styles[inside]
+    for style in (len(SCAN_COLOURS) - 1, *range(len(SCAN_COLOURS) - 1)):
+        chosen = styles == style
+        scene[row[chosen], column[chosen]] = SCAN_COLOURS[style]
 
 
 def _ring_step(reach: float) -> float:
-    """Return the distance between range rings, m: at least three of them."""
+    """Return the distance between range rings, m, so that at least three fit."""
     return max((step for step in _STEPS_M if step * _FEWEST_RINGS <= reach), default=reach)
 
 
 @lru_cache(maxsize=2)
 def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Pixels of the range rings, and how much of their colour they take."""
+    """Return the pixels of the range rings and the opacity of the ring in each."""
     distance = _polar_pixels(reach)[0].reshape(-1)
     off = np.abs(distance - step * np.maximum(np.rint(distance / np.float32(step)), 1.0)) * np.float32(SIDE / 2 / reach)
     place = np.flatnonzero(off < 1.2)
@@ -161,16 +161,16 @@ def _ring_lines(reach: float, step: float) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _draw_distances(draw: ImageDraw.ImageDraw, reach: float, step: float) -> None:
-    """Write the distance of each range ring, dark around the letters: they lie over sectors and points."""
+    """Label each range ring with its distance; a dark outline keeps labels readable over sectors and points."""
     for number in range(1, int(reach / step + 1e-6) + 1):
-        # On the diagonal, forward and to the right, where neither the arrow nor the edge is in the way.
+        # On the diagonal, forward and to the right, clear of the arrow and of the picture's edge.
         out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
         corner = (SIDE / 2 + out + 4, SIDE / 2 - out)
         draw.text(corner, f"{number * step:g} m", _INK, _font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
 
 
 def _draw_arrow(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
-    """Draw the arrow that points forward; the sensor is there."""
+    """Draw the forward arrow at the position of the sensor."""
     draw.polygon([(column + right, row + down) for right, down in _ARROW], _INK, _PAPER)
 
 
@@ -182,10 +182,10 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     outside = int((stack.point_sector < 0).sum())
     left, row = SIDE + 16, 40
     text = left + _SWATCH_PX + 14
-    for look, name in enumerate(NAMES):
-        draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(COLOURS[look].tolist()))
+    for style, name in enumerate(SCAN_CLASS_NAMES):
+        draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(SCAN_COLOURS[style].tolist()))
         draw.text((text, row + 7), name, _INK, _font(_TEXT_PX), "lm")
-        count = f"{outside:,} points" if look > CLASSES else f"{sectors[look]:,} sectors"
+        count = f"{outside:,} points" if style > CLASSES else f"{sectors[style]:,} sectors"
         draw.text((text, row + 30), count, _FAINT_INK, _font(_SMALL_PX), "lm")
         row += 56
     row += 30
@@ -199,7 +199,7 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
 
 @lru_cache(maxsize=2)
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return the font that Pillow carries, laid out by Pillow itself: the same pixels on every machine."""
+    """Return Pillow's own font with Pillow's own layout engine, so that pixels are the same on every machine."""
     font = ImageFont.load_default(size)
     if not isinstance(font, ImageFont.FreeTypeFont):
         raise TypeError("this Pillow was built without FreeType")

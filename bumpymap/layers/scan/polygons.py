@@ -1,4 +1,4 @@
-"""frames/NAME.json: the sectors of a scan as polygons, in the structure of GeoJSON."""
+"""Write frames/NAME.json: the sectors of a scan as polygons, in the structure of GeoJSON."""
 
 import json
 import math
@@ -9,7 +9,7 @@ import numpy as np
 
 from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors
 from bumpymap.layers.scan.geometry import outlines
-from bumpymap.layers.scan.style import NAMES, looks_of
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, style_index
 
 __all__ = ["write_polygons"]
 
@@ -20,7 +20,7 @@ _PLACE = (
 
 
 def write_polygons(name: str, classed: ClassedSectors, path: Path) -> None:
-    """Write the sectors of the frame ``name``, in the order of their stack; coordinates to the millimetre."""
+    """Write the sectors of the frame ``name`` in the order of the stack, with coordinates rounded to 1 mm."""
     stack = classed.sectors
     record = {
         "type": "FeatureCollection",
@@ -44,14 +44,14 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
     stack = classed.sectors
     count = len(stack.zone)
     stripes = [None] * count if classed.stripes is None else classed.stripes.tolist()
-    style = looks_of(classed.class_id, np.arange(count, dtype=np.int32))
+    styles = style_index(classed.class_id, np.arange(count, dtype=np.int32))
     columns: dict[str, list[Any]] = {
         "zone": stack.zone.tolist(),
         "ring": stack.ring.tolist(),
         "sector": stack.sector.tolist(),
         "points": stack.count.tolist(),
         "class": [None if class_id == NOT_TRAVERSABLE else class_id for class_id in classed.class_id.tolist()],
-        "class_name": [NAMES[look] for look in style],
+        "class_name": [SCAN_CLASS_NAMES[style] for style in styles],
         "traversable": stack.traversable.tolist(),
         "stripes": [_number(value) for value in stripes],
         "normal": [[_number(part) for part in normal] for normal in stack.normal.tolist()],
@@ -64,5 +64,5 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
 
 
 def _number(value: float | None) -> float | None:
-    """Give as many digits as a float32 has; JSON has no NaN."""
+    """Round to the seven digits of a float32; NaN becomes None, since JSON has no NaN."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")

@@ -1,4 +1,4 @@
-"""What is known of a frame after it was classed: for scan.json, and for whoever reads the summary."""
+"""Counts of a classed frame, for scan.json and for the printed summary."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -9,35 +9,35 @@ import numpy as np
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.layers.manifest import describe_input
 from bumpymap.layers.scan.names import Frame
-from bumpymap.layers.scan.style import NAMES
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES
 
-__all__ = ["FrameReport", "report_frame", "why_empty"]
+__all__ = ["FrameReport", "explain_empty_scan", "report_frame"]
 
 
 @dataclass(frozen=True, slots=True)
 class FrameReport:
-    """One frame in a few numbers."""
+    """The file of a frame, and numbers of its points and sectors."""
 
     frame: Frame
     bytes: int
-    """Of its file."""
+    """Size of its file."""
     sha256: str
     points: int
-    """That were kept."""
+    """Points that were kept."""
     dropped: Dropped
-    """Returns that were not."""
+    """Returns that were dropped, by reason."""
     azimuth_start_rad: float
     """Where sector 0 of every zone starts."""
     sectors: tuple[int, ...]
-    """(4,) of class 0 to 2, then not traversable."""
+    """(4,) sectors of class 0 to 2, then not traversable."""
     classed_points: tuple[int, ...]
-    """(4,) points of class 0 to 2, then in no class."""
+    """(4,) points of class 0 to 2, then of no class."""
     seconds: float
-    """From the file to classed sectors."""
+    """Wall time from reading the file to classed sectors."""
 
     @classmethod
     def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
-        """Take up what `record` said."""
+        """Restore a report from its `record`."""
         return cls(
             frame,
             record["bytes"],
@@ -51,8 +51,8 @@ class FrameReport:
         )
 
     def record(self) -> dict[str, Any]:
-        """Say it as scan.json does."""
-        names = [*NAMES[:CLASSES], "not traversable"]
+        """Return the entry of the frame in scan.json."""
+        names = [*SCAN_CLASS_NAMES[:CLASSES], "not traversable"]
         return {
             "name": self.frame.name,
             "path": str(self.frame.path),
@@ -63,7 +63,7 @@ class FrameReport:
             "dropped": asdict(self.dropped),
             "azimuth_start_rad": self.azimuth_start_rad,
             "sectors": dict(zip(names, self.sectors, strict=True)),
-            "points_by_class": dict(zip([*NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
+            "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
             "seconds": self.seconds,
         }
 
@@ -85,7 +85,7 @@ def report_frame(
     Raises
     ------
     BadInputError
-        Its file is gone, or is another one by now.
+        The file is missing, or has changed since it was read.
     """
     sectors, points = (
         tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
@@ -106,8 +106,8 @@ def report_frame(
     )
 
 
-def why_empty(scan: Scan, classed: ClassedSectors) -> str:
-    """Say why a scan has no sector, or none that is traversable; nothing where it has."""
+def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
+    """Explain why a scan has no sectors or no traversable ones; return an empty string if it has."""
     stack, settings = classed.sectors, classed.sectors.settings
     if len(stack.zone):
         if stack.traversable.any():

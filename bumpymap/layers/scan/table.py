@@ -1,4 +1,4 @@
-"""sectors.parquet: one row a sector, of all the frames of a run."""
+"""Write sectors.parquet: one row per sector, for all frames of a run."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 
 _ROW_GROUP = 65_536
-"""Rows that wait in memory until they are written."""
+"""Rows that are buffered before a row group is written."""
 COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("frame", pa.string(), "", "name of the frame"),
     ("zone", pa.int16(), "", "zone of the polar grid, 0 is the innermost"),
@@ -40,7 +40,7 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
 
 
 class SectorTable:
-    """Takes frame after frame; holds a row group at most."""
+    """Writer of sectors.parquet; buffers about one row group in memory."""
 
     def __init__(self, writer: pq.ParquetWriter) -> None:
         self._writer = writer
@@ -51,13 +51,13 @@ class SectorTable:
         self.add_rows(sector_rows(name, classed))
 
     def add_rows(self, rows: pa.Table) -> None:
-        """Append what `sector_rows` gave."""
+        """Append rows from `sector_rows`."""
         self._waiting.append(rows)
         if sum(part.num_rows for part in self._waiting) >= _ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that wait."""
+        """Write the buffered rows."""
         if self._waiting:
             self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * _ROW_GROUP)
             self._waiting.clear()
@@ -88,7 +88,7 @@ def _schema() -> pa.Schema:
 
 
 def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
-    """Give the rows of a frame."""
+    """Return the rows of a frame."""
     stack, bounds = classed.sectors, sector_bounds(classed.sectors)
     count = len(stack.zone)
     columns: dict[str, Any] = {
@@ -106,5 +106,5 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
 
 
 def _array(values: Any, field: pa.Field) -> pa.Array:
-    """Give an array of the field's type in which NaN is null."""
+    """Return an array of the field's type in which NaN is null."""
     return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)

@@ -1,4 +1,4 @@
-"""Which points are ground, where the survey does not say."""
+"""Find the ground points of a survey without ground classification."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What lets a cloth fall on points; called in a process of its own, see `bumpymap.patches.ground.cloth`."""
+"""Run the cloth simulation filter; called in a child process, see `bumpymap.patches.ground.cloth`."""
 
 import numpy as np
 
@@ -20,9 +20,9 @@ def mark_ground(
     cloth_resolution, class_threshold, rigidness, slope_smooth
         As in ``CsfSettings``.
     points : float64 (n, 3)
-        Bytes of their coordinates, m.
+        Buffer of the coordinates, m.
     marks : uint8 (n,)
-        Is given 1 where a point is ground, else 0.
+        Output buffer: 1 for ground, else 0.
     """
     import CSF
 
@@ -31,7 +31,7 @@ def mark_ground(
     cloth.params.rigidness, cloth.params.bSloopSmooth = rigidness, slope_smooth
     cloth.setPointCloud(np.frombuffer(points, np.float64).reshape(-1, 3))
     ground, others = CSF.VecInt(), CSF.VecInt()
-    cloth.do_filtering(ground, others, False)  # the cloth itself goes to no file
+    cloth.do_filtering(ground, others, False)  # False: do not write the cloth to a file
     found = np.frombuffer(marks, np.uint8)
     found[:] = 0
     found[np.asarray(ground, np.int64)] = 1

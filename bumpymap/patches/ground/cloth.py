@@ -1,9 +1,10 @@
-"""The cloth simulation filter (Zhang et al. 2016), as its authors publish it: package ``cloth-simulation-filter``.
+"""Mark ground points with the cloth simulation filter (Zhang et al. 2016), package ``cloth-simulation-filter``.
 
-The points are turned upside down and a cloth falls on them; what lies close to it is ground. The filter works in
-processes of its own, for three reasons, all of them measured. With more than one thread it gives other marks each time,
-and how many it takes is read from the environment once, where its library is loaded; so the environment is made for it.
-It writes to standard output, where the summary of a run belongs. And it holds the interpreter's lock.
+The filter turns the points upside down and drops a simulated cloth on them; points close to the cloth are ground. It
+runs in child processes for three reasons, all observed. With more than one thread its result differs from run to run,
+and it reads the number of threads from the environment once, when its library is loaded, so a child gets its own
+environment. It prints to standard output, which is reserved for the summary of a run. And it does not release the
+global interpreter lock.
 """
 
 import importlib.util
@@ -21,16 +22,16 @@ from bumpytiles import BLOCK_TILES, Grid, TilePoints
 __all__ = ["close_filter", "filter_version", "mark_ground", "require_filter"]
 
 _PACKAGE = "cloth-simulation-filter"
-_MOST_MESHES = 500
-"""Meshes of the cloth along a side of a block: a quarter of a million take 100 MB."""
+_MAX_CLOTH_CELLS = 500
+"""Most cells of the cloth along a side of a block: a quarter of a million cells take 100 MB."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 _idle: list[Child] = []
-"""Processes that wait for the next block; each thread that works takes one."""
+"""Child processes that are ready for the next block; each worker thread takes one."""
 
 
 def filter_version() -> dict[str, str]:
-    """Give the version of the filter by its name; nothing where it is not installed."""
+    """Return the name and version of the filter's package; empty if it is not installed."""
     try:
         return {_PACKAGE: version(_PACKAGE)}
     except PackageNotFoundError:
@@ -38,12 +39,12 @@ def filter_version() -> dict[str, str]:
 
 
 def require_filter(settings: CsfSettings, grid: Grid) -> None:
-    """Check that the filter is there, and that its cloth can cover a block.
+    """Check that the filter is installed, and that its cloth does not become too fine for a block.
 
     Raises
     ------
     UsageError
-        It is not installed, or the meshes of the cloth are too small for such tiles.
+        The filter is not installed, or ``cloth_resolution`` is too small for tiles of this size.
     """
     if importlib.util.find_spec("CSF") is None:
         raise UsageError(
@@ -51,36 +52,37 @@ def require_filter(settings: CsfSettings, grid: Grid) -> None:
             "Install it: pip install 'bumpymap[csf]'"
         )
     side = grid.tile_size * BLOCK_TILES
-    if side > _MOST_MESHES * settings.cloth_resolution:
+    if side > _MAX_CLOTH_CELLS * settings.cloth_resolution:
         raise UsageError(
             f"cloth_resolution is {settings.cloth_resolution:g} m; for tiles of {grid.tile_size:g} m, whose blocks are "
-            f"{side:g} m wide, it must be at least {side / _MOST_MESHES:g} m. Raise cloth_resolution in [csf]"
+            f"{side:g} m wide, it must be at least {side / _MAX_CLOTH_CELLS:g} m. Raise cloth_resolution in [csf]"
         )
 
 
 def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
-    """Tell which points of a whole block are ground.
+    """Mark the ground points of a block.
 
     Parameters
     ----------
     points : TilePoints
-        All points of one block, (n,), in their canonical order.
+        All n points of one block, in canonical order.
     settings : CsfSettings
 
     Returns
     -------
     bool (n,)
+        True for ground.
 
     Raises
     ------
     UsageError
-        The filter's process cannot be started, or died.
+        The child process cannot be started, or died.
     """
     side = points.grid.tile_size * BLOCK_TILES
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))
     count = len(points.upward)
     coordinates, marks = take_memory(24 * count), take_memory(count)
-    # From the block's own corner: the filter must not meet coordinates of millions of metres.
+    # Relative to the block's corner: the filter loses precision with coordinates of millions of metres.
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
     np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
     try:
@@ -99,8 +101,8 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     except ChildDiedError as error:
         child.close()
         raise UsageError(
-            f"the process of the cloth simulation filter {error}. For want of memory: lower `memory` or `threads`. "
-            f"Else see whether it is installed as it should be: {sys.executable} -c 'import CSF'"
+            f"the process of the cloth simulation filter {error}. If memory ran out, lower `memory` or `threads`; "
+            f"otherwise check that the filter can be imported: {sys.executable} -c 'import CSF'"
         ) from error
     except BaseException:
         child.close()
@@ -110,14 +112,14 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
 
 
 def close_filter() -> None:
-    """End the processes of the filter; the next block starts another."""
+    """Stop the child processes of the filter; the next block starts a new one."""
     while _idle:
         _idle.pop().close()
     free_memory()
 
 
 def _start() -> Child:
-    # Without site-packages as a whole: what people put there is run at every start.
+    # Only these folders, not all of site-packages: .pth files there run code at every start.
     folders = [folder_of("CSF"), folder_of("numpy"), str(Path(__file__).parent)]
     return Child("for the cloth simulation filter", "_cloth_child", folders, _ONE_THREAD)
 

@@ -1,4 +1,4 @@
-"""The ride model: geometry rolls the vehicle over a patch, a calibration corrects what geometry leaves out."""
+"""The ride model: roll the vehicle's geometry over a patch, then correct the result with a calibration."""
 
 import lazy_loader
 

@@ -1,13 +1,13 @@
-"""Correct the geometric C_r to what the simulation measures: a few numbers, their spread, and p_fail.
+"""Predict the C_r and p_fail that the simulation measures from the geometric C_r, with few coefficients.
 
-- ln C_r = quadratic in ln g + terms of slope, unevenness and the way between bumps (pitch over its change per metre: a
-  suspension hides short bumps), g the geometric C_r. Below the calibrated range C_r is
-  proportional to g: a small motion is linear in the ground.
-- Its spread is log-normal, with a standard deviation that changes with g: what geometry leaves out.
-- Noise adds to it: by how much the ground under a noisy heightmap was rougher or smoother than the cleaned one, as
-  quantiles over the *excess* (ln of what wheels would have felt with the noise over without it) and the points a pixel.
-  Ground that seems smoother than a tenth of its noise counts as a tenth of it: nobody can tell.
-- p_fail is logistic in the ln of g, of pitch, twist and unevenness, the belly's reach, and the slope.
+- ln C_r is a quadratic in ln g, g being the geometric C_r, plus terms of the slope, the unevenness and the distance
+  between bumps (pitch over its change per metre, because a suspension hides short bumps). Below the calibrated range,
+  C_r is proportional to g: small motions are linear in the ground.
+- The error of this prediction is log-normal, with a standard deviation that depends on g.
+- Survey noise shifts and widens it: tables hold quantiles of how much rougher or smoother the true ground was than the
+  denoised heightmap, over the *excess* (ln of the C_r with the noise over that without it) and the points per pixel.
+  A geometric C_r below a tenth of its noise cannot be distinguished from it and is raised to that tenth.
+- p_fail is a logistic regression on the logarithms of g, pitch, twist and unevenness, the belly reach, and the slope.
 """
 
 from collections.abc import Mapping
@@ -26,63 +26,61 @@ Floats = NDArray[np.float64]
 TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""
 NORMAL_TAIL = 1.2815515655446004
-"""That quantile of the standard normal, without its sign."""
-_LEAST = 1e-5
-"""Geometric C_r below this is rounding, rad/m."""
-_LEAST_OF_NOISE = 0.1
-"""Geometric C_r below this share of what the noise would make cannot be told from it."""
-
-
+"""Absolute value of the standard normal quantile at ``TAIL``."""
+_MIN_C_R = 1e-5
+"""Smallest geometric C_r, rad/m; values below it are rounding errors."""
+_MIN_NOISE_SHARE = 0.1
+"""Smallest geometric C_r as a share of the C_r that the noise alone would cause."""
 _C_R_TERMS, _FAIL_TERMS = 6, 8
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """The C_r of n patches as a log-normal distribution with a side each, and p_fail."""
+    """The C_r of n patches, a log-normal distribution with its own width below and above the median, and p_fail."""
 
     log_c_r: Floats
     """(n,) median of ln C_r (rad/m)."""
     below: Floats
-    """(n,) standard deviation of ln C_r on the lower side."""
+    """(n,) standard deviation of ln C_r below the median."""
     above: Floats
-    """(n,) the same on the upper side."""
+    """(n,) standard deviation of ln C_r above the median."""
     p_fail: Floats
     """(n,) 0..1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The correction of the ride model, fitted to the drives of a calibration."""
+    """Coefficients that turn geometric values into predictions, fitted to the drives of a calibration."""
 
     log_range: tuple[float, float]
-    """ln g of the ground that was driven: lowest and highest."""
+    """Lowest and highest ln g of the driven patches."""
     c_r: tuple[float, ...]
     """Coefficients of `ride_features`."""
     spread: tuple[float, float]
-    """ln of the standard deviation of ln C_r: at the lowest and the highest ln g, straight between."""
+    """ln of the standard deviation of ln C_r at the lowest and the highest ln g; linear in between."""
     fail: tuple[float, ...]
     """Coefficients of `fail_features`, in logits."""
     excess: tuple[float, ...]
-    """Noise excess at which the three quantiles that follow are known, rising from 0."""
+    """Columns of the noise tables: noise excess, increasing from 0."""
     pixel_points: tuple[float, ...]
-    """Mean points a pixel at which they are known, rising."""
+    """Rows of the noise tables: mean points per pixel, increasing."""
     noise_low: tuple[tuple[float, ...], ...]
-    """10 % quantile of ln (C_r of the ground / C_r of the cleaned patch): ``[pixel_points][excess]``."""
+    """10 % quantile of ln (C_r of the true ground / C_r of the denoised patch), ``[pixel_points][excess]``."""
     noise_middle: tuple[tuple[float, ...], ...]
-    """Median."""
+    """Median of the same."""
     noise_high: tuple[tuple[float, ...], ...]
-    """90 % quantile."""
+    """90 % quantile of the same."""
     origin: dict[str, Any]
-    """What it was fitted to, and how well."""
+    """The data of the fit, and its errors."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Correction":
-        """Read what `to_record` gave.
+        """Read the mapping that `to_record` returned.
 
         Raises
         ------
         BadInputError
-            Something is missing or of another length.
+            A value is missing or has the wrong length.
         """
         try:
             values = {f.name: record[f.name] for f in fields(cls)}
@@ -101,7 +99,7 @@ class Correction:
             raise ValueError(f"{len(self.c_r)} and {len(self.fail)} coefficients, not {_C_R_TERMS} and {_FAIL_TERMS}")
 
     def to_record(self) -> dict[str, Any]:
-        """Return plain numbers for JSON."""
+        """Return the coefficients as plain numbers for JSON."""
         return {key: _lists(value) for key, value in asdict(self).items()}
 
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
@@ -110,13 +108,13 @@ class Correction:
         Parameters
         ----------
         rides : Rides
-            Of n patches without noise.
+            Geometric values of n denoised patches.
         slope_deg : array (n,)
             Slope of the patch's plane, degrees.
         noise_felt : array (n,)
-            Of `CleanPatches`, rad/m; NaN, noise unknown, counts as the largest excess that was seen.
+            Of `CleanPatches`, rad/m. NaN (noise unknown) counts as the largest excess of the tables.
         pixel_points : array (n,)
-            Mean points a pixel.
+            Mean points per pixel.
         """
         g, excess = subtract_noise(rides.pitch_change, noise_felt)
         log_g = np.log(g)
@@ -126,7 +124,8 @@ class Correction:
         log_c_r = features @ np.array(self.c_r) + (log_g - inside)
         sd = np.exp(np.interp(log_g, (low, high), self.spread))
         shift, down, up = (
-            self._read(table, excess, pixel_points) for table in (self.noise_middle, self.noise_low, self.noise_high)
+            self._interpolate(table, excess, pixel_points)
+            for table in (self.noise_middle, self.noise_low, self.noise_high)
         )
         return Prediction(
             log_c_r=log_c_r + shift,
@@ -135,25 +134,25 @@ class Correction:
             p_fail=1 / (1 + np.exp(-np.clip(fail_features(rides, slope_deg) @ np.array(self.fail), -40, 40))),
         )
 
-    def _read(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
-        """Read a noise table: straight between its knots, the nearest knot beyond them."""
-        seen = np.where(np.isnan(excess), self.excess[-1], excess)
-        rows = np.stack([np.interp(seen, self.excess, row) for row in table])
+    def _interpolate(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
+        """Interpolate a noise table linearly; beyond its ends, use the nearest entry."""
+        known = np.where(np.isnan(excess), self.excess[-1], excess)
+        rows = np.stack([np.interp(known, self.excess, row) for row in table])
         knots = np.log(self.pixel_points)
         place = np.interp(np.log(np.maximum(pixel_points, 1e-9)), knots, np.arange(len(knots)))
         low = np.minimum(place.astype(np.int64), len(knots) - 2)
         part = place - low
-        each = np.arange(len(seen))
+        each = np.arange(len(known))
         value: Floats = rows[low, each] * (1 - part) + rows[low + 1, each] * part
         return value
 
 
 def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
-    """Return the geometric C_r that exceeds the noise [rad/m], and the excess: ln of C_r with the noise over without.
+    """Return the geometric C_r, at least ``_MIN_NOISE_SHARE`` of that of the noise [rad/m], and the noise excess.
 
-    Both (n,); where the noise is unknown (NaN), the excess is too.
+    Both are (n,). The excess is ln (C_r with the noise / C_r without it), NaN where the noise is unknown.
     """
-    g = np.maximum(pitch_change, np.maximum(_LEAST_OF_NOISE * np.nan_to_num(noise_felt), _LEAST))
+    g = np.maximum(pitch_change, np.maximum(_MIN_NOISE_SHARE * np.nan_to_num(noise_felt), _MIN_C_R))
     return g, 0.5 * np.log1p((noise_felt / g) ** 2)
 
 
@@ -166,7 +165,7 @@ def _lists(value: Any) -> Any:
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
-    """Terms of ln C_r, (n, 6): 1, ln g, its square, tangent of the slope, unevenness, ln of the way between bumps."""
+    """Return the terms of ln C_r, (n, 6): 1, ln g, (ln g)^2, tan slope, unevenness, ln of the bump distance."""
     return np.stack(
         [
             np.ones(len(log_g)),
@@ -174,21 +173,21 @@ def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
             log_g**2,
             np.tan(np.radians(slope_deg)),
             _unevenness(rides),
-            np.log(np.maximum(rides.pitch, _LEAST) / np.maximum(rides.pitch_change, _LEAST)),
+            np.log(np.maximum(rides.pitch, _MIN_C_R) / np.maximum(rides.pitch_change, _MIN_C_R)),
         ],
         axis=1,
     )
 
 
 def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
-    """Terms of the logit of p_fail, (n, 8)."""
+    """Return the terms of the logit of p_fail, (n, 8)."""
     tangent = np.tan(np.radians(np.minimum(slope_deg, 80.0)))
     return np.stack(
         [
             np.ones(len(tangent)),
-            np.log(np.maximum(rides.pitch_change, _LEAST)),
-            np.log(np.maximum(rides.pitch, _LEAST)),
-            np.log(np.maximum(rides.twist, _LEAST)),
+            np.log(np.maximum(rides.pitch_change, _MIN_C_R)),
+            np.log(np.maximum(rides.pitch, _MIN_C_R)),
+            np.log(np.maximum(rides.twist, _MIN_C_R)),
             _unevenness(rides),
             np.minimum(rides.belly_reach, 3.0),
             tangent,
@@ -199,7 +198,7 @@ def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
 
 
 def _unevenness(rides: Rides) -> Floats:
-    """Ln of the root mean square of the pitch change over its mean: 0.23 where it is normal, more for single bumps."""
-    size = np.maximum(rides.pitch_change, _LEAST)
+    """Return ln (RMS of the pitch change / its mean): 0.23 for a normal distribution, more for single bumps."""
+    size = np.maximum(rides.pitch_change, _MIN_C_R)
     uneven: Floats = np.log(np.maximum(rides.pitch_change_rms, size) / size)
     return uneven

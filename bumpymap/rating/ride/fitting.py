@@ -1,4 +1,4 @@
-"""Fit the correction of the ride model to drives: the last step of a calibration."""
+"""Fit the correction of the ride model to simulated drives, the last step of a calibration."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,72 +10,72 @@ from bumpymap.core import BumpymapError
 from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Correction, fail_features, ride_features
 from bumpymap.rating.ride.geometry import Rides
 
-__all__ = ["MOST_FAILED", "DrivenPatches", "NoisyPatches", "fit_correction"]
+__all__ = ["MAX_FAILED_SHARE", "DrivenPatches", "NoisyPatches", "fit_correction"]
 
 Floats = NDArray[np.float64]
 _Table = tuple[tuple[float, ...], ...]
 
-MOST_FAILED = 0.25
-"""C_r of a patch on which more drives failed is that of the survivors: it does not count."""
-_LEAST_PATCHES = 20
+MAX_FAILED_SHARE = 0.25
+"""Largest share of failed drives at which the C_r of a patch is used: with more, only survivors would count."""
+_MIN_PATCHES = 20
 _RIDGE = 1e-3
 _FAIL_RIDGE = 0.3
-_ROBUST = 2.5
-"""Residuals beyond so many standard deviations count less (Huber)."""
+_HUBER = 2.5
+"""Standard deviations beyond which residuals get less weight (Huber)."""
 _EXCESS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.1, 1.6, 2.3)
 _PIXEL_POINTS = (0.7, 1.0, 2.0, 4.0, 12.0, 40.0)
-_LEAST_EXCESS = 0.003
-"""Excess below this is as good as none."""
-_LEAST_NOISY = 120
-"""Patches that a quantile of the noise tables rests on."""
+_MIN_EXCESS = 0.003
+"""Excess below this is treated as equal to it."""
+_MIN_NOISY = 120
+"""Fewest patches that a quantile of the noise tables is computed from."""
 _VALIDATION_ERROR = 0.045
-"""Standard error of ln C_r of a patch as it is validated: intervals are about such means."""
+"""Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 
 
 @dataclass(frozen=True, slots=True)
 class DrivenPatches:
-    """Patches that were driven."""
+    """Patches that were driven in the simulation."""
 
     rides: Rides
-    """(n,) what geometry says."""
+    """(n,) geometric values."""
     slope_deg: Floats
-    """(n,)."""
+    """(n,) slope of the patch's plane, degrees."""
     c_r: Floats
     """(n,) mean over the completed drives, rad/m; NaN where there are fewer than two."""
     error: Floats
     """(n,) standard error of that mean, rad/m."""
     completed: NDArray[np.int64]
-    """(n,) drives."""
+    """(n,) number of completed drives."""
     failed: NDArray[np.int64]
-    """(n,) drives."""
+    """(n,) number of failed drives."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoisyPatches:
-    """Patches that were surveyed with noise."""
+    """Patches that were surveyed with simulated noise."""
 
     excess: Floats
-    """(n,) of `subtract_noise`."""
+    """(n,) noise excess from `subtract_noise`."""
     pixel_points: Floats
-    """(n,) mean points a pixel."""
+    """(n,) mean points per pixel."""
     error: Floats
-    """(n,) ln (geometric C_r of the ground itself / that which could be told of the cleaned patch)."""
+    """(n,) ln (geometric C_r of the true ground / that of the denoised patch, from `subtract_noise`)."""
 
 
 def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
-    """Fit the correction.
+    """Fit the coefficients of C_r, its spread, p_fail and the noise tables.
 
     Raises
     ------
     BumpymapError
-        Too few patches were driven to the end.
+        The drives were completed on too few patches.
     """
     share = driven.failed / (driven.failed + driven.completed)
-    good = (share <= MOST_FAILED) & (driven.completed >= 2) & (driven.c_r > 0) & (driven.error > 0)
-    if int(good.sum()) < _LEAST_PATCHES:
+    good = (share <= MAX_FAILED_SHARE) & (driven.completed >= 2) & (driven.c_r > 0) & (driven.error > 0)
+    if int(good.sum()) < _MIN_PATCHES:
         raise BumpymapError(
             f"the vehicle completed its drives on {int(good.sum())} of {len(good)} terrains; a ride model needs "
-            f"{_LEAST_PATCHES} at least. Look for a wrong number in its profile (bumpymap calibrate --check), or drive "
+            f"at least {_MIN_PATCHES}. Look for a wrong number in its profile (bumpymap calibrate --check), or drive "
             "more terrains"
         )
     log_g = np.log(driven.rides.pitch_change[good])
@@ -83,10 +83,10 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     target, error = np.log(driven.c_r[good]), driven.error[good] / driven.c_r[good]
     log_range = (float(log_g.min()), float(log_g.max()))
     coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
-    # What a fit of all leaves out of each: the honest error.
-    left_out = _cross_validated(features, target, error, log_g, log_range)
-    doubt = error * _student(driven.completed[good])
-    spread = _held(spread, target - left_out, doubt, log_g, log_range)
+    # The residuals of a fit understate its error, so the intervals are based on cross-validation.
+    predicted = _cross_validate(features, target, error, log_g, log_range)
+    mean_error = error * _student_factor(driven.completed[good])
+    spread = _calibrate_spread(spread, target - predicted, mean_error, log_g, log_range)
     fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
     low, middle, high = _noise_tables(noisy)
     return Correction(
@@ -99,7 +99,7 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
         noise_low=low,
         noise_middle=middle,
         noise_high=high,
-        origin=_report(left_out, target, error, driven),
+        origin=_report(predicted, target, error, driven),
     )
 
 
@@ -111,7 +111,7 @@ def _features(driven: DrivenPatches, good: NDArray[np.bool_], log_g: Floats) -> 
 def _fit_c_r(
     features: Floats, target: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[Floats, tuple[float, float]]:
-    """Coefficients and spread by turns: the spread weighs the patches, the residuals give the spread."""
+    """Fit coefficients and spread in turns: the spread weights the patches, the residuals determine the spread."""
     spread = (np.log(0.08), np.log(0.08))
     coefficients = np.zeros(features.shape[1])
     huber = np.ones(len(target))
@@ -124,7 +124,7 @@ def _fit_c_r(
         coefficients = np.linalg.solve(system, (features * weight[:, None]).T @ target / weight.sum())
         residual = target - features @ coefficients
         size = np.abs(residual) / np.sqrt(variance)
-        huber = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9))
+        huber = np.minimum(1.0, _HUBER / np.maximum(size, 1e-9))
         spread = _fit_spread(residual, error, log_g, log_range)
     return coefficients, spread
 
@@ -132,47 +132,47 @@ def _fit_c_r(
 def _fit_spread(
     residual: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[float, float]:  # fmt: skip
-    """Likeliest standard deviation beside the drives' own error: ln of it at both ends of the range, on a grid."""
+    """Find the most likely spread besides the drives' own error: ln of it at both ends of the range, on a grid."""
     ends = np.log(np.geomspace(0.01, 0.6, 40))
     place = (log_g - log_range[0]) / (log_range[1] - log_range[0])
     best, found = np.inf, (ends[0], ends[0])
     for low in ends:
         for high in ends:
             variance = np.exp(2 * (low + (high - low) * place)) + error**2
-            # A Student distribution with five degrees of freedom: a few patches are stranger than a normal one allows.
+            # Student's t with five degrees of freedom: there are more outliers than a normal distribution has.
             score = float(np.sum(np.log(variance) / 2 + 3 * np.log1p(residual**2 / (5 * variance))))
             if score < best:
                 best, found = score, (low, high)
-    # The Student's scale, as the standard deviation whose 80 % interval it has.
+    # Scale of that distribution as the standard deviation of the normal one with the same 80 % interval.
     widen = np.log(1.475884 / 1.281552)
     return float(found[0] + widen), float(found[1] + widen)
 
 
-def _held(
-    spread: tuple[float, float], left_out: Floats, doubt: Floats, log_g: Floats, log_range: tuple[float, float]
+def _calibrate_spread(
+    spread: tuple[float, float], residual: Floats, mean_error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[float, float]:
-    """Widen (or narrow) a spread until the intervals hold their share of what was left out; add what a mean has.
+    """Scale a spread so that 80 % intervals contain 80 % of the cross-validated means; add ``_VALIDATION_ERROR``.
 
-    ``doubt`` is the drives' own standard error, widened for how few they are.
+    ``mean_error`` is the standard error of the means, widened by `_student_factor`.
     """
     own = np.exp(np.interp(log_g, log_range, spread))
     factors = np.geomspace(0.5, 3.0, 181)
-    held = np.abs(left_out) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, doubt)
-    factor = factors[int(np.argmin(np.abs(held.mean(axis=1) - (1 - 2 * TAIL))))]
+    contained = np.abs(residual) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, mean_error)
+    factor = factors[int(np.argmin(np.abs(contained.mean(axis=1) - (1 - 2 * TAIL))))]
     low, high = (float(0.5 * np.log((factor * np.exp(side)) ** 2 + _VALIDATION_ERROR**2)) for side in spread)
     return low, high
 
 
-def _student(drives: NDArray[np.int64]) -> Floats:
-    """Tail of Student's distribution of a mean of so many drives over the normal one (first Cornish-Fisher term)."""
+def _student_factor(drives: NDArray[np.int64]) -> Floats:
+    """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
     wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
     return wider
 
 
-def _cross_validated(
+def _cross_validate(
     features: Floats, target: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> Floats:
-    """Predictions of ln C_r by fits to the other nine tenths."""
+    """Predict ln C_r of each tenth of the patches with a fit to the other nine tenths."""
     predicted = np.empty(len(target))
     tenth = np.arange(len(target)) % 10
     for part in range(10):
@@ -196,7 +196,7 @@ def _report(predicted: Floats, target: Floats, error: Floats, driven: DrivenPatc
 
 
 def _fit_fail(features: Floats, failed: NDArray[np.int64], completed: NDArray[np.int64]) -> Floats:
-    """Logistic regression by Newton's method, with a ridge on all but the constant; drives count, not patches."""
+    """Fit a logistic regression over drives by Newton's method, with a ridge penalty on all but the constant."""
     middle, scale = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-9)
     middle[0], scale[0] = 0.0, 1.0
     x = (features - middle) / scale
@@ -217,16 +217,16 @@ def _fit_fail(features: Floats, failed: NDArray[np.int64], completed: NDArray[np
 
 
 def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
-    """Quantiles of the error of the patches nearest to each excess and number of points, in logarithms."""
-    log_excess = np.log(np.maximum(noisy.excess, _LEAST_EXCESS))
+    """Return quantiles of the error over the patches nearest to each excess and point count, in logarithms."""
+    log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
     log_points = np.log(noisy.pixel_points)
-    nearest = max(_LEAST_NOISY, len(log_excess) // 40)
+    nearest = max(_MIN_NOISY, len(log_excess) // 40)
     tables = []
     for points in _PIXEL_POINTS:
         row = []
         for excess in _EXCESS:
-            away = np.hypot(log_excess - np.log(max(excess, _LEAST_EXCESS)), 2 * (log_points - np.log(points)))
-            near = noisy.error[np.argsort(away, kind="stable")[:nearest]]
+            distance = np.hypot(log_excess - np.log(max(excess, _MIN_EXCESS)), 2 * (log_points - np.log(points)))
+            near = noisy.error[np.argsort(distance, kind="stable")[:nearest]]
             row.append(np.quantile(near, (TAIL, 0.5, 1 - TAIL)))
         tables.append(row)
     low, middle, high = (

@@ -1,4 +1,4 @@
-"""Vehicle profiles: TOML in, a checked record out."""
+"""Vehicle profiles: read TOML files and check them."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""What the keys of a vehicle profile hold: units, plausible values, meaning. Used by messages, docs and new profiles.
+"""Rules for the keys of a vehicle profile: unit, bounds and description, for messages, docs and templates.
 
-The bounds are wide enough for a rover of 2 kg and for a haul truck of 600 t, and narrow enough that most values in
-another unit (millimetres, radians for degrees, km/h) fall outside.
+The bounds admit a rover of 2 kg and a haul truck of 600 t, and are narrow enough that most values in a wrong unit
+(millimetres, radians for degrees, km/h) fall outside.
 """
 
 import math
@@ -29,83 +29,83 @@ _MISTAKEN = {
     "deg": ("rad", math.degrees(1.0)),
     "rad": ("deg", math.radians(1.0)),
 }
-"""The unit that a value is often given in instead, and what one of it is."""
+"""The unit that is often used by mistake, and its size in the right one."""
 
 
 @dataclass(frozen=True, slots=True)
 class OneLine:
-    """Rule of a text of one line."""
+    """Rule for a text of one line."""
 
     @property
     def allowed(self) -> str:
-        """Say what is allowed."""
+        """Describe the allowed values."""
         return "a text of one line that is not empty"
 
     def fault(self, value: str) -> str:
-        """Say what is wrong with a text; empty where nothing is."""
+        """Describe what is wrong with a text; return an empty string if it is valid."""
         return "" if value.strip() and value.isprintable() else f"it must be {self.allowed}"
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Rule of a number with a unit, or of three moments of inertia."""
+    """Rule for a number with a unit, or for three moments of inertia."""
 
     unit: str
     low: float
     high: float
-    """Lowest and highest value that is taken."""
+    """Lowest and highest allowed value."""
     what: str
-    """What it is, in a line."""
+    """Description in one line."""
     count: int = 1
-    """How many numbers it takes: 1, or 3 moments."""
+    """How many numbers the key takes: 1, or 3 moments."""
 
     @property
     def allowed(self) -> str:
-        """Say what is allowed, such as ``between 0.1 and 20 metres``."""
+        """Describe the allowed values, such as ``between 0.1 and 20 metres``."""
         each = "three numbers, [roll, pitch, yaw], each " if self.count > 1 else ""
         return f"{each}between {_plain(self.low)} and {_plain(self.high)} {_WORDS[self.unit]}"
 
     def fault(self, value: float | tuple[float, ...]) -> str:
-        """Say what is wrong with a value; empty where nothing is."""
+        """Describe what is wrong with a value; return an empty string if it is valid."""
         numbers = value if isinstance(value, tuple) else (value,)
-        if not all(map(self._holds, numbers)):
-            return f"it must be {self.allowed}{self._mistaken(numbers[0]) if self.count == 1 else ''}"
+        if not all(map(self._is_within, numbers)):
+            return f"it must be {self.allowed}{self._suggest_unit(numbers[0]) if self.count == 1 else ''}"
         if self.count > 1 and 2 * max(numbers) > sum(numbers):
             return "each moment must be at most the sum of the two others (no rigid body has other moments)"
         return ""
 
-    def _holds(self, value: float) -> bool:
+    def _is_within(self, value: float) -> bool:
         return self.low <= value <= self.high
 
-    def _mistaken(self, value: float) -> str:
-        """Say in which other unit a value beyond the bounds would be within them; empty where in none."""
+    def _suggest_unit(self, value: float) -> str:
+        """Name the unit in which a value outside the bounds would be valid; return an empty string if none."""
         unit, factor = _MISTAKEN.get(self.unit, ("", 0.0))
-        return f"; {value:g} {unit} would be {value * factor:.3g}" if unit and self._holds(value * factor) else ""
+        return f"; {value:g} {unit} would be {value * factor:.3g}" if unit and self._is_within(value * factor) else ""
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileKey:
-    """One key of a vehicle profile that holds a quantity."""
+    """One key of a vehicle profile whose value is a quantity."""
 
     name: str
-    """With its table, such as ``chassis.mass_kg``."""
+    """Name with its table, such as ``chassis.mass_kg``."""
     quantity: Quantity
     default: float | None
-    """Of a key that may be left out."""
+    """Default of an optional key; None if the key is required."""
 
     @property
     def table(self) -> str:
-        """Table of the file that holds it; empty for the top."""
+        """Table of the TOML file that holds the key; empty for the top level."""
         return self.name.rpartition(".")[0]
 
     @property
     def short(self) -> str:
-        """Name within its table."""
+        """Name within the table."""
         return self.name.rpartition(".")[2]
 
 
 def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
-    """List the quantities of a dataclass and of the dataclasses in it, in the order of the file."""
+    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""
     found: list[ProfileKey] = []
     for field in fields(owner):
         rule, name = field_rule(field.type), f"{table}.{field.name}".lstrip(".")

@@ -1,18 +1,25 @@
-"""Vehicle profiles: what a vehicle is, read from a TOML file and checked once."""
+"""Vehicle profiles: dimensions, masses and preferences of a vehicle, read from a TOML file and checked."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
 
-from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults
+from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, shown
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
-from bumpymap.rating.vehicle.faults import faults_together
 from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
 __all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
 
 _SCHEMA = "docs/pages/vehicle-profile.md lists every key"
+_LONGEST_BELLY = 4.0
+"""Longest belly in wheelbases; a bus with its overhangs has about two."""
+_LIGHTEST, _HEAVIEST = 5.0, 3000.0
+"""Bounds of mass / size^3, kg/m3, with size = sqrt(length * width); included vehicles have 98 to 140."""
+_GYRATION = {"chassis": (0.03, 0.6), "rocker": (0.003, 0.6)}
+"""Bounds of the radius of gyration, sqrt(moment / mass), over the vehicle's size. Even two masses at the ends of a body
+stay below 0.6; included vehicles have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
 
 
 _Moments = tuple[float, float, float]
@@ -23,62 +30,78 @@ _Moments = tuple[float, float, float]
 class Chassis:
     """The body that carries the pitch-rate sensor."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.2, 1e6, "all that neither rocker nor wheel is, payload too")]
-    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-6, 1e8, "moments about the centre of mass", count=3)]
-    com_height_m: Annotated[float, Quantity("m", -2, 6, "centre of mass above the axles; may be negative")]
-    """When the vehicle stands on level ground."""
+    mass_kg: Annotated[float, Quantity("kg", 0.2, 1e6, "everything except rockers and wheels, payload included")]
+    inertia_kgm2: Annotated[
+        _Moments, Quantity("kg m2", 1e-6, 1e8, "moments of inertia about the centre of mass", count=3)
+    ]
+    com_height_m: Annotated[
+        float, Quantity("m", -2, 6, "height of the centre of mass above the axles; may be negative")
+    ]
+    """Measured with the vehicle on level ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class Belly:
-    """The underside of the chassis: a level plate amid the wheels, with walls above it."""
+    """The underside of the chassis: a level plate centred between the wheels, with walls above it."""
 
-    length_m: Annotated[float, Quantity("m", 0.05, 30, "along the vehicle, amid the axles, bumpers included")]
-    width_m: Annotated[float, Quantity("m", 0.02, 15, "across the vehicle")]
+    length_m: Annotated[
+        float, Quantity("m", 0.05, 30, "length along the vehicle, centred between the axles, bumpers included")
+    ]
+    width_m: Annotated[float, Quantity("m", 0.02, 15, "width across the vehicle")]
     clearance_m: Annotated[
-        float, Quantity("m", 0.005, 5, "of the lowest part that would strike a stone, over level ground")
+        float, Quantity("m", 0.005, 5, "height above level ground of the lowest part that could hit a stone")
     ]
 
 
 @dataclass(frozen=True, slots=True)
 class Rocker:
-    """The beam on either side that joins a front and a rear wheel and turns about the chassis' left axis."""
+    """The beam on each side that joins a front and a rear wheel and pivots about the chassis' left axis."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.005, 1e5, "one rocker: the beam that joins a front and a rear wheel")]
-    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-8, 1e7, "moments about its centre", count=3)]
-    limit_rad: Annotated[float, Quantity("rad", 0, 1.2, "stop, either way from level")]
-    stiffness_nm_per_rad: Annotated[float, Quantity("N m/rad", 0, 1e9, "spring back to level; 0 is a free rocker")]
-    damping_nms_per_rad: Annotated[float, Quantity("N m s/rad", 0, 1e8, "damper")]
+    mass_kg: Annotated[
+        float, Quantity("kg", 0.005, 1e5, "mass of one rocker: the beam that joins a front and a rear wheel")
+    ]
+    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-8, 1e7, "moments of inertia about its centre", count=3)]
+    limit_rad: Annotated[float, Quantity("rad", 0, 1.2, "end stop, up and down from level")]
+    stiffness_nm_per_rad: Annotated[
+        float, Quantity("N m/rad", 0, 1e9, "stiffness of the spring that returns it to level; 0 for a free rocker")
+    ]
+    damping_nms_per_rad: Annotated[float, Quantity("N m s/rad", 0, 1e8, "damping coefficient")]
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One of the four wheels: a rigid sphere to the ground, a cylinder to its own inertia."""
+    """One of the four wheels: a rigid sphere for contact with the ground, a cylinder for its inertia."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.005, 2e4, "one wheel")]
-    radius_m: Annotated[float, Quantity("m", 0.02, 3, "the ground meets a sphere of this radius")]
-    width_m: Annotated[float, Quantity("m", 0.005, 3, "for the wheel's own inertia")]
+    mass_kg: Annotated[float, Quantity("kg", 0.005, 2e4, "mass of one wheel")]
+    radius_m: Annotated[float, Quantity("m", 0.02, 3, "radius; in contact with the ground, the wheel is a sphere")]
+    width_m: Annotated[float, Quantity("m", 0.005, 3, "width, used for the moments of inertia of the wheel")]
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """Four wheels on two rockers under a chassis, and how the vehicle is driven."""
+    """A vehicle profile: four wheels on two rockers under a chassis, driving speed and preferences.
+
+    Attributes have the names of the keys in the TOML file; the page "Describe your vehicle" lists units and bounds.
+    """
 
     name: Annotated[str, OneLine()]
     description: Annotated[str, OneLine()]
-    wheelbase_m: Annotated[float, Quantity("m", 0.1, 20, "between the axles")]
-    track_m: Annotated[float, Quantity("m", 0.05, 15, "between the wheel centres of one axle")]
+    wheelbase_m: Annotated[float, Quantity("m", 0.1, 20, "distance between the axles")]
+    track_m: Annotated[float, Quantity("m", 0.05, 15, "distance between the wheel centres of one axle")]
     speed_mps: Annotated[
         float,
-        Quantity("m/s", 0.05, 15, "the speed of every drive. C_r depends on it: choose the speed you will drive"),
+        Quantity(
+            "m/s", 0.05, 15, "the speed of every drive; C_r depends on it, so choose the speed at which you will drive"
+        ),
     ]
     slope_limit_deg: Annotated[float, Quantity("deg", 3, 60, "`map` gives steeper tiles a `p_fail` of 1")]
     ride_weight: Annotated[
-        float, Quantity("m/rad", 0, 1000, "the detour that a radian of pitching is worth; a preference")
+        float,
+        Quantity("m/rad", 0, 1000, "the detour that is acceptable to avoid one radian of pitch motion; a preference"),
     ]
     """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
     fail_weight: Annotated[
-        float, Quantity("m", 0, 100_000, "the detour that a certain failure is worth; a preference")
+        float, Quantity("m", 0, 100_000, "the detour that is acceptable to avoid one failure; a preference")
     ] = field(default=DEFAULT_FAIL_WEIGHT, kw_only=True)
     chassis: Chassis
     belly: Belly
@@ -87,60 +110,78 @@ class Vehicle:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the whole vehicle, kg."""
+        """Mass of the whole vehicle in kg."""
         return self.chassis.mass_kg + 2 * self.rocker.mass_kg + 4 * self.wheel.mass_kg
 
     @property
     def length_m(self) -> float:
-        """Length of the whole vehicle, over belly and wheels."""
+        """Length of the whole vehicle in metres, the larger of belly and wheels."""
         return max(self.belly.length_m, self.wheelbase_m + 2 * self.wheel.radius_m)
 
     @property
     def width_m(self) -> float:
-        """Width of the whole vehicle, over belly and wheels."""
+        """Width of the whole vehicle in metres, the larger of belly and wheels."""
         return max(self.belly.width_m, self.track_m + self.wheel.width_m)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Vehicle":
-        """Read a profile: the name of one that ships (``warthog``), or a TOML file; see `load_profile`."""
+        """Read a vehicle profile.
+
+        Parameters
+        ----------
+        name_or_path : str or path
+            Name of an included vehicle, such as ``warthog``, or a TOML file.
+
+        Raises
+        ------
+        UsageError
+            There is no such vehicle or file.
+        BadInputError
+            The file is not TOML, or a value is missing or not plausible.
+        """
         return load_profile(name_or_path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the nested dictionary that a TOML file of this profile would hold."""
+        """Return the profile as a nested dictionary, as in its TOML file."""
         return {key: _plain(value) for key, value in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, record: dict[str, Any], origin: str) -> "Vehicle":
-        """Check a nested dictionary; ``origin`` names it in messages.
+        """Check a nested dictionary and make a profile of it.
+
+        Parameters
+        ----------
+        record : dict
+            The profile, as in a TOML file.
+        origin : str
+            Name of the file for error messages.
 
         Raises
         ------
         BadInputError
-            A key that is unknown or missing, a value of the wrong kind or not plausible; all of them are said.
+            A key is unknown or missing, or a value is of the wrong type or not plausible; the message lists all faults.
         """
         arguments, faults = parse_record(record, cls, Path(), complete=True)
         if not faults:
             profile = cls(**arguments)
-            faults = faults_together(profile)
+            faults = _contradictions(profile)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}")
         return profile
 
 
 KEYS = profile_keys(Vehicle)
-"""In the order of the file."""
+"""All numeric keys of a profile, in the order of the file."""
 
 
 def load_profile(name_or_path: str | Path) -> Vehicle:
-    """Read a vehicle profile: one that ships (``warthog``) or a TOML file.
-
-    The name of a shipped profile means that, everything else a file.
+    """Read a vehicle profile: an included one by name (``warthog``), anything else as a TOML file.
 
     Raises
     ------
     UsageError
-        Neither a shipped profile nor a file.
+        There is no such vehicle or file.
     BadInputError
-        Not TOML, or values that cannot be.
+        The file is not TOML, or a value is missing or not plausible.
     """
     if str(name_or_path) in shipped_profiles():
         with as_file(files("bumpymap.rating") / "data" / "vehicles" / f"{name_or_path}.toml") as shipped:
@@ -158,13 +199,93 @@ def load_profile(name_or_path: str | Path) -> Vehicle:
 
 
 def shipped_profiles() -> list[str]:
-    """Names of the profiles in the package."""
+    """Return the names of the included vehicle profiles."""
     folder = files("bumpymap.rating") / "data" / "vehicles"
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, so that the dictionary equals its own JSON."""
+    """Turn tuples into lists, as JSON and TOML have them."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return list(value) if isinstance(value, tuple) else value
+
+
+def _contradictions(profile: Vehicle) -> list[str]:
+    """Return messages about values that contradict each other, in a profile whose values are each valid."""
+    found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
+    found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
+    return [fault for fault in found if fault]
+
+
+def _wheels(profile: Vehicle) -> str:
+    radius, wheelbase = profile.wheel.radius_m, profile.wheelbase_m
+    if 2 * radius < wheelbase:
+        return ""
+    return (
+        f"wheel.radius_m is {radius:g} and wheelbase_m {wheelbase:g}; front and rear wheels would touch: the wheelbase "
+        "must exceed twice the radius"
+    )
+
+
+def _track(profile: Vehicle) -> str:
+    width, track = profile.wheel.width_m, profile.track_m
+    if width < track:
+        return ""
+    return f"wheel.width_m is {width:g} and track_m {track:g}; the track must exceed the wheel width"
+
+
+def _belly_width(profile: Vehicle) -> str:
+    belly, between = profile.belly, profile.track_m - profile.wheel.width_m
+    if belly.width_m <= between or belly.clearance_m >= 2 * profile.wheel.radius_m:
+        return ""
+    return (
+        f"belly.width_m is {belly.width_m:g}, and the wheels are {between:g} apart on the inside; "
+        "a belly below the top of the wheels must fit between them"
+    )
+
+
+def _belly_length(profile: Vehicle) -> str:
+    length, wheelbase = profile.belly.length_m, profile.wheelbase_m
+    if length <= _LONGEST_BELLY * wheelbase:
+        return ""
+    return (
+        f"belly.length_m is {length:g} and wheelbase_m {wheelbase:g}; a belly has at most {_LONGEST_BELLY:g} times "
+        "the wheelbase"
+    )
+
+
+def _com(profile: Vehicle) -> str:
+    height, radius = profile.chassis.com_height_m, profile.wheel.radius_m
+    if height >= -radius:
+        return ""
+    return (
+        f"chassis.com_height_m is {height:g}, below the ground; it is the height above the axles and must be above "
+        f"-wheel.radius_m = {-radius:g}"
+    )
+
+
+def _density(profile: Vehicle) -> str:
+    size = math.sqrt(profile.length_m * profile.width_m)
+    low, high = _LIGHTEST * size**3, _HEAVIEST * size**3
+    if low <= profile.mass_kg <= high:
+        return ""
+    return (
+        f"the whole vehicle weighs {profile.mass_kg:,.6g} kg and is {profile.length_m:.3g} m long and "
+        f"{profile.width_m:.3g} m wide; one of that size weighs between {low:.3g} and {high:.3g} kg. Are masses in "
+        "kilograms and lengths in metres?"
+    )
+
+
+def _gyration(profile: Vehicle, table: str) -> str:
+    part: Chassis | Rocker = getattr(profile, table)
+    size = max(profile.length_m, profile.width_m)
+    low, high = (part.mass_kg * (share * size) ** 2 for share in _GYRATION[table])
+    moments = part.inertia_kgm2
+    if low <= min(moments) and max(moments) <= high:
+        return ""
+    return (
+        f"{table}.inertia_kgm2 is {shown(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
+        f"{size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg m2; a solid box of mass m, length l, "
+        "width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, m (l2 + w2) / 12"
+    )

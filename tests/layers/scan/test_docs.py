@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.settings_file import read_settings_file
-from bumpymap.layers import COLOURS, NAMES
+from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan.table import COLUMNS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
@@ -50,6 +50,6 @@ def test_the_tables_say_what_the_code_writes():
     text = PAGE.read_text(encoding="utf-8")
     for name, kind, unit, what in COLUMNS:
         assert f"| `{name}` | {TYPES[str(kind)]} | {unit}{' ' if unit else ''}| {what} |" in text
-    for name, colour in zip(NAMES, COLOURS, strict=True):
+    for name, colour in zip(SCAN_CLASS_NAMES, SCAN_COLOURS, strict=True):
         assert re.search(rf"\| {name} \| `#{bytes(colour).hex()}` \|", text), name
     assert ", ".join(f"`{product}`" for product in SCAN_PRODUCTS) in text

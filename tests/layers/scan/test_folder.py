@@ -3,7 +3,7 @@
 import pytest
 
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import check_scan_folder, drop_older
+from bumpymap.layers import check_scan_folder, remove_stale_products
 
 
 def fill(folder, *names):
@@ -71,10 +71,10 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
 def test_older_products_go_and_everything_else_stays(tmp_path):
     fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
     fill(tmp_path, "map/run.json", "map/class.tif", "map/class.tif.aux.xml", "map/my_style.qml")
-    drop_older(tmp_path, ("scan.json", "sectors.parquet"))
+    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
     assert names(tmp_path) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
     assert not (tmp_path / "frames").exists()
     (tmp_path / "map" / "my_style.qml").unlink()
     fill(tmp_path, "map/run.json")
-    drop_older(tmp_path, ("scan.json", "sectors.parquet"))
+    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
     assert not (tmp_path / "map").exists()

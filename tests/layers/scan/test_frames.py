@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
 from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
-from bumpymap.layers import COLOURS, NAMES, name_frames, spread_out, write_frame
+from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS, name_frames, sample_evenly, write_frame
 from bumpymap.layers.scan.cloud import write_cloud
 from bumpymap.layers.scan.geometry import outlines
 from bumpymap.layers.scan.polygons import write_polygons
@@ -36,10 +36,10 @@ def test_points_of_a_class_have_its_colour_and_those_of_no_sector_another(scan, 
     lost = classed.sectors.point_sector < 0
     assert lost.any()
     for class_id in range(3):
-        assert (colours[vertex["class"] == class_id] == COLOURS[class_id]).all()
-    assert (colours[(vertex["class"] == 255) & ~lost] == COLOURS[3]).all()
-    assert (colours[lost] == COLOURS[4]).all()
-    assert len(np.unique(COLOURS, axis=0)) == len(NAMES) == 5
+        assert (colours[vertex["class"] == class_id] == SCAN_COLOURS[class_id]).all()
+    assert (colours[(vertex["class"] == 255) & ~lost] == SCAN_COLOURS[3]).all()
+    assert (colours[lost] == SCAN_COLOURS[4]).all()
+    assert len(np.unique(SCAN_COLOURS, axis=0)) == len(SCAN_CLASS_NAMES) == 5
 
 
 @pytest.mark.parametrize("settings", [PolarSettings(), PolarSettings((0.0, 10.0), 30.0, (3, 7), (1, 2))])
@@ -88,7 +88,7 @@ def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path
             stack.sector[number],
         )
         assert said["class"] == (None if class_id == 255 else class_id)
-        assert said["class_name"] == (NAMES[class_id] if class_id < 3 else "not traversable")
+        assert said["class_name"] == (SCAN_CLASS_NAMES[class_id] if class_id < 3 else "not traversable")
         assert said["points"] == int((stack.point_sector == number).sum())
         assert said["label"] == stack.label[number]
         for name, value in (
@@ -145,7 +145,7 @@ def test_no_two_frames_have_one_name_on_any_disk(names):
 @pytest.mark.parametrize(("count", "most"), [(3, 5), (5, 5), (1000, 7), (8, 7)])
 def test_frames_are_spread_out_from_the_first_to_the_last(count, most):
     frames = name_frames([Path(f"{number}.ply") for number in range(count)])
-    chosen = [int(frame.name) for frame in spread_out(frames, most)]
+    chosen = [int(frame.name) for frame in sample_evenly(frames, most)]
     assert len(chosen) == min(count, most)
     assert (chosen[0], chosen[-1]) == (0, count - 1)
     steps = np.diff(chosen)

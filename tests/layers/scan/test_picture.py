@@ -7,8 +7,8 @@ import pytest
 import rasterio
 
 from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
-from bumpymap.layers import COLOURS, NAMES
-from bumpymap.layers.scan.picture import SIDE, paint as paint_image, reach_of, write_picture
+from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan.picture import SIDE, paint as paint_image, scene_radius, write_picture
 from bumpymap.scan import classify_filter, polar_sectors
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -34,7 +34,7 @@ def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(scan, cla
 
 
 def test_points_stand_where_they_are_in_the_colour_of_their_class(scan, classed):
-    picture, reach = paint(scan, classed), reach_of(classed.sectors)
+    picture, reach = paint(scan, classed), scene_radius(classed.sectors)
     class_id = point_classes(scan, classed)
     rows, columns = zip(*(pixel(x, y, reach) for x, y in scan.points[:, :2].astype(float)), strict=True)
     rows, columns = np.array(rows), np.array(columns)
@@ -44,7 +44,7 @@ def test_points_stand_where_they_are_in_the_colour_of_their_class(scan, classed)
         (3, (class_id == 255) & (classed.sectors.point_sector >= 0)),
     ):
         colours = picture[rows[chosen], columns[chosen]]
-        assert (colours == COLOURS[look]).all(axis=1).mean() > 0.9  # range rings and words lie over some of them
+        assert (colours == SCAN_COLOURS[look]).all(axis=1).mean() > 0.9  # range rings and words lie over some of them
 
 
 def test_ground_between_points_has_a_shade_of_its_sector(classed):
@@ -52,7 +52,7 @@ def test_ground_between_points_has_a_shade_of_its_sector(classed):
     nowhere = Scan(np.zeros((0, 3), np.float32))
     bare = polar_sectors(nowhere)
     stack = replace(classed.sectors, point_sector=bare.point_sector)
-    picture, reach = paint(nowhere, replace(classed, sectors=stack)), reach_of(stack)
+    picture, reach = paint(nowhere, replace(classed, sectors=stack)), scene_radius(stack)
     bounds = sector_bounds(stack)
     paper = picture[pixel(0.9 * reach, -0.9 * reach, reach)].astype(float)
     off = 0
@@ -60,22 +60,22 @@ def test_ground_between_points_has_a_shade_of_its_sector(classed):
         distance = 0.4 * bounds.near[number] + 0.6 * bounds.far[number]
         azimuth = (bounds.left + bounds.right)[number] / 2
         seen = picture[pixel(distance * np.cos(azimuth), distance * np.sin(azimuth), reach)].astype(float)
-        wanted = COLOURS[min(class_id, 3)].astype(float) - paper
+        wanted = SCAN_COLOURS[min(class_id, 3)].astype(float) - paper
         off += np.abs(seen - paper - 0.42 * wanted).max() > 1.5
     assert off <= 0.02 * len(classed.class_id)  # under the words of the range rings
 
 
 def test_the_picture_reaches_to_the_farthest_sector(classed, nothing):
-    assert reach_of(classed.sectors) == sector_bounds(classed.sectors).far.max() == pytest.approx(28.0)
-    assert reach_of(nothing[1].sectors) == 12.0
+    assert scene_radius(classed.sectors) == sector_bounds(classed.sectors).far.max() == pytest.approx(28.0)
+    assert scene_radius(nothing[1].sectors) == 12.0
     only = PolarSettings((2.0,), 9.0, (8,), (2,))
-    assert reach_of(polar_sectors(nothing[0], only)) == 9.0
+    assert scene_radius(polar_sectors(nothing[0], only)) == 9.0
 
 
 def test_the_legend_has_a_swatch_of_every_look_and_says_when_there_is_nothing(scan, classed, nothing):
     full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
     for panel in (full, empty):
-        for colour in COLOURS:
+        for colour in SCAN_COLOURS:
             assert (panel == colour).all(axis=2).sum() >= 28 * 28
     ink = [(panel[480:] == 235).all(axis=2).sum() for panel in (full, empty)]
     assert ink[0] == 0
@@ -86,15 +86,15 @@ def test_every_look_has_its_name_and_its_count_beside_its_swatch(scan, classed, 
     """Other counts are other text; the same names are the same."""
     full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
     names = set()
-    for look, colour in enumerate(COLOURS):
+    for look, colour in enumerate(SCAN_COLOURS):
         rows, columns = np.nonzero((full == colour).all(axis=2))
         top, right = np.bincount(rows).argmax(), columns.max() + 1  # the first of the swatch's longest rows
         name, count = slice(top - 2, top + 17), slice(top + 20, top + 42)
-        assert (full[name, right:] == 235).all(axis=2).any(), NAMES[look]
+        assert (full[name, right:] == 235).all(axis=2).any(), SCAN_CLASS_NAMES[look]
         np.testing.assert_array_equal(full[name, right:], empty[name, right:])
-        assert (full[count, right:] != empty[count, right:]).any(), NAMES[look]
+        assert (full[count, right:] != empty[count, right:]).any(), SCAN_CLASS_NAMES[look]
         names.add(full[name, right:].tobytes())
-    assert len(names) == len(NAMES)
+    assert len(names) == len(SCAN_CLASS_NAMES)
 
 
 def test_far_points_and_strange_grids_are_no_trouble():

@@ -1,4 +1,4 @@
-"""A vehicle profile to fill in: every key with its unit, what is allowed and what it is."""
+"""Write a template of a vehicle profile: every key with its description, unit and allowed values."""
 
 import json
 import re
@@ -9,18 +9,18 @@ from bumpymap.core import UNFILLED, OutputError, UsageError
 from bumpymap.rating.vehicle.keys import ProfileKey
 from bumpymap.rating.vehicle.profile import KEYS, load_profile, shipped_profiles
 
-__all__ = ["blank_profile", "write_blank"]
+__all__ = ["profile_template", "write_profile_template"]
 
 _NAME = re.compile(r"[\w-]{1,64}")
 
 
-def write_blank(name: str, path: Path, like: str | None) -> None:
-    """Write `blank_profile` to a new file.
+def write_profile_template(name: str, path: Path, like: str | None) -> None:
+    """Write `profile_template` to a new file.
 
     Raises
     ------
     UsageError
-        The name is that of a vehicle that ships, or not one word; no vehicle ``like``.
+        The name is that of an included vehicle, or not one word; there is no vehicle ``like``.
     OutputError
         The file exists, or cannot be written.
     """
@@ -28,9 +28,9 @@ def write_blank(name: str, path: Path, like: str | None) -> None:
         raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
     if name in shipped_profiles():
         raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
-    text = blank_profile(name, like)
+    text = profile_template(name, like)
     try:
-        with path.open("x", encoding="utf-8") as file:  # a link in its place is not followed either
+        with path.open("x", encoding="utf-8") as file:  # "x" does not follow a symbolic link either
             _fill(file, path, text)
     except FileExistsError as error:
         raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
@@ -39,7 +39,7 @@ def write_blank(name: str, path: Path, like: str | None) -> None:
 
 
 def _fill(file: TextIO, path: Path, text: str) -> None:
-    """Write the whole text, or take the file away."""
+    """Write the whole text, or remove the file."""
     try:
         file.write(text)
         file.flush()
@@ -48,15 +48,15 @@ def _fill(file: TextIO, path: Path, text: str) -> None:
         raise
 
 
-def blank_profile(name: str, like: str | None) -> str:
-    """Make the text of a profile.
+def profile_template(name: str, like: str | None) -> str:
+    """Return the text of a profile to edit.
 
     Parameters
     ----------
     name : str
-        Of the vehicle.
+        Name of the new vehicle.
     like : str or None
-        A vehicle (name or TOML file) whose numbers it begins with; None: a mark that `vehicle check` asks to fill in.
+        A vehicle (name or TOML file) to copy the numbers from; None: put a placeholder that `vehicle check` reports.
     """
     model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
     lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]

@@ -1,4 +1,4 @@
-"""A folder that holds a complete run: what its manifest says, and whether that still holds."""
+"""Recognise a folder that already holds a complete run, and verify its files against its manifest."""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,31 +9,34 @@ from typing import Any
 from bumpymap.core import BadInputError, OutputError, read_record
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
-__all__ = ["complete_record", "is_complete", "refuse_replacing"]
+__all__ = ["is_complete", "refuse_replacing", "verified_record"]
 
 _REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
 
 
 def is_complete(folder: Path, manifest: str = MANIFEST_NAME) -> bool:
-    """Whether a run has ended here: its manifest is the last file of it."""
+    """Return whether a folder holds a complete run: the manifest is the last file that a run writes."""
     return lexists(folder / manifest)
 
 
 @contextmanager
-def complete_record(folder: Path, files: Collection[str], manifest: str = MANIFEST_NAME) -> Iterator[dict[str, Any]]:
-    """Read what a complete run noted, for the body of the ``with``, and hold its files to it.
+def verified_record(folder: Path, files: Collection[str], manifest: str = MANIFEST_NAME) -> Iterator[dict[str, Any]]:
+    """Read the manifest of a complete run and verify the checksums of its files.
+
+    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too.
 
     Parameters
     ----------
     folder : Path
     files : collection of str
-        That the run must have written; the manifest names each with its checksum.
+        Files that must exist; those that the manifest lists are checked in any case.
     manifest : str
+        Name of the manifest.
 
     Raises
     ------
     OutputError
-        The manifest is none (it lacks what the body looks for), or a file is gone or another.
+        The manifest cannot be read as that of a run, or a file is missing or has changed.
     """
     record = read_record(folder / manifest)
     unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
@@ -41,14 +44,14 @@ def complete_record(folder: Path, files: Collection[str], manifest: str = MANIFE
         raise OutputError(unreadable)
     try:
         listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
-        _hold(folder, files, listed)
+        _verify(folder, files, listed)
         yield record
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise OutputError(unreadable) from error
 
 
 def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
-    """Raise OutputError where the run that is complete in a folder differs from the one that is asked for."""
+    """Raise OutputError if there are differences between the complete run in a folder and the requested one."""
     if differences:
         raise OutputError(
             f"{folder} already holds a complete run with other inputs or settings:",
@@ -57,7 +60,7 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
         )
 
 
-def _hold(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
+def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
     for name in sorted({*files, *listed}):
         try:
             same = describe_file(folder / name)["sha256"] == listed.get(name)

@@ -1,4 +1,4 @@
-"""gathered.laz: the points of all the frames of a drive in the frame of the world, as a survey."""
+"""Write gathered.laz: the points of all frames of a drive, accumulated in the world frame as one survey."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,35 +11,35 @@ from pyproj import CRS
 
 from bumpymap.core import BadInputError, ClassedSectors, Scan
 
-__all__ = ["Gathered", "ground_points", "open_gathered"]
+__all__ = ["AccumulatedSurvey", "ground_points", "open_accumulated"]
 
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
-"""Classes of LAS."""
+"""LAS classification codes."""
 
 
-class Gathered:
-    """Takes frame after frame; holds one at most."""
+class AccumulatedSurvey:
+    """Writer of the accumulated survey; holds at most one frame in memory."""
 
     def __init__(self, writer: laspy.LasWriter) -> None:
         self._writer = writer
         self.points = 0
-        """Written so far."""
+        """Points written so far."""
         self.ground = 0
-        """Of these, in traversable sectors."""
+        """Those of them in traversable sectors."""
 
     def record(self) -> dict[str, int]:
-        """Say how many points there are, for scan.json."""
+        """Return the numbers of points for scan.json."""
         return {"points": self.points, "ground": self.ground}
 
     def add(self, scan: Scan, pose: NDArray[np.float64], classed: ClassedSectors) -> None:
-        """Append the points of a frame: ground (class 2) in traversable sectors, the others class 1.
+        """Append the points of a frame: class 2 (ground) in traversable sectors, class 1 elsewhere.
 
         Parameters
         ----------
         scan : Scan
         pose : (4, 4) float64
-            Takes the sensor's frame to the world's, m.
+            Transform from the sensor frame to the world frame, m.
         classed : ClassedSectors
 
         Raises
@@ -52,7 +52,7 @@ class Gathered:
     def add_points(
         self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
     ) -> None:
-        """Append points (n, 3), m, in the frame of the sensor, of which ``is_ground`` (n,) tells the ground."""
+        """Append points (n, 3) in the sensor frame, m; ``is_ground`` (n,) marks those of class 2."""
         if not len(points):
             return
         world = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
@@ -72,13 +72,13 @@ class Gathered:
 
 
 def ground_points(classed: ClassedSectors) -> NDArray[np.bool_]:
-    """Say which points (n,) of a scan lie in traversable sectors."""
+    """Return which points of a scan, (n,), lie in traversable sectors."""
     return np.append(classed.sectors.traversable, False)[classed.sectors.point_sector]
 
 
 @contextmanager
-def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[Gathered]:
-    """Open gathered.laz for writing: LAZ 1.4, point format 6, in millimetres from the first pose.
+def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
+    """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm, offset near the first pose.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> It
     first : (4, 4) float64
         Pose of the first frame, m.
     crs : CRS, optional
-        Of the world's frame; None: the file has none.
+        CRS of the world frame; None: the file gets none.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
@@ -96,5 +96,5 @@ def open_gathered(path: Path, first: NDArray[np.float64], crs: CRS | None) -> It
         header.add_crs(crs)
     with path.open("w+b") as stream:
         writer = laspy.LasWriter(stream, header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
-        yield Gathered(writer)
+        yield AccumulatedSurvey(writer)
         writer.close()

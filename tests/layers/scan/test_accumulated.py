@@ -9,7 +9,7 @@ from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.layers import open_gathered, writing
+from bumpymap.layers import open_accumulated, output_errors
 
 
 def pose(turn, place):
@@ -22,7 +22,7 @@ def test_points_are_turned_moved_and_classed(scan, classed, nothing, tmp_path):
     turns = [Rotation.from_euler("zyx", angles) for angles in ((0.3, 0.1, -0.05), (2.0, -0.2, 0.1))]
     places = [np.array([500_000.25, 4_000_000.5, 321.0]), np.array([500_010.0, 4_000_003.0, 322.0])]
     path = tmp_path / "a.laz"
-    with open_gathered(path, pose(turns[0], places[0]), CRS.from_epsg(32614)) as gathered:
+    with open_accumulated(path, pose(turns[0], places[0]), CRS.from_epsg(32614)) as gathered:
         gathered.add(scan, pose(turns[0], places[0]), classed)
         gathered.add(nothing[0], np.eye(4), nothing[1])
         gathered.add(scan, pose(turns[1], places[1]), classed)
@@ -38,14 +38,14 @@ def test_points_are_turned_moved_and_classed(scan, classed, nothing, tmp_path):
 
 def test_without_a_crs_the_file_has_none_and_the_same_points_give_the_same_bytes(scan, classed, tmp_path):
     for name in ("a.laz", "b.laz"):
-        with open_gathered(tmp_path / name, np.eye(4), None) as gathered:
+        with open_accumulated(tmp_path / name, np.eye(4), None) as gathered:
             gathered.add(scan, np.eye(4), classed)
     assert laspy.open(tmp_path / "a.laz").header.parse_crs() is None
     assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
 
 
 def test_a_drive_without_points_is_a_file_without_points(tmp_path):
-    with open_gathered(tmp_path / "a.laz", np.eye(4), None):
+    with open_accumulated(tmp_path / "a.laz", np.eye(4), None):
         pass
     assert laspy.open(tmp_path / "a.laz").header.point_count == 0
 
@@ -54,7 +54,7 @@ def test_a_frame_on_another_continent_is_refused(scan, classed, tmp_path):
     far = pose(Rotation.identity(), [3e6, 0.0, 0.0])
     with (
         pytest.raises(BadInputError, match="more than 2,000 km"),
-        open_gathered(tmp_path / "a.laz", np.eye(4), None) as g,
+        open_accumulated(tmp_path / "a.laz", np.eye(4), None) as g,
     ):
         g.add(scan, far, classed)
 
@@ -79,6 +79,6 @@ def test_a_full_disk_is_said(scan, classed, tmp_path):
 
                 yield Stream()
 
-    with pytest.raises(OutputError, match="nothing half-written"), writing(tmp_path):  # noqa: SIM117
-        with open_gathered(Full(), np.eye(4), None) as gathered:
+    with pytest.raises(OutputError, match="nothing half-written"), output_errors(tmp_path):  # noqa: SIM117
+        with open_accumulated(Full(), np.eye(4), None) as gathered:
             gathered.add(scan, np.eye(4), classed)
