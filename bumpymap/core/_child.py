@@ -62,9 +62,9 @@ def _end_with_parent(socket: int) -> None:
 def _answer(link: Connection, shared: _Shared, functions: Any, request: bytes) -> bytes:
     """Call one function; give its result, or the text of what it raised."""
     try:
-        name, arguments, places, size, seconds, asks = pickle.loads(request)  # noqa: S301 (from the parent)
+        name, arguments, places, size, seconds, takes_read_at = pickle.loads(request)  # noqa: S301 (from the parent)
         views = shared.views(places, size)
-        questions = [_question(link)] * asks
+        questions = [_read_at_parent(link)] * takes_read_at
         # Whoever takes too long is ended by the system, even in the middle of native code. Processor time, since time
         # on the wall would depend on what else the machine does.
         signal.setitimer(signal.ITIMER_PROF, seconds)
@@ -77,14 +77,14 @@ def _answer(link: Connection, shared: _Shared, functions: Any, request: bytes) -
         return pickle.dumps(("error", (str(error).strip() or type(error).__name__)[:_LONGEST_TEXT]))
 
 
-def _question(link: Connection) -> Any:
-    """Give a function that asks the parent to fill a buffer from a place on."""
+def _read_at_parent(link: Connection) -> Any:
+    """Give a function that takes_read_at the parent to fill a buffer from a place on."""
 
-    def supply(start: int, buffer: memoryview) -> int:
+    def read_at(start: int, buffer: memoryview) -> int:
         link.send(("question", (start, len(buffer))))
         return link.recv_bytes_into(buffer)
 
-    return supply
+    return read_at
 
 
 if __name__ == "__main__":

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, get_args
 from bumpymap.core.errors import BadInputError, UsageError
 
 __all__ = [
-    "BOTH",
     "CLASHES",
-    "ONE_PLACE",
-    "ONE_VEHICLE",
+    "CRS_OR_LOCAL",
+    "RESUME_OR_OVERWRITE",
+    "VEHICLE_OR_CALIBRATION",
     "Clash",
     "Compat",
     "CsfSettings",
@@ -34,7 +34,7 @@ ZUnit = Literal["m", "ft", "us-ft"]
 NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
 """The path of a file in settings starts at their folder."""
 
-BOTH = (
+RESUME_OR_OVERWRITE = (
     "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
     "started with `overwrite=True` is resumed with `resume=True` alone"
 )
@@ -55,9 +55,9 @@ class Clash:
         return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
 
 
-ONE_VEHICLE = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-ONE_PLACE = Clash("crs", "local", "coordinates in a CRS are not local")
-CLASHES = (ONE_VEHICLE, Clash("compat", "rating", "the paper has a rating of its own"), ONE_PLACE)
+VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
+CRS_OR_LOCAL = Clash("crs", "local", "coordinates in a CRS are not local")
+CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), CRS_OR_LOCAL)
 """Of the settings of a map."""
 
 
@@ -174,7 +174,7 @@ class MapConfig:
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
         if self.resume and self.overwrite:
-            raise UsageError(BOTH)
+            raise UsageError(RESUME_OR_OVERWRITE)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "

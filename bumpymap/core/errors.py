@@ -3,7 +3,7 @@
 import errno
 from collections.abc import Iterator
 
-__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "causes", "wanting"]
+__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "error_chain", "missing_resource"]
 
 _WANTED = {
     errno.EAGAIN: "process",
@@ -42,19 +42,19 @@ class OutputError(BumpymapError):
     """A place that cannot be written, or already holds something that must not be overwritten."""
 
 
-def causes(error: BaseException | None) -> Iterator[BaseException]:
+def error_chain(error: BaseException | None) -> Iterator[BaseException]:
     """Give an error, what caused it, what caused that, and so on."""
     while error is not None:
         yield error
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
-def wanting(error: BaseException) -> str:
+def missing_resource(error: BaseException) -> str:
     """Name what the machine, or a limit set for the process, does not give; empty where it is something else.
 
-    Whoever met the want may have told it as a failure of its own, so the causes count too.
+    Whoever met the want may have told it as a failure of its own, so the error_chain count too.
     """
-    for cause in causes(error):
+    for cause in error_chain(error):
         text = str(cause).lower()
         if isinstance(cause, RuntimeError) and "start new thread" in text:
             return "thread"

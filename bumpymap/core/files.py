@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from bumpymap.core.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "in_utf8", "move_together", "no_empty_folder", "take_away", "together"]
+__all__ = ["STAGED", "atomic", "move_together", "remove_empty_on_error", "remove_path", "utf8_path", "write_together"]
 
 STAGED = ".bumpymap-layers-"
 """How the names of folders begin where files wait for each other; one that a killed process left can go."""
@@ -55,7 +55,7 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
 
 
 @contextmanager
-def together(folder: Path, last: str) -> Iterator[Path]:
+def write_together(folder: Path, last: str) -> Iterator[Path]:
     """Give an empty folder to write files to; all of them move to ``folder`` at the end, or none does.
 
     What they replace stays until all are complete. The file ``last`` moves last, and an old one goes first: whoever
@@ -77,14 +77,14 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
         _make_folder(staged)
-        with in_utf8(staged) as path:
+        with utf8_path(staged) as path:
             yield path
         move_together(staged, folder, last)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
 
 
-def take_away(path: Path, place: int | None = None) -> None:
+def remove_path(path: Path, place: int | None = None) -> None:
     """Remove a file, a folder with all that is in it, or a link: never what it points to.
 
     Parameters
@@ -105,7 +105,7 @@ def take_away(path: Path, place: int | None = None) -> None:
 
 
 @contextmanager
-def no_empty_folder(folder: Path) -> Iterator[None]:
+def remove_empty_on_error(folder: Path) -> Iterator[None]:
     """Take a folder away that the body made and left empty when it failed."""
     fresh = not folder.exists()
     try:
@@ -118,7 +118,7 @@ def no_empty_folder(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def in_utf8(folder: Path) -> Iterator[Path]:
+def utf8_path(folder: Path) -> Iterator[Path]:
     """Give a path to a folder that GDAL and Arrow take: they take UTF-8 alone.
 
     Where that of the folder has other bytes, the one that is given leads there by way of an open descriptor.

@@ -29,13 +29,13 @@ __all__ = [
     "Child",
     "ChildDiedError",
     "ChildError",
-    "can_start",
-    "folder_of",
-    "free_memory",
-    "take_memory",
+    "allocate_shared",
+    "can_start_children",
+    "module_folder",
+    "trim_shared",
 ]
 
-Supply = Callable[[int, memoryview], int]
+ReadAt = Callable[[int, memoryview], int]
 """Fills a buffer from a place on; gives how many bytes there were."""
 
 _SCRIPT = Path(__file__).with_name("_child.py")
@@ -65,22 +65,22 @@ class ChildDiedError(Exception):
 _memory = SharedMemory()
 
 
-def take_memory(size: int) -> SharedBytes:
+def allocate_shared(size: int) -> SharedBytes:
     """Give memory that can be handed to children; see `SharedMemory`."""
-    return _memory.take(size)
+    return _memory.allocate(size)
 
 
-def free_memory() -> None:
+def trim_shared() -> None:
     """Give the memory back that nobody uses."""
     _memory.trim()
 
 
-def can_start() -> bool:
+def can_start_children() -> bool:
     """Whether children can be started: not on Windows, and not where the executable is no Python (a frozen program)."""
     return os.name == "posix" and bool(sys.executable) and not getattr(sys, "frozen", False)
 
 
-def folder_of(module: str) -> str:
+def module_folder(module: str) -> str:
     """Folder in which a module or package is found; UsageError where it is not installed."""
     found = find_spec(module)
     if found is None or found.origin is None:
@@ -117,7 +117,7 @@ class Child:
         folders: Sequence[str] | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        if not can_start():
+        if not can_start_children():
             raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
         alone = folders is not None
         flags = ("-I", "-S") if alone else ("-P",)
@@ -141,25 +141,25 @@ class Child:
                     f"cannot start a process {purpose} ({error.strerror}). End other programs, and run again"
                 ) from error
         _children.add(self)
-        with suppress(OSError):  # whoever asks first is told that it died
+        with suppress(OSError):  # whoever takes_read_at first is told that it died
             self.link.send((not alone, sys.path if folders is None else folders, module))
 
     @property
-    def runs(self) -> bool:
+    def is_alive(self) -> bool:
         """Whether it can be asked."""
         return self.process.poll() is None
 
-    def ask(
+    def call(
         self,
         function: str,
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
-        supply: Supply | None = None,
+        read_at: ReadAt | None = None,
     ) -> Any:
         """Have a function called and give its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, asks=supply is not None)
-        return self.finish(supply)
+        self.begin(function, *arguments, shared=shared, seconds=seconds, takes_read_at=read_at is not None)
+        return self.finish(read_at)
 
     def begin(
         self,
@@ -167,7 +167,7 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
-        asks: bool = False,
+        takes_read_at: bool = False,
     ) -> None:
         """Have a function called, and do not wait for it.
 
@@ -181,16 +181,16 @@ class Child:
             Memory that it is given as further arguments, writable memoryviews.
         seconds : float
             Processor time after which the system ends the child (SIGPROF); 0: as long as it takes.
-        asks : bool
-            Its first argument is a function that asks `supply` of this process.
+        takes_read_at : bool
+            Its first argument is a function that takes_read_at `read_at` of this process.
         """
         places = [(memory.start, memory.data.size) for memory in shared]
         try:
-            self.link.send((function, arguments, places, _memory.size, seconds, asks))
+            self.link.send((function, arguments, places, _memory.size, seconds, takes_read_at))
         except OSError:
             self._raise_child_died()
 
-    def finish(self, supply: Supply | None = None) -> Any:
+    def finish(self, read_at: ReadAt | None = None) -> Any:
         """Wait for the result of what was begun.
 
         Raises
@@ -205,10 +205,10 @@ class Child:
                 kind, value = self.link.recv()
             except (EOFError, OSError):
                 self._raise_child_died()
-            if kind == "question" and supply is not None:
+            if kind == "question" and read_at is not None:
                 start, size = value
                 buffer = memoryview(bytearray(size))
-                found = supply(start, buffer)
+                found = read_at(start, buffer)
                 with suppress(OSError):  # then there is no answer either
                     self.link.send_bytes(buffer[:found])
             elif kind == "error":

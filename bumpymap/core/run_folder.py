@@ -17,7 +17,7 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.files import STAGED, atomic, take_away
+from bumpymap.core.files import STAGED, atomic, remove_path
 from bumpymap.core.json_text import parse_json
 from bumpymap.core.run_spec import differences
 
@@ -25,20 +25,20 @@ __all__ = [
     "WORK_FOLDER",
     "Kept",
     "RunFolder",
-    "broken_off",
+    "check_interrupted",
+    "clean_folder",
+    "is_interrupted",
     "is_own_folder",
     "read_record",
-    "refuse_broken_off",
     "refuse_other",
-    "tidy",
-    "what_is_kept",
+    "what_to_keep",
     "work_folder",
-    "writing_in",
+    "writing_to",
 ]
 
 WORK_FOLDER = ".bumpymap-run"
 """In the folder of the products, while a run is under way or was broken off."""
-_ASKED = "asked.json"
+_RUN_SPEC = "run_spec.json"
 
 
 class Kept(Enum):
@@ -57,14 +57,14 @@ def work_folder(out: Path) -> Path:
     return out / WORK_FOLDER
 
 
-def broken_off(out: Path) -> bool:
+def is_interrupted(out: Path) -> bool:
     """Whether a run with these products was broken off (or is under way): it may go on, and replace what it may."""
-    return not work_folder(out).is_symlink() and (work_folder(out) / _ASKED).exists()
+    return not work_folder(out).is_symlink() and (work_folder(out) / _RUN_SPEC).exists()
 
 
-def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
+def check_interrupted(out: Path, *, resume: bool, overwrite: bool) -> bool:
     """Say whether a run with these products was broken off; raises OutputError where nobody said what becomes of it."""
-    if not broken_off(out):
+    if not is_interrupted(out):
         return False
     if resume or overwrite:
         return True
@@ -74,7 +74,7 @@ def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
     )
 
 
-def what_is_kept(end: BaseException) -> Kept:
+def what_to_keep(end: BaseException) -> Kept:
     """Say what stays of a run that ends with this.
 
     A bad input is as bad the next time, and one that was mended is another input: nothing is kept. One that could not
@@ -95,7 +95,7 @@ class RunFolder:
     run_spec: dict[str, Any]
     """``inputs``, ``settings``, ``made with``: what a run that goes on must have been asked too. Beside these what it
     takes over from the earlier one, such as ``cut``: how files are cut into pieces."""
-    goes_on: bool
+    resumed: bool
     """Whether there is work of an earlier run."""
 
     @classmethod
@@ -108,14 +108,14 @@ class RunFolder:
         resume: bool,
         finished: Callable[[Path], bool],
         advice: str,
-        spared: Collection[str] = (),
-        judge: Callable[[BaseException], Kept] = what_is_kept,
+        keep: Collection[str] = (),
+        decide: Callable[[BaseException], Kept] = what_to_keep,
     ) -> Iterator["RunFolder"]:
         """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
 
         The folder goes away where the body succeeds, and where it fails with nothing ``finished`` or nothing that
-        ``judge`` would keep. Where it stays, the exception is given the ``advice`` as a note. Of an earlier run that
-        does not go on, ``spared`` files alone stay.
+        ``decide`` would keep. Where it stays, the exception is given the ``advice`` as a note. Of an earlier run that
+        does not go on, ``keep`` files alone stay.
 
         Raises
         ------
@@ -125,20 +125,20 @@ class RunFolder:
             The place cannot be written, or is a link or somebody else's.
         """
         path = work_folder(out)
-        with writing_in(path):
+        with writing_to(path):
             _make_own(path)
-            before = read_record(path / _ASKED) if resume else None
+            before = read_record(path / _RUN_SPEC) if resume else None
             if before is not None:
                 refuse_other(before, run_spec, out)
             record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))
-            tidy(path, everything=before is None, spared=spared)
+            clean_folder(path, everything=before is None, keep=keep)
             if before is None:
-                with atomic(path / _ASKED) as temporary:
+                with atomic(path / _RUN_SPEC) as temporary:
                     temporary.write_text(json.dumps(record), encoding="utf-8")
         try:
             yield cls(path, record, before is not None)
         except BaseException as end:
-            if judge(end) is not Kept.NOTHING and finished(path):
+            if decide(end) is not Kept.NOTHING and finished(path):
                 end.add_note(advice)
             else:
                 _remove(path)
@@ -172,13 +172,13 @@ def is_own_folder(path: Path, beside: Path) -> bool:
     return stat.S_ISDIR(found.st_mode) and found.st_uid in {os.geteuid(), beside.stat().st_uid}
 
 
-def tidy(path: Path, *, everything: bool = False, spared: Collection[str] = ()) -> None:
+def clean_folder(path: Path, *, everything: bool = False, keep: Collection[str] = ()) -> None:
     """Take away what is half-written in a folder, or everything, and every link. It is opened once, and no link."""
     place = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         for name in os.listdir(place):  # noqa: PTH208 (of the opened folder)
-            if name.startswith(".") or (everything and name not in spared):
-                take_away(Path(name), place)
+            if name.startswith(".") or (everything and name not in keep):
+                remove_path(Path(name), place)
         for _, folders, names, folder in os.fwalk(dir_fd=place):
             for name in (*folders, *names):
                 if stat.S_ISLNK(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode):
@@ -210,11 +210,11 @@ def _remove(path: Path) -> None:
     gone = path.with_name(f"{STAGED}{uuid4().hex}")
     with suppress(OSError):
         path.rename(gone)
-        take_away(gone)
+        remove_path(gone)
 
 
 @contextmanager
-def writing_in(folder: Path, options: str = "`out`") -> Iterator[None]:
+def writing_to(folder: Path, options: str = "`out`") -> Iterator[None]:
     """Turn what goes wrong while a folder is written to into an OutputError; ``options`` name another one."""
     try:
         yield

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-__all__ = ["as_done", "differences", "flat_settings", "same_content"]
+__all__ = ["differences", "flat_settings", "same_content", "spec_of_manifest"]
 
 _SHOWN = 8
 """So many differences are named."""
@@ -95,7 +95,9 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         return bool(hashlib.file_digest(file, "sha256").hexdigest() == known["sha256"])
 
 
-def as_done(record: Mapping[str, Any], without: Collection[str], made_with: Mapping[str, Any]) -> dict[str, Any]:
+def spec_of_manifest(
+    record: Mapping[str, Any], without: Collection[str], made_with: Mapping[str, Any]
+) -> dict[str, Any]:
     """Give what a complete run was asked, by its run.json or scan.json.
 
     Parameters

@@ -10,17 +10,17 @@ from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, runt
 
 from bumpymap.core.config import NameOrFile, names_a_file
 from bumpymap.core.errors import BumpymapError, UsageError
-from bumpymap.core.toml_file import read_toml, shown, shown_names
+from bumpymap.core.toml_file import read_toml, short_names, short_repr
 
 __all__ = [
     "UNFILLED",
     "FieldRule",
     "field_rule",
     "parse_record",
+    "path_fault",
     "read_settings_file",
     "refuse_faults",
     "settings_of_call",
-    "why_no_path",
 ]
 
 UNFILLED = "?"
@@ -144,7 +144,7 @@ def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = Fal
     """
     parser = _Parser(folder)
     if not isinstance(record, dict):
-        return {}, [f"it holds {shown(record)}; it must hold a table with {_names(owner)}"]
+        return {}, [f"it holds {short_repr(record)}; it must hold a table with {_names(owner)}"]
     return parser.table(record, owner, "", complete=complete), parser.faults
 
 
@@ -176,7 +176,7 @@ class _Parser:
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
-            self.faults.append(f"{where}unknown setting {shown_names(unknown)}; there are: {', '.join(known)}")
+            self.faults.append(f"{where}unknown setting {short_names(unknown)}; there are: {', '.join(known)}")
         arguments = {}
         for name, field in known.items():
             full = f"{table}.{name}" if table else name
@@ -195,9 +195,9 @@ class _Parser:
         if rule is not None and value == UNFILLED:
             self.faults.append(f"{name} is not filled in: {rule.allowed}")
         elif found is _UNFIT:
-            self.faults.append(f"{name} is {shown(value)}; it must be {_allowed(kind, name)}")
+            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
         elif rule is not None and (fault := rule.fault(found)):
-            self.faults.append(f"{name} is {shown(value)}; {fault}")
+            self.faults.append(f"{name} is {short_repr(value)}; {fault}")
         return found
 
     def _converted(self, value: Any, kind: Any, name: str) -> Any:
@@ -230,14 +230,14 @@ class _Parser:
 
     def _placed(self, text: str, kind: Any, name: str) -> Path | str:
         """Let a path start at the folder of the file; URLs and names are none."""
-        if reason := why_no_path(text):
+        if reason := path_fault(text):
             self.faults.append(f"{name}: {reason}")
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
         return text if kind is not Path and "://" in text else self._folder / text
 
 
-def why_no_path(text: str) -> str:
+def path_fault(text: str) -> str:
     """Say why no file can have this path; empty where one can."""
     if "\0" in text:
         return "a path cannot hold the character NUL"

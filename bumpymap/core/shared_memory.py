@@ -50,7 +50,7 @@ class SharedMemory:
         self.size = 0
         """Bytes by now."""
 
-    def take(self, size: int) -> SharedBytes:
+    def allocate(self, size: int) -> SharedBytes:
         """Give ``size`` bytes, of any content. They are given back when their last array is gone."""
         length = max(-(-size // _PAGE), 1) * _PAGE
         with self._lock:

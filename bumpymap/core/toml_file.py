@@ -13,7 +13,7 @@ from typing import Any
 
 from bumpymap.core.errors import BumpymapError
 
-__all__ = ["read_toml", "shown", "shown_names"]
+__all__ = ["read_toml", "short_names", "short_repr"]
 
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
@@ -56,14 +56,14 @@ def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, An
         raise error(f"cannot read {what} from {path}: {str(caught)[:_WORDS]}") from caught
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """Show a value of a file in a message; the middle of a long one is left out."""
     return _SHORT.repr(value)
 
 
-def shown_names(names: list[str]) -> str:
+def short_names(names: list[str]) -> str:
     """Show keys of a file in a message: the first ones, each as far as it is short."""
-    first = [shown(name)[1:-1] for name in names[:_NAMED]]
+    first = [short_repr(name)[1:-1] for name in names[:_NAMED]]
     return ", ".join(first + ([f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []))
 
 

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 _BLOCK = 1 << 18
-"""Bytes of a file that a stream asks for at once."""
+"""Bytes of a file that a stream takes_read_at for at once."""
 _streams: dict[int, Any] = {}
 
 
@@ -31,14 +31,14 @@ class Source(io.RawIOBase):
 
     Parameters
     ----------
-    supply : callable
+    read_at : callable
         Fills a buffer with the bytes from a place on; gives how many there were.
     size : int
         Bytes of the file.
     """
 
-    def __init__(self, supply: Callable[[int, memoryview], int], size: int) -> None:
-        self._supply, self._size, self._at = supply, size, 0
+    def __init__(self, read_at: Callable[[int, memoryview], int], size: int) -> None:
+        self._supply, self._size, self._at = read_at, size, 0
 
     def readable(self) -> bool:
         """Yes."""
@@ -101,11 +101,11 @@ def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], data: Any, ou
     lazrs.decompress_points_with_chunk_table(data, record, out, list(table), _fields())
 
 
-def open_stream(supply: Callable[[int, memoryview], int], number: int, record: bytes, start: int, size: int) -> None:
-    """Go through a file of ``size`` bytes in order from ``start`` on; `supply` as of `Source`."""
+def open_stream(read_at: Callable[[int, memoryview], int], number: int, record: bytes, start: int, size: int) -> None:
+    """Go through a file of ``size`` bytes in order from ``start`` on; `read_at` as of `Source`."""
     import lazrs
 
-    stream = io.BufferedReader(Source(supply, size), _BLOCK)
+    stream = io.BufferedReader(Source(read_at, size), _BLOCK)
     stream.seek(start)
     _streams[number] = lazrs.LasZipDecompressor(stream, record, _fields())
 

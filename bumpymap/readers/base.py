@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bumpymap.core import PointCloud, UsageError
-from bumpymap.readers.point_stats import PointStats, judge
+from bumpymap.readers.point_stats import PointStats, verify
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyInfo
 
 __all__ = ["SurveyBase"]
@@ -40,22 +40,22 @@ class SurveyBase(ABC):
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points that count, in metres; see ``SurveyReader.convert``."""
 
-    def judge(self, tally: PointStats) -> None:
-        """Hold all points to the header; see ``SurveyReader.judge``."""
-        judge(tally, self._info.path, self._info.point_count, self._info.bounds)
+    def verify(self, stats: PointStats) -> None:
+        """Hold all points to the header; see ``SurveyReader.verify``."""
+        verify(stats, self._info.path, self._info.point_count, self._info.bounds)
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Give the points that count; see ``SurveyReader.chunks``."""
         if points < 1:
             raise UsageError(f"a chunk of {points} points was asked for; it must hold at least 1")
-        tally = PointStats()
+        stats = PointStats()
         for chunk in self.chunks(points):
             batch = self.convert(chunk, self.fetch(chunk))
-            tally = tally.merge(batch.tally)
-            self._dropped = tally.dropped
-            if not tally.bad:
+            stats = stats.merge(batch.stats)
+            self._dropped = stats.dropped
+            if not stats.bad:
                 yield from _split(batch.cloud, points)
-        self.judge(tally)
+        self.verify(stats)
 
 
 def _split(cloud: PointCloud, points: int) -> Iterator[PointCloud]:

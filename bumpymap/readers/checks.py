@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from bumpymap.core import BadInputError, BumpymapError, wanting
+from bumpymap.core import BadInputError, BumpymapError, missing_resource
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
@@ -25,7 +25,7 @@ def decoding(path: Location, what: str) -> Iterator[None]:
     except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:
-        if wanting(error):  # nothing is wrong with the file
+        if missing_resource(error):  # nothing is wrong with the file
             raise
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise BadInputError(

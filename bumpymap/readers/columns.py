@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Georeference
-from bumpymap.readers.batch import RawPoints
+from bumpymap.readers.conversion import RawPoints
 from bumpymap.readers.source import OpenFile
 
 __all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]

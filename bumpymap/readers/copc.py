@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.batch import RecordLayout
 from bumpymap.readers.columns import DECIMALS
+from bumpymap.readers.conversion import RecordLayout
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
 from bumpymap.readers.point_stats import OUTSIDE

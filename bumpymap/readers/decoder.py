@@ -23,17 +23,17 @@ from bumpymap.core import (
     ChildError,
     SharedBytes,
     UsageError,
-    can_start,
-    folder_of,
-    free_memory,
-    take_memory,
+    allocate_shared,
+    can_start_children,
+    module_folder,
+    trim_shared,
 )
 from bumpymap.readers import _decoder_child
 
 __all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close_decoder", "decoder"]
 
 Bytes = NDArray[np.uint8]
-Supply = Callable[[int, Bytes], int]
+ReadAt = Callable[[int, Bytes], int]
 """Fills an array with the bytes of a file from a place on; gives how many there were."""
 Table = Sequence[tuple[int, int]]
 """Points and bytes of chunks."""
@@ -61,67 +61,67 @@ class Decoder:
         self._streams: set[int] = set()
         """Of the child that runs."""
 
-    def take(self, size: int) -> SharedBytes:
+    def allocate(self, size: int) -> SharedBytes:
         """Memory for bytes that the decoder will read."""
-        return take_memory(size)
+        return allocate_shared(size)
 
     def check(self, record: bytes) -> None:
         """Raise where there is no decoder for a LASzip record."""
         with self._lock:
-            self._ask("check_record", record)
+            self._call("check_record", record)
 
     def chunk_table(self, record: bytes, data: SharedBytes, chunks: int) -> Table:
         """Points and bytes of ``chunks`` chunks; ``data`` starts where the table of the file does."""
         with self._lock:
-            table: Table = self._ask("read_chunk_table", record, shared=(data,))
+            table: Table = self._call("read_chunk_table", record, shared=(data,))
         return table[:chunks]
 
     def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int) -> Bytes:
         """Decode chunks that lie one behind the other; ``size`` bytes come out."""
-        out = self.take(size)
+        out = self.allocate(size)
         with self._lock:
-            self._ask("decode_chunks", record, table, shared=(data, out))
+            self._call("decode_chunks", record, table, shared=(data, out))
         return out.data
 
-    def stream(self, record: bytes, supply: Supply, start: int, file_size: int) -> "Stream":
+    def stream(self, record: bytes, read_at: ReadAt, start: int, file_size: int) -> "Stream":
         """Go through a file from ``start`` on."""
         number = next(self._numbers)
         with self._lock:
-            self._ask("open_stream", number, record, start, file_size, supply=supply)
+            self._call("open_stream", number, record, start, file_size, read_at=read_at)
             self._streams.add(number)
-        return Stream(self, number, supply)
+        return Stream(self, number, read_at)
 
-    def read_stream(self, number: int, supply: Supply, size: int) -> Bytes:
+    def read_stream(self, number: int, read_at: ReadAt, size: int) -> Bytes:
         """Bytes of the points of a stream that come next."""
-        out = self.take(size)
+        out = self.allocate(size)
         with self._lock:
             if number not in self._streams or not self._runs():
                 raise StreamLostError
-            self._ask("read_stream", number, shared=(out,), supply=supply)
+            self._call("read_stream", number, shared=(out,), read_at=read_at)
         return out.data
 
     def close_stream(self, number: int) -> None:
         """Forget a stream."""
         with self._lock:
             if number in self._streams and self._runs():
-                self._ask("close_stream", number)
+                self._call("close_stream", number)
             self._streams.discard(number)
 
     def close(self) -> None:
         """Give back memory and the child until the next request. Arrays that were given out stay."""
         with self._lock:
             self._end()
-            free_memory()
+            trim_shared()
 
-    def _ask(
-        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), supply: Supply | None = None
+    def _call(
+        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
         """Have something done by a child; the caller holds the lock."""
         seconds = _SECONDS + _SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
-        fill = None if supply is None else partial(_fill, supply)
+        fill = None if read_at is None else partial(_fill, read_at)
         try:
             child = self._running()
-            return child.ask(function, *arguments, shared=shared, seconds=seconds, supply=fill)
+            return child.call(function, *arguments, shared=shared, seconds=seconds, read_at=fill)
         except ChildError as error:
             raise DecoderError(str(error)) from error
         except ChildDiedError as error:
@@ -133,13 +133,13 @@ class Decoder:
             raise
 
     def _runs(self) -> bool:
-        return self._child is not None and self._child.runs
+        return self._child is not None and self._child.is_alive
 
     def _running(self) -> Child:
-        if self._child is None or not self._child.runs:
+        if self._child is None or not self._child.is_alive:
             self._end()
             # Without site-packages as a whole: what people put there is run at every start.
-            folders = [str(Path(__file__).parent), folder_of("lazrs")]
+            folders = [str(Path(__file__).parent), module_folder("lazrs")]
             self._child = Child("to decode LAZ", "_decoder_child", folders)
         return self._child
 
@@ -153,11 +153,11 @@ class Decoder:
 class LocalDecoder(Decoder):
     """Decodes in this process."""
 
-    def _ask(
-        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), supply: Supply | None = None
+    def _call(
+        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
         """Have something done here."""
-        questions = () if supply is None else (partial(_fill, supply),)
+        questions = () if read_at is None else (partial(_fill, read_at),)
         try:
             return getattr(_decoder_child, function)(*questions, *arguments, *(memory.data for memory in shared))
         except (KeyboardInterrupt, SystemExit, MemoryError):
@@ -176,8 +176,8 @@ class LocalDecoder(Decoder):
 class Stream:
     """Points of a file in order."""
 
-    def __init__(self, owner: Decoder, number: int, supply: Supply) -> None:
-        self._owner, self._number, self._supply = owner, number, supply
+    def __init__(self, owner: Decoder, number: int, read_at: ReadAt) -> None:
+        self._owner, self._number, self._supply = owner, number, read_at
 
     def read(self, size: int) -> Bytes:
         """Bytes of the points that come next. Raises StreamLostError too."""
@@ -188,8 +188,8 @@ class Stream:
         self._owner.close_stream(self._number)
 
 
-def _fill(supply: Supply, start: int, buffer: memoryview) -> int:
-    return supply(start, np.frombuffer(buffer, np.uint8))
+def _fill(read_at: ReadAt, start: int, buffer: memoryview) -> int:
+    return read_at(start, np.frombuffer(buffer, np.uint8))
 
 
 def _raise_child_died(error: ChildDiedError) -> NoReturn:
@@ -218,7 +218,7 @@ def decoder() -> Decoder:
     global _current  # noqa: PLW0603 (one for all readers: it uses every core by itself)
     with _lock:
         if _current is None:
-            _current = Decoder() if can_start() else LocalDecoder()
+            _current = Decoder() if can_start_children() else LocalDecoder()
         return _current
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import Location, OpenFile, open_source
-from bumpymap.readers.watched import WatchedSurvey
+from bumpymap.readers.versioned import VersionedSurvey
 
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted
@@ -73,7 +73,7 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud again, in a worker; its notes were logged already. As ``open_survey`` otherwise."""
-    return WatchedSurvey(path, partial(_reader, path, options))
+    return VersionedSurvey(path, partial(_reader, path, options))
 
 
 def _reader(path: Location, options: ReadOptions) -> SurveyReader:

@@ -8,9 +8,9 @@ import numpy as np
 
 from bumpymap.core import BadInputError, Georeference, georeference
 from bumpymap.readers.base import SurveyBase
-from bumpymap.readers.batch import NO_POINTS, RecordLayout, Watch, batch_of_records
 from bumpymap.readers.checks import decoding, refuse_header_bounds
 from bumpymap.readers.columns import DECIMALS
+from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, convert_las_points
 from bumpymap.readers.copc import count_points_outside_node, read_octree
 from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, read_raw_header
@@ -63,7 +63,7 @@ class LasSurvey(SurveyBase):
     def convert(self, chunk: Chunk, fetched: Records) -> ChunkPoints:
         """Points of a piece that count, in metres."""
         info = self.info
-        batch = batch_of_records(fetched, self._layout, info.georeference, Watch(chunk.first, info.bounds))
+        batch = convert_las_points(fetched, self._layout, info.georeference, PointChecks(chunk.first, info.bounds))
         nodes = self._source.nodes(chunk)
         if nodes is None or info.bounds is None:
             return batch
@@ -73,7 +73,7 @@ class LasSurvey(SurveyBase):
         return (
             batch
             if not points_outside_node
-            else ChunkPoints(NO_POINTS, replace(batch.tally, points_outside_node=points_outside_node))
+            else ChunkPoints(NO_POINTS, replace(batch.stats, points_outside_node=points_outside_node))
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.cut import cut_chunks, cut_rows
+from bumpymap.readers.chunking import group_laz_chunks, split_rows
 from bumpymap.readers.decoder import Stream, StreamLostError, decoder
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
@@ -35,7 +35,7 @@ class RecordSource(ABC):
 
     def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut anywhere."""
-        return cut_rows(self._header.point_count, points, self._header.point_size)
+        return split_rows(self._header.point_count, points, self._header.point_size)
 
     @abstractmethod
     def fetch(self, chunk: Chunk) -> Records:
@@ -69,12 +69,12 @@ class LazChunks(RecordSource):
 
     def chunks(self, points: int) -> Sequence[Chunk]:
         """Cut between chunks; around nodes of an octree goes a box."""
-        return cut_chunks(self._ends, points, self._header.point_size, self._table.boxes)
+        return group_laz_chunks(self._ends, points, self._header.point_size, self._table.boxes)
 
     def fetch(self, chunk: Chunk) -> Records:
         """Read the bytes of the chunks, neighbours in the file at once, and decode them."""
         part = self._part(chunk)
-        block = decoder().take(int(part.sizes.sum()))
+        block = decoder().allocate(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):

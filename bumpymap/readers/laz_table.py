@@ -98,7 +98,7 @@ def is_chunked(record: bytes) -> bool:
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
     """Read the chunk table and check it against the file and the number of points in the header."""
     table_at, chunks = _table_place(stream, path, header)
-    block = decoder().take(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
+    block = decoder().allocate(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
     stream.seek(table_at)
     data = stream.read(block.data.size)
     refuse_count(path, block.data.size, len(data), "bytes of a LAZ chunk table")

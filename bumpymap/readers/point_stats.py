@@ -1,7 +1,7 @@
 """What is counted while points pass, and the verdict when all were seen.
 
 A header's extent and point count can only be judged when all points were seen, and the pieces of a file may be read in
-any order, by several machines. Each chunk gives a ``PointStats``; they are merged, and ``judge`` compares the sum with
+any order, by several machines. Each chunk gives a ``PointStats``; they are merged, and ``verify`` compares the sum with
 what the header said.
 """
 
@@ -14,14 +14,14 @@ from bumpymap.readers.checks import TRUST, box_text, refuse_count
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
-__all__ = ["NOWHERE", "OUTSIDE", "PointStats", "judge"]
+__all__ = ["EARTH_LIMIT", "OUTSIDE", "PointStats", "verify"]
 
 _DROPPED = ("withheld", "noise", "not_a_number")
 """Reasons for which a point does not count: flagged withheld; class 7 or 18; PCD rows that stand for "no return"."""
 
 OUTSIDE = 1.0
 """How far a point may lie outside the box of its file or its piece, m: headers are rounded."""
-NOWHERE = 3e9
+EARTH_LIMIT = 3e9
 """Coordinates beyond this, m, are not a location on Earth (40,000 km around) by any datum or unit."""
 _FAR_TOO_LARGE, _FAR_TOO_LARGE_RATIO = 10_000.0, 10.0
 """A box longer than this, m, and than so many times the points' own extent was not made from the points."""
@@ -55,7 +55,7 @@ class PointStats:
     """Largest distance of a height from zero, m."""
 
     def merge(self, other: "PointStats") -> "PointStats":
-        """Give the tally of both; the order does not matter."""
+        """Give the stats of both; the order does not matter."""
         firsts = [first for first in (self.first_not_finite, other.first_not_finite) if first >= 0]
         return PointStats(
             self.points + other.points,
@@ -80,15 +80,15 @@ class PointStats:
 
     @property
     def bad(self) -> bool:
-        """Whether any point is such that the file cannot be mapped; ``judge`` will say why."""
+        """Whether any point is such that the file cannot be mapped; ``verify`` will say why."""
         return bool(
-            self.not_finite or self.outside or self.points_outside_node or self.nowhere or self.highest > NOWHERE
+            self.not_finite or self.outside or self.points_outside_node or self.off_earth or self.highest > EARTH_LIMIT
         )
 
     @property
-    def nowhere(self) -> bool:
+    def off_earth(self) -> bool:
         """Whether a point lies at not a location on Earth."""
-        return max(-self.west, -self.south, self.east, self.north) > NOWHERE
+        return max(-self.west, -self.south, self.east, self.north) > EARTH_LIMIT
 
     @property
     def bounds(self) -> Bounds:
@@ -106,12 +106,12 @@ class PointStats:
         return cls(**numbers)
 
 
-def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | None) -> None:
+def verify(stats: PointStats, path: Location, promised: int, bounds: Bounds | None) -> None:
     """Hold all points of a file to what its header said.
 
     Parameters
     ----------
-    tally : Tally
+    stats : PointStats
         Of every piece.
     path : Path or str
     promised : int
@@ -124,43 +124,43 @@ def judge(tally: PointStats, path: Location, promised: int, bounds: Bounds | Non
     BadInputError
         The file cannot be mapped.
     """
-    if tally.not_finite:
+    if stats.not_finite:
         raise BadInputError(
-            f"{path} holds {tally.not_finite:,} points whose coordinates are not a number or infinite; the first is "
-            f"point {tally.first_not_finite:,} (counted from 0). {_REMOVE}'X[-1e9:1e9],Y[-1e9:1e9],Z[-1e9:1e9]'"
+            f"{path} holds {stats.not_finite:,} points whose coordinates are not a number or infinite; the first is "
+            f"point {stats.first_not_finite:,} (counted from 0). {_REMOVE}'X[-1e9:1e9],Y[-1e9:1e9],Z[-1e9:1e9]'"
         )
-    refuse_count(path, promised, tally.points)
-    if tally.nowhere:
+    refuse_count(path, promised, stats.points)
+    if stats.off_earth:
         raise BadInputError(
-            f"the points of {path} lie in {box_text(tally.bounds)}, which is not a location on Earth: are scale, "
+            f"the points of {path} lie in {box_text(stats.bounds)}, which is not a location on Earth: are scale, "
             "offset and CRS of the file right?"
         )
-    if tally.highest > NOWHERE:
+    if stats.highest > EARTH_LIMIT:
         raise BadInputError(
-            f"{path} holds heights of up to {tally.highest:g} m from zero, which is not a location on Earth: a nodata "
+            f"{path} holds heights of up to {stats.highest:g} m from zero, which is not a location on Earth: a nodata "
             f"value, or a wrong scale? {_REMOVE}'Z[-1e4:1e4]'"
         )
-    if bounds is not None and tally.points:
-        _judge_extent(tally, path, bounds)
-    if tally.points_outside_node:
+    if bounds is not None and stats.points:
+        _judge_extent(stats, path, bounds)
+    if stats.points_outside_node:
         raise BadInputError(
-            f"{tally.points_outside_node:,} of {tally.points:,} points of {path} "
+            f"{stats.points_outside_node:,} of {stats.points:,} points of {path} "
             f"lie outside the octree node that holds them: the file is damaged. "
             f"Build it anew, such as with: pdal translate IN OUT.copc.laz. {TRUST}"
         )
 
 
-def _judge_extent(tally: PointStats, path: Location, box: Bounds) -> None:
+def _judge_extent(stats: PointStats, path: Location, box: Bounds) -> None:
     claimed = (box.east - box.west, box.north - box.south)
-    own = (tally.east - tally.west, tally.north - tally.south)
+    own = (stats.east - stats.west, stats.north - stats.south)
     far_too_large = any(
         side > _FAR_TOO_LARGE and side > _FAR_TOO_LARGE_RATIO * length
         for side, length in zip(claimed, own, strict=True)
     )
-    if tally.outside or far_too_large:
-        count = f"; {tally.outside:,} of {tally.points:,} points are outside" if tally.outside else ""
+    if stats.outside or far_too_large:
+        count = f"; {stats.outside:,} of {stats.points:,} points are outside" if stats.outside else ""
         raise BadInputError(
             f"the header of {path} says that the points lie in {box_text(box)}, but they lie in "
-            f"{box_text(tally.bounds)}{count}. Is the file damaged, or was it cut from another without a new header? "
+            f"{box_text(stats.bounds)}{count}. Is the file damaged, or was it cut from another without a new header? "
             f"{TRUST}"
         )

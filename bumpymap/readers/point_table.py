@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CrsStatement, georeference
 from bumpymap.readers.base import SurveyBase
-from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import refuse_count
+from bumpymap.readers.chunking import split_rows
 from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note
-from bumpymap.readers.cut import cut_rows
+from bumpymap.readers.conversion import PointChecks, convert_table_points
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, place_of
 
@@ -110,7 +110,7 @@ class TableSurvey(SurveyBase):
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Cut anywhere."""
-        return cut_rows(self._table.info.count, points, self._table.info.row_bytes)
+        return split_rows(self._table.info.count, points, self._table.info.row_bytes)
 
     def fetch(self, chunk: Chunk) -> Any:
         """Rows of a piece: a structured array with at least the columns that are needed."""
@@ -119,7 +119,7 @@ class TableSurvey(SurveyBase):
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points of a piece that count, in metres."""
         raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(chunk.first, None, self._table.nan_is_no_return))
+        return convert_table_points(raw, PointChecks(chunk.first, None, self._table.nan_is_no_return))
 
     def _first(self) -> tuple[float, float, float] | None:
         """Give the first point that is one, looking at the first rows alone."""

@@ -64,7 +64,7 @@ class Chunk:
     points: int
     """As the header or the table of the file promises."""
     bounds: Bounds | None = None
-    """m; no point lies more than 1 m (``tally.OUTSIDE``) outside, or ``judge`` raises; None: only the file's own bounds
+    """Extent in m. `verify` raises if a point lies more than 1 m outside it. None if only the bounds of the whole file
     are known."""
 
 
@@ -73,13 +73,13 @@ class ChunkPoints:
     """The points of a piece."""
 
     cloud: PointCloud
-    """Those that count, in metres; none where ``tally.bad``."""
-    tally: PointStats
+    """Those that count, in metres; none where ``stats.bad``."""
+    stats: PointStats
     """Of all of them."""
 
 
 class SurveyReader(Protocol):
-    """One point cloud file, read in pieces: ``fetch``, then ``convert`` each, ``judge`` the sum of their tallies."""
+    """One point cloud file, read in pieces: ``fetch``, then ``convert`` each, ``verify`` the sum of their tallies."""
 
     @property
     def info(self) -> SurveyInfo:
@@ -110,13 +110,13 @@ class SurveyReader(Protocol):
         ``fetched`` is used up.
         """
 
-    def judge(self, tally: PointStats) -> None:
+    def verify(self, stats: PointStats) -> None:
         """Hold the points of all pieces to what the header said.
 
         Raises
         ------
         BadInputError
-            The header and the points disagree, or points are nowhere.
+            The header and the points disagree, or points are off_earth.
         """
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
@@ -125,5 +125,5 @@ class SurveyReader(Protocol):
         Raises
         ------
         BadInputError
-            As ``fetch`` and ``judge`` do; what concerns all points is known, and raised, at the end.
+            As ``fetch`` and ``verify`` do; what concerns all points is known, and raised, at the end.
         """

@@ -26,17 +26,17 @@ __all__ = [
     "Location",
     "OpenFile",
     "Version",
-    "changed",
-    "held_to",
+    "file_changed",
     "identity",
     "is_folder",
     "is_url",
     "list_folder",
     "open_source",
+    "pinned_version",
     "place_of",
     "read_into",
     "read_range",
-    "require_same",
+    "require_unchanged",
     "size_of",
     "version_of",
 ]
@@ -57,8 +57,8 @@ _VERSIONS = (
     "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
 )  # fmt: skip
 """Names under which servers tell one version of a file from the next."""
-_HELD: ContextVar[tuple[Location, Version] | None] = ContextVar("_HELD", default=None)
-"""See `held_to`."""
+_PINNED: ContextVar[tuple[Location, Version] | None] = ContextVar("_PINNED", default=None)
+"""See `pinned_version`."""
 
 
 def is_url(location: object) -> bool:
@@ -158,7 +158,7 @@ def version_of(location: Location) -> Version:
 
 
 @contextmanager
-def held_to(location: Location, version: Version) -> Iterator[None]:
+def pinned_version(location: Location, version: Version) -> Iterator[None]:
     """Hold what is read of a file in the body, in this thread, to one version of it.
 
     Every answer of a web server is held to it. Where anything else in the body finds the file bad, and it is of another
@@ -167,21 +167,21 @@ def held_to(location: Location, version: Version) -> Iterator[None]:
     Raises
     ------
     BadInputError
-        See `require_same`.
+        See `require_unchanged`.
     """
-    token = _HELD.set((location, version))
+    token = _PINNED.set((location, version))
     try:
         yield
     except StalledServerError:
         raise  # it would not answer the next question either
     except BadInputError as error:
-        require_same(location, version, error)
+        require_unchanged(location, version, error)
         raise
     finally:
-        _HELD.reset(token)
+        _PINNED.reset(token)
 
 
-def require_same(location: Location, version: Version, cause: Exception | None = None) -> None:
+def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
     """Make sure that a file is still of a version.
 
     A change that leaves size and time as they were goes unnoticed: one within a tick of the file system's clock (some
@@ -197,12 +197,12 @@ def require_same(location: Location, version: Version, cause: Exception | None =
     except BadInputError as error:
         if is_url(location):
             raise cause or error from error  # a server that does not answer says nothing about the file
-        raise changed(location, f"it is gone ({error})") from cause or error
+        raise file_changed(location, f"it is gone ({error})") from cause or error
     if now != version:
-        raise changed(location, _difference(version, now)) from cause
+        raise file_changed(location, _difference(version, now)) from cause
 
 
-def changed(location: Location, how: str) -> BadInputError:
+def file_changed(location: Location, how: str) -> BadInputError:
     """Give what to raise where a file does not stay the same while it is read."""
     return BadInputError(
         f"{location} changed while it was read: {how}. What was read may be a mixture, so nothing was made of it. Run "
@@ -219,7 +219,7 @@ def _difference(before: Version, now: Version) -> str:
 
 
 def identity(location: Location) -> dict[str, Any]:
-    """Tell a file from another, and from its own earlier version. Of one that is being read, see `require_same`.
+    """Tell a file from another, and from its own earlier version. Of one that is being read, see `require_unchanged`.
 
     Returns
     -------
@@ -229,7 +229,7 @@ def identity(location: Location) -> dict[str, Any]:
     """
     version = version_of(location)
     size = version["size"]
-    with held_to(location, version):
+    with pinned_version(location, version):
         ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
     return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
@@ -275,14 +275,14 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
 
 def _require_held(url: str, said: Mapping[str, Any]) -> None:
     """Hold an answer of a web server to the version that is being read; servers may leave out what they said before."""
-    held = _HELD.get()
+    held = _PINNED.get()
     if held is None or held[0] != url:
         return
     before = held[1]
     now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
     key, _, value = before["version"].partition(" ")
     if now["size"] != before["size"] or (key and said.get(key, value) != value):
-        raise changed(url, _difference(before, now))
+        raise file_changed(url, _difference(before, now))
 
 
 def _said_of(url: str) -> Mapping[str, Any]:

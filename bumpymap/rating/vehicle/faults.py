@@ -3,7 +3,7 @@
 import math
 from typing import TYPE_CHECKING
 
-from bumpymap.core import shown
+from bumpymap.core import short_repr
 
 if TYPE_CHECKING:
     from bumpymap.rating.vehicle.profile import Chassis, Rocker, Vehicle
@@ -93,7 +93,7 @@ def _gyration(profile: "Vehicle", table: str) -> str:
     if low <= min(moments) and max(moments) <= high:
         return ""
     return (
-        f"{table}.inertia_kgm2 is {shown(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
+        f"{table}.inertia_kgm2 is {short_repr(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
         f"{size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg m2; a solid box of mass m, length l, "
         "width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, m (l2 + w2) / 12"
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import refuse_count
 from bumpymap.readers.frames.raw import RawScan
-from bumpymap.readers.source import held_to, read_range, require_same, size_of, version_of
+from bumpymap.readers.source import pinned_version, read_range, require_unchanged, size_of, version_of
 
 __all__ = ["LABEL_FOLDERS", "POINT_FOLDERS", "label_file", "read_kitti"]
 
@@ -68,9 +68,9 @@ def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
             f"{labels} has {size:,} bytes; {path} has {count:,} points, whose labels take {_LABEL_BYTES * count:,}. "
             "They do not belong together: copy both again, or remove the label file"
         )
-    with held_to(labels, version):
+    with pinned_version(labels, version):
         ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
-    require_same(labels, version)
+    require_unchanged(labels, version)
     return ids
 
 

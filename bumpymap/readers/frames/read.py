@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Dropped, Scan, UsageError
 from bumpymap.readers.frames.raw import RawScan
-from bumpymap.readers.source import held_to, require_same, version_of
+from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["Robot", "read_scan", "scene_points"]
 
@@ -53,9 +53,9 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
         belong to it.
     """
     version = version_of(path)
-    with held_to(path, version):
+    with pinned_version(path, version):
         raw = _read(path)
-    require_same(path, version)
+    require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
 

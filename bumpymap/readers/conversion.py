@@ -1,4 +1,4 @@
-"""What was fetched, made into batches: points that count, in metres, and the tally of all."""
+"""What was fetched, made into batches: points that count, in metres, and the stats of all."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
 
-__all__ = ["NO_POINTS", "RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
+__all__ = ["NO_POINTS", "PointChecks", "RawPoints", "RecordLayout", "convert_las_points", "convert_table_points"]
 
 
 NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.bool_))
@@ -42,7 +42,7 @@ class RecordLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class PointChecks:
     """What the points of a piece are held to."""
 
     first: int
@@ -52,8 +52,8 @@ class Watch:
     """Whether a row with NaN coordinates is a beam without return, as in PCD, or a fault."""
 
 
-def batch_of_records(
-    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: Watch
+def convert_las_points(
+    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: PointChecks
 ) -> ChunkPoints:
     """Convert LAS records.
 
@@ -63,7 +63,7 @@ def batch_of_records(
     layout : RecordLayout
     place : Georeference
         Gives the units.
-    watch : Watch
+    watch : PointChecks
     """
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
@@ -77,7 +77,7 @@ def batch_of_records(
     return _batch(out, size, extremes, counts)
 
 
-def batch_of_points(raw: RawPoints, watch: Watch) -> ChunkPoints:
+def convert_table_points(raw: RawPoints, watch: PointChecks) -> ChunkPoints:
     """Convert rows of a table; the coordinates of ``raw`` are used up."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
@@ -115,10 +115,10 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
 def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # What is astray in an octree is found elsewhere, see `count_astray`.
-    tally = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
-    kept = 0 if tally.bad else int(counts[KEPT])
+    stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
+    kept = 0 if stats.bad else int(counts[KEPT])
     cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
     if kept < seen // 2:
         # A view would keep the room of the points that were left out.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return ChunkPoints(cloud, tally)
+    return ChunkPoints(cloud, stats)

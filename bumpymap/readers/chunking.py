@@ -7,26 +7,26 @@ from bumpymap.core import UsageError
 from bumpymap.readers.protocol import Chunk
 from bumpytiles import Bounds
 
-__all__ = ["chunk_points", "cut_chunks", "cut_rows"]
+__all__ = ["chunk_capacity", "group_laz_chunks", "split_rows"]
 
 _PIECE_BYTES = 1 << 26
 """No piece is larger in memory, however long a point is, unless one chunk of the file is."""
 
 
-def chunk_points(points: int, point_size: int) -> int:
+def chunk_capacity(points: int, point_size: int) -> int:
     """Points that a piece may hold when a point takes so many bytes. Raises UsageError for less than one."""
     if points < 1:
         raise UsageError(f"a piece of {points} points was asked for; it must hold at least 1")
     return max(min(points, _PIECE_BYTES // point_size), 1)
 
 
-def cut_rows(total: int, points: int, point_size: int) -> list[Chunk]:
+def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
     """Pieces of a file that can be cut anywhere."""
-    step = chunk_points(points, point_size)
+    step = chunk_capacity(points, point_size)
     return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
-def cut_chunks(
+def group_laz_chunks(
     ends: NDArray[np.int64], points: int, point_size: int, boxes: NDArray[np.float64] | None = None
 ) -> list[Chunk]:
     """Pieces of whole chunks that hold at most so many points, or one chunk.
@@ -41,7 +41,7 @@ def cut_chunks(
     boxes : float64 (n, 4), optional
         West, south, east and north of each chunk, m; pieces get the box around those of theirs.
     """
-    step = chunk_points(points, point_size)
+    step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []
     first, before = 0, 0
     while first < ends.size:

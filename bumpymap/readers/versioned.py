@@ -11,12 +11,12 @@ from typing import Any
 from bumpymap.readers.base import SurveyBase
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyReader
-from bumpymap.readers.source import Location, held_to, is_url, require_same, version_of
+from bumpymap.readers.source import Location, is_url, pinned_version, require_unchanged, version_of
 
-__all__ = ["WatchedSurvey"]
+__all__ = ["VersionedSurvey"]
 
 
-class WatchedSurvey(SurveyBase):
+class VersionedSurvey(SurveyBase):
     """A ``SurveyReader`` around another one.
 
     Parameters
@@ -28,12 +28,12 @@ class WatchedSurvey(SurveyBase):
     Raises
     ------
     BadInputError
-        Here, or from ``fetch`` and ``judge``: the file was changed, or is gone.
+        Here, or from ``fetch`` and ``verify``: the file was changed, or is gone.
     """
 
     def __init__(self, path: Location, open_reader: Callable[[], SurveyReader]) -> None:
         self._path, self._version = path, version_of(path)
-        with held_to(path, self._version):
+        with pinned_version(path, self._version):
             self._reader = open_reader()
         super().__init__(replace(self._reader.info, version=self._version))
 
@@ -43,18 +43,18 @@ class WatchedSurvey(SurveyBase):
 
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode; see ``SurveyReader.fetch``."""
-        with held_to(self._path, self._version):
+        with pinned_version(self._path, self._version):
             fetched = self._reader.fetch(chunk)
         if not is_url(self._path):  # a server would be asked once more for each piece
-            require_same(self._path, self._version)
+            require_unchanged(self._path, self._version)
         return fetched
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Points that count, in metres; see ``SurveyReader.convert``."""
-        with held_to(self._path, self._version):
+        with pinned_version(self._path, self._version):
             return self._reader.convert(chunk, fetched)
 
-    def judge(self, tally: PointStats) -> None:
-        """Hold all points to the header, and the file to what it was; see ``SurveyReader.judge``."""
-        require_same(self._path, self._version)
-        self._reader.judge(tally)
+    def verify(self, stats: PointStats) -> None:
+        """Hold all points to the header, and the file to what it was; see ``SurveyReader.verify``."""
+        require_unchanged(self._path, self._version)
+        self._reader.verify(stats)
