@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 _BLOCK = 1 << 18
-"""Bytes of a file that a stream takes_read_at for at once."""
+"""Bytes of a file that a stream requests at once."""
 _streams: dict[int, Any] = {}
 
 
