@@ -36,7 +36,7 @@ NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
 
 RESUME_OR_OVERWRITE = (
     "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
-    "started with `overwrite=True` is resumed with `resume=True` alone"
+    "started with `overwrite=True` is resumed with just `resume=True`"
 )
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` uses only points of class 2 if more than this share of the tiles has such points."""

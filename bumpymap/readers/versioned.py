@@ -1,7 +1,7 @@
-"""A survey that must stay the same from the moment it is opened to the end of its reading.
+"""Check that a survey file does not change from when it is opened until all of it has been read.
 
-Formats know nothing of it: what they were given may have come from two versions of a file, which look like a damaged
-one at best, and like a sound one at worst.
+The readers of the formats do not check this. If a file is replaced meanwhile, they see parts of two versions, which at
+best look like a damaged file, and at worst like a valid one.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,18 +17,18 @@ __all__ = ["VersionedSurvey"]
 
 
 class VersionedSurvey(SurveyBase):
-    """A ``SurveyReader`` around another one.
+    """A ``SurveyReader`` that wraps another one and checks the version of its file.
 
     Parameters
     ----------
     path : Path or str
     open_reader : callable
-        Opens it: reads the header.
+        Opens the wrapped reader, which reads the header.
 
     Raises
     ------
     BadInputError
-        Here, or from ``fetch`` and ``verify``: the file was changed, or is gone.
+        Raised here and by ``fetch``, ``convert`` and ``verify`` if the file was changed or removed.
     """
 
     def __init__(self, path: Location, open_reader: Callable[[], SurveyReader]) -> None:
@@ -38,23 +38,23 @@ class VersionedSurvey(SurveyBase):
         super().__init__(replace(self._reader.info, version=self._version))
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut the file; see ``SurveyReader.pieces``."""
+        """Split the file into chunks; see ``SurveyReader.chunks``."""
         return self._reader.chunks(points)
 
     def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode; see ``SurveyReader.fetch``."""
+        """Read and decode a chunk; see ``SurveyReader.fetch``."""
         with pinned_version(self._path, self._version):
             fetched = self._reader.fetch(chunk)
-        if not is_url(self._path):  # a server would be asked once more for each piece
+        if not is_url(self._path):  # this would cost one more request for each chunk
             require_unchanged(self._path, self._version)
         return fetched
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Points that count, in metres; see ``SurveyReader.convert``."""
+        """Convert a chunk to points in metres; see ``SurveyReader.convert``."""
         with pinned_version(self._path, self._version):
             return self._reader.convert(chunk, fetched)
 
     def verify(self, stats: PointStats) -> None:
-        """Hold all points to the header, and the file to what it was; see ``SurveyReader.verify``."""
+        """Check all points against the header, and that the file is unchanged; see ``SurveyReader.verify``."""
         require_unchanged(self._path, self._version)
         self._reader.verify(stats)

@@ -94,8 +94,8 @@ GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)
         ({"east": EARTH_LIMIT * 2}, "not a location on Earth"),
         ({"south": -EARTH_LIMIT * 2}, "not a location on Earth"),
         ({"highest": EARTH_LIMIT * 2}, "heights of up to 6e"),
-        ({"outside": 2, "east": 120.0}, r"2 of 5 points are outside.*--trust-points"),
-        ({"points_outside_node": 3}, r"3 of 5 points .* octree.*--trust-points"),
+        ({"outside": 2, "east": 120.0}, r"2 of 5 points are outside.*`trust_points=True`"),
+        ({"points_outside_node": 3}, r"3 of 5 points .* octree.*`trust_points=True`"),
     ],
 )
 def test_the_verdict(changes, says, tmp_path):
