@@ -11,7 +11,7 @@ import click
 
 from bumpymap.cli._events import emit, keeping_the_log
 from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
-from bumpymap.core import BumpymapError, causes, wanting
+from bumpymap.core import BumpymapError, error_chain, missing_resource
 
 __all__ = ["Ended", "end_of"]
 
@@ -89,7 +89,7 @@ def _told(error: Exception) -> tuple[int, list[str]]:
 
 
 def _message(error: Exception) -> tuple[int, list[str]]:
-    if what := wanting(error):
+    if what := missing_resource(error):
         return _BAD, [_WANT.format(what=what)]
     if isinstance(error, BumpymapError | Ended):
         return error.exit_code, [str(line) for line in error.args]
@@ -97,7 +97,7 @@ def _message(error: Exception) -> tuple[int, list[str]]:
         return error.exit_code, [error.format_message()]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
-    for cause in causes(error):
+    for cause in error_chain(error):
         if isinstance(cause, OSError) and (cause is error or cause.errno in _FULL):
             named = f"{cause.filename!s}: " if cause.filename is not None else ""
             where = " (a disk, or shared memory: /dev/shm)" if cause.errno in _FULL and not named else ""

@@ -63,5 +63,7 @@ def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[C
     refuse_clashes(from_file, clashes)
     refuse_clashes(given, clashes, option)
     both = from_file | given
-    lost = {name for clash in clashes if clash.held(both) for name in (clash.first, clash.second) if name not in given}
+    lost = {
+        name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in given
+    }
     return {name: value for name, value in both.items() if name not in lost}

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bumpymap.core import why_no_path
+from bumpymap.core import path_fault
 
 __all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "telling_how_to_go_on"]
 
@@ -21,7 +21,7 @@ class _NamedPath(click.Path):
         """Turn a text into a Path."""
         if value == "":
             self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
-        if isinstance(value, str) and (reason := why_no_path(value)):
+        if isinstance(value, str) and (reason := path_fault(value)):
             self.fail(reason, param, ctx)
         return super().convert(value, param, ctx)
 

@@ -13,7 +13,7 @@ from bumpymap.cli._options import joined, option, output_options, typed, workers
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
 from bumpymap.cli._text import say, say_json
-from bumpymap.core import ONE_PLACE, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
+from bumpymap.core import CRS_OR_LOCAL, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 
 if TYPE_CHECKING:
     from bumpymap.lab import EvaluateSettings, Findings, Subject
@@ -144,7 +144,7 @@ def _refuse_foreign(*, places: bool, scans: bool) -> None:
 def _refuse_idle(settings: "EvaluateSettings", *, library: bool) -> None:
     """Refuse options about what this evaluation does not read or do."""
     given = typed(click.get_current_context().params)
-    joined({}, given, [ONE_PLACE])
+    joined({}, given, [CRS_OR_LOCAL])
     for name in _OF_SURVEYS if library else ():
         if name in given:
             raise UsageError(f"{option(name)} applies to surveys and has no effect with --library: leave it out")

@@ -9,7 +9,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import joined, option, output_options, typed
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
-from bumpymap.core import ONE_VEHICLE, Compat, UsageError
+from bumpymap.core import VEHICLE_OR_CALIBRATION, Compat, UsageError
 
 if TYPE_CHECKING:
     from bumpymap.core import PolarSettings
@@ -117,7 +117,7 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     radius = options.pop("robot_radius", None)
     if "products" in options:
         options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
-    settings = joined(settings, options, [ONE_VEHICLE])
+    settings = joined(settings, options, [VEHICLE_OR_CALIBRATION])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):

@@ -1,4 +1,4 @@
-"""What all rooms share: records, settings, errors, files that appear whole, progress, child processes, CRS."""
+"""Shared by all packages: records, settings, errors, atomic file writing, progress, child processes, CRS."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
 from .config import (
-    BOTH as BOTH,
     CLASHES as CLASHES,
-    ONE_PLACE as ONE_PLACE,
-    ONE_VEHICLE as ONE_VEHICLE,
+    CRS_OR_LOCAL as CRS_OR_LOCAL,
+    RESUME_OR_OVERWRITE as RESUME_OR_OVERWRITE,
+    VEHICLE_OR_CALIBRATION as VEHICLE_OR_CALIBRATION,
     Clash as Clash,
     Compat as Compat,
     CsfSettings as CsfSettings,
@@ -43,17 +43,17 @@ from .errors import (
     BumpymapError as BumpymapError,
     OutputError as OutputError,
     UsageError as UsageError,
-    causes as causes,
-    wanting as wanting,
+    error_chain as error_chain,
+    missing_resource as missing_resource,
 )
 from .files import (
     STAGED as STAGED,
     atomic as atomic,
-    in_utf8 as in_utf8,
     move_together as move_together,
-    no_empty_folder as no_empty_folder,
-    take_away as take_away,
-    together as together,
+    remove_empty_on_error as remove_empty_on_error,
+    remove_path as remove_path,
+    utf8_path as utf8_path,
+    write_together as write_together,
 )
 from .interrupts import (
     Terminated as Terminated,
@@ -80,10 +80,10 @@ from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,
     ChildError as ChildError,
-    can_start as can_start,
-    folder_of as folder_of,
-    free_memory as free_memory,
-    take_memory as take_memory,
+    allocate_shared as allocate_shared,
+    can_start_children as can_start_children,
+    module_folder as module_folder,
+    trim_shared as trim_shared,
 )
 from .progress import (
     Progress as Progress,
@@ -95,18 +95,18 @@ from .progress import (
 from .run_folder import (
     Kept as Kept,
     RunFolder as RunFolder,
+    check_interrupted as check_interrupted,
+    clean_folder as clean_folder,
     is_own_folder as is_own_folder,
     read_record as read_record,
-    refuse_broken_off as refuse_broken_off,
-    tidy as tidy,
-    what_is_kept as what_is_kept,
-    writing_in as writing_in,
+    what_to_keep as what_to_keep,
+    writing_to as writing_to,
 )
 from .run_spec import (
-    as_done as as_done,
     differences as differences,
     flat_settings as flat_settings,
     same_content as same_content,
+    spec_of_manifest as spec_of_manifest,
 )
 from .scan_types import (
     CLASSES as CLASSES,
@@ -127,17 +127,17 @@ from .settings_file import (
     UNFILLED as UNFILLED,
     field_rule as field_rule,
     parse_record as parse_record,
+    path_fault as path_fault,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
     settings_of_call as settings_of_call,
-    why_no_path as why_no_path,
 )
 from .shared_memory import (
     SharedBytes as SharedBytes,
 )
 from .toml_file import (
     read_toml as read_toml,
-    shown as shown,
+    short_repr as short_repr,
 )
 from .types import (
     BANDS as BANDS,

@@ -1,8 +1,8 @@
 """The loop of a child process: answer requests until the parent closes the connection or ends.
 
-`bumpymap.core.processes` starts this file as a script, outside of its package: the process that decodes LAZ must start
-quickly, so nothing is imported here but the standard library. The first message says where modules are found, and
-which of them holds the functions that later messages call by name.
+`bumpymap.core.processes` starts this file as a script, outside of its package. The LAZ decoder process must start
+quickly, so only the standard library is imported here. The first message holds the ``sys.path`` and the name of the
+module whose functions later messages call.
 """
 
 import mmap
@@ -23,7 +23,13 @@ _LONGEST_TEXT = 1000
 
 
 def serve(socket: int, memory: int) -> None:
-    """Answer requests; the arguments are descriptors of a socket and of shared memory."""
+    """Handle requests until the parent closes the connection.
+
+    Parameters
+    ----------
+    socket, memory : int
+        Descriptors of the socket to the parent and of the shared memory.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     link, shared = Connection(socket), _Shared(memory)
     threading.Thread(target=_end_with_parent, args=(socket,), daemon=True).start()
@@ -32,59 +38,59 @@ def serve(socket: int, memory: int) -> None:
         sys.path[:] = folders if replace else sys.path + folders
         functions = import_module(module)
         while True:
-            link.send_bytes(_answer(link, shared, functions, link.recv_bytes()))
+            link.send_bytes(_handle(link, shared, functions, link.recv_bytes()))
     except (EOFError, ConnectionError):
         os._exit(0)
 
 
 class _Shared:
-    """The shared memory, as far as it was mapped."""
+    """The shared memory; mapped again when it has grown."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._map = mmap.mmap(-1, 1)
 
     def views(self, places: list[tuple[int, int]], size: int) -> list[memoryview]:
-        """Give the bytes at places (start, length) of a memory that has ``size`` bytes by now."""
+        """Return views of the given places (start, length) of the memory, whose current size is ``size`` bytes."""
         if size > len(self._map):
             self._map = mmap.mmap(self._descriptor, size)
         return [memoryview(self._map)[start : start + length] for start, length in places]
 
 
 def _end_with_parent(socket: int) -> None:
-    """End even in the middle of a request when the other end of the socket is closed, in whatever way."""
+    """Exit, even in the middle of a request, when the other end of the socket is closed."""
     hung_up = select.poll()
     hung_up.register(socket, 0)
     hung_up.poll()
     os._exit(0)
 
 
-def _answer(link: Connection, shared: _Shared, functions: Any, request: bytes) -> bytes:
-    """Call one function; give its result, or the text of what it raised."""
+def _handle(link: Connection, shared: _Shared, functions: Any, request: bytes) -> bytes:
+    """Call one function; return its pickled result, or the text of the exception that it raised."""
     try:
-        name, arguments, places, size, seconds, asks = pickle.loads(request)  # noqa: S301 (from the parent)
+        name, arguments, places, size, seconds, takes_read_at = pickle.loads(request)  # noqa: S301 (from the parent)
         views = shared.views(places, size)
-        questions = [_question(link)] * asks
-        # Whoever takes too long is ended by the system, even in the middle of native code. Processor time, since time
-        # on the wall would depend on what else the machine does.
+        callbacks = [_read_at_parent(link)] * takes_read_at
+        # The system ends a call that takes too long, even inside native code. CPU time is measured, since wall time
+        # would depend on other programs.
         signal.setitimer(signal.ITIMER_PROF, seconds)
         try:
-            result = getattr(functions, name)(*questions, *arguments, *views)
+            result = getattr(functions, name)(*callbacks, *arguments, *views)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
         return pickle.dumps(("result", result))
-    except BaseException as error:  # noqa: BLE001 (a panic in Rust is no Exception)
+    except BaseException as error:  # noqa: BLE001 (a panic in Rust is not an Exception)
         return pickle.dumps(("error", (str(error).strip() or type(error).__name__)[:_LONGEST_TEXT]))
 
 
-def _question(link: Connection) -> Any:
-    """Give a function that asks the parent to fill a buffer from a place on."""
+def _read_at_parent(link: Connection) -> Any:
+    """Return a function that asks the parent to read bytes from an offset into a buffer."""
 
-    def supply(start: int, buffer: memoryview) -> int:
+    def read_at(start: int, buffer: memoryview) -> int:
         link.send(("question", (start, len(buffer))))
         return link.recv_bytes_into(buffer)
 
-    return supply
+    return read_at
 
 
 if __name__ == "__main__":

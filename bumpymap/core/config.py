@@ -1,4 +1,4 @@
-"""Settings: one tree of defaults that works with no file. Unknown keys are refused; nothing changes during a run."""
+"""Settings of a map run: frozen dataclasses with defaults, validated when they are created."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, get_args
 from bumpymap.core.errors import BadInputError, UsageError
 
 __all__ = [
-    "BOTH",
     "CLASHES",
-    "ONE_PLACE",
-    "ONE_VEHICLE",
+    "CRS_OR_LOCAL",
+    "RESUME_OR_OVERWRITE",
+    "VEHICLE_OR_CALIBRATION",
     "Clash",
     "Compat",
     "CsfSettings",
@@ -32,53 +32,53 @@ Compat = Literal["none", "paper"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
-"""The path of a file in settings starts at their folder."""
+"""A relative path in a settings file starts at the folder of that file."""
 
-BOTH = (
+RESUME_OR_OVERWRITE = (
     "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
-    "started with `overwrite=True` is resumed with `resume=True` alone"
+    "started with `overwrite=True` is resumed with just `resume=True`"
 )
 _CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` measures class 2 alone where more than this share of the tiles has such points."""
+"""``ground = "auto"`` uses only points of class 2 if more than this share of the tiles has such points."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clash:
-    """Two settings that contradict each other."""
+    """Two settings that exclude each other, and why."""
 
     first: str
     second: str
     why: str
 
-    def held(self, settings: Mapping[str, Any]) -> bool:
-        """Whether both are there and say something; a flag that is off, and ``none``, say nothing."""
+    def applies(self, settings: Mapping[str, Any]) -> bool:
+        """Return whether both are set; a flag that is False and the value ``none`` count as not set."""
         return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
 
 
-ONE_VEHICLE = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-ONE_PLACE = Clash("crs", "local", "coordinates in a CRS are not local")
-CLASHES = (ONE_VEHICLE, Clash("compat", "rating", "the paper has a rating of its own"), ONE_PLACE)
-"""Of the settings of a map."""
+VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
+CRS_OR_LOCAL = Clash("crs", "local", "coordinates in a CRS are not local")
+CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), CRS_OR_LOCAL)
+"""Settings of a map run that exclude each other."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureSettings:
-    """How tiles are measured and when they cannot be judged."""
+    """How tiles are measured, and when a tile cannot be rated."""
 
     min_points: int = 30
-    """Fewer points: reason 2."""
+    """A tile with fewer points is unknown, reason 2."""
     min_coverage: float = 0.25
-    """Smaller share of pixels with a point: reason 3."""
+    """A tile with a smaller share of pixels that hold a point is unknown, reason 3."""
     max_hole: float = 1.0
-    """A pixel farther than this from every pixel with a point: reason 3, m."""
+    """A tile with a pixel farther than this from every pixel that holds a point is unknown, reason 3, m."""
     ransac_threshold: float = 0.1
-    """Points within this of a plane are its inliers, m."""
+    """Points within this distance of a plane are its inliers, m."""
     stray_gap: float = 0.5
-    """A stray point is cut off from all others by more than this (and more than their spread), m."""
+    """A stray point is separated from all others by more than this (and by more than their spread), m."""
     stray_points: int = 3
-    """At most so many strays above, and so many below, are looked for."""
+    """Number of stray points searched for above, and below, the others."""
     stray_share: float = 0.01
-    """A larger share of strays among the points: reason 5, the relief cannot be told from noise."""
+    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
 
     def __post_init__(self) -> None:
         _at_least("min_points", self.min_points, 3)
@@ -92,16 +92,16 @@ class FeatureSettings:
 
 @dataclass(frozen=True, slots=True)
 class CsfSettings:
-    """How ground is found by the cloth simulation filter (``ground = "csf"``)."""
+    """Settings of the cloth simulation filter that finds ground points (``ground = "csf"``)."""
 
     cloth_resolution: float = 0.5
-    """Side of a mesh of the cloth, m."""
+    """Mesh size of the cloth, m."""
     class_threshold: float = 0.5
-    """Points within this of the cloth are ground, m."""
+    """Points within this distance of the cloth are ground, m."""
     rigidness: int = 3
-    """How stiff the cloth is: 1 follows steep slopes, 3 bridges wide objects."""
+    """Stiffness of the cloth: 1 follows steep slopes, 3 bridges wide objects."""
     slope_smooth: bool = True
-    """Lower what the cloth leaves hanging at the foot of slopes."""
+    """Pull the cloth down at the foot of steep slopes, where it hangs in the air."""
 
     def __post_init__(self) -> None:
         _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0)
@@ -111,54 +111,55 @@ class CsfSettings:
 
 @dataclass(frozen=True, slots=True)
 class MapConfig:
-    """Everything that a ``map`` run depends on."""
+    """All settings of a ``map`` run."""
 
     surveys: tuple[Path | str, ...]
-    """Files and folders; texts are fsspec URLs."""
+    """Files and folders; strings are fsspec URLs."""
     out: Path
-    """Folder of the products."""
+    """Output folder."""
     tile_size: float = 3.0
     """Side of a tile, m."""
     pixels: int = 15
     """Pixels along a side of a tile."""
     ground: Ground = "auto"
-    """Which points count: all, class 2 alone, class 2 where most tiles have such points, or what a cloth finds."""
+    """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
+    all; or those found by a cloth simulation filter (``csf``)."""
     rating: Rating = "ride"
-    """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and relief, as the paper does."""
+    """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
     compat: Compat = "none"
-    """``paper``: rate by the rules of the paper."""
+    """``paper`` rates tiles by the rules of the paper."""
     vehicle: NameOrFile = "warthog"
-    """A vehicle whose calibration ships, or the TOML file of one, with its calibration beside it."""
+    """A vehicle that ships with bumpymap, or the TOML file of one, with its calibration file in the same folder."""
     calibration: Path | None = None
-    """A calibration file; instead of ``vehicle``."""
+    """A calibration file, used instead of ``vehicle``."""
     model: Path | None = None
-    """A texture network; instead of the one that ships."""
+    """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None
-    """CRS for surveys that have none (or a wrong one)."""
+    """CRS of surveys that state none (or a wrong one)."""
     z_unit: ZUnit | None = None
-    """Unit of heights, where the survey's CRS does not say or says it wrong."""
+    """Unit of heights, if the survey's CRS does not state it or is wrong."""
     local: bool = False
     """Accept coordinates without a CRS."""
     trust_points: bool = False
-    """Go on where a header's extent contradicts the points."""
+    """Continue if the extent in a file header contradicts the points."""
     skip_bad: bool = False
-    """Go on without the files that cannot be read."""
+    """Continue without files that cannot be read."""
     overwrite: bool = False
-    """Replace the products of an earlier run."""
+    """Replace the layers of an earlier run."""
     resume: bool = False
-    """Go on with an interrupted run."""
+    """Continue an interrupted run."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads of this machine; ``workers`` share them out."""
+    """Number of threads on this machine; with ``workers``, they are divided among them."""
     memory: str = "1GB"
-    """Memory to use over what the interpreter and its libraries take; of each worker, where there are workers."""
+    """Memory to use beyond that of the interpreter and its libraries; with workers, for each of them."""
     scratch: Path | None = None
-    """Folder for points that memory cannot hold; None: in the folder of the products."""
+    """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
     workers: int | None = None
-    """Worker processes on this machine; None: everything in this process."""
+    """Number of worker processes on this machine; None: everything runs in this process."""
     scheduler: str | None = None
-    """Address of a dask.distributed scheduler, whose workers are used."""
+    """Address of a dask.distributed scheduler whose workers are used."""
     tls_config: Path | None = None
-    """File that names the certificates for a scheduler whose address starts with ``tls://``."""
+    """File that names the certificates for a ``tls://`` scheduler."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
@@ -174,7 +175,7 @@ class MapConfig:
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
         if self.resume and self.overwrite:
-            raise UsageError(BOTH)
+            raise UsageError(RESUME_OR_OVERWRITE)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
                 f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
@@ -194,20 +195,29 @@ class MapConfig:
 
 
 def names_a_file(text: str) -> bool:
-    """Tell whether a `NameOrFile` means a file: it ends in ``.toml``, or names a folder."""
+    """Return whether a `NameOrFile` is a file: it ends in ``.toml`` or contains a slash."""
     return text.endswith(".toml") or "/" in text
 
 
 def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:
-    """Raise UsageError where settings of one origin contradict each other; ``spelled`` gives the name of a setting."""
+    """Raise UsageError if settings exclude each other; ``spelled`` returns a setting's name for the message."""
     for clash in clashes:
-        if clash.held(settings):
+        if clash.applies(settings):
             first, second = spelled(clash.first), spelled(clash.second)
             raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
 
 
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
-    """Decide from a survey's tiles, and those with points of class 2, whether only ground counts (DESIGN 3)."""
+    """Return whether only ground points are measured.
+
+    Parameters
+    ----------
+    ground : Ground
+    tiles : int
+        Tiles of the survey that hold points.
+    flagged : float
+        Those of them that hold points of class 2.
+    """
     if ground == "all":
         return False
     if ground == "class" and not flagged:

@@ -1,65 +1,65 @@
-"""Failures that a user can cause. Each message says what came, what is allowed and what to do."""
+"""Errors that a user can cause. Each message says what was given, what is allowed and what to do."""
 
 import errno
 from collections.abc import Iterator
 
-__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "causes", "wanting"]
+__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "error_chain", "missing_resource"]
 
-_WANTED = {
+_RESOURCES = {
     errno.EAGAIN: "process",
     errno.EMFILE: "file that may be opened",
     errno.ENFILE: "file that may be opened",
     errno.ENOMEM: "memory",
 }
-_NO_ROOM = ("cannot allocate memory", "failed to map segment", "unable to allocate", "out of memory")
+_NO_MEMORY = ("cannot allocate memory", "failed to map segment", "unable to allocate", "out of memory")
 
 
 class BumpymapError(Exception):
-    """Base of every failure bumpymap raises on purpose. ``exit_code`` is what the command line returns.
+    """Base of all errors that bumpymap raises on purpose. ``exit_code`` is the exit status of the command line.
 
-    Several arguments are the lines of one message. A line break inside of an argument is not shown as one: it came with
-    a file name or from somebody else's library.
+    Several arguments are the lines of one message. A line break inside an argument is not printed as one: it comes
+    from a file name or from another library.
     """
 
     exit_code = 3
 
     def __str__(self) -> str:
-        """Give the message in one line."""
+        """Return the message in one line."""
         return " ".join(str(line).strip() for line in self.args)
 
 
 class UsageError(BumpymapError):
-    """Settings that cannot be used, or do not go together."""
+    """Invalid settings, or settings that contradict each other."""
 
     exit_code = 2
 
 
 class BadInputError(BumpymapError):
-    """A file that cannot be read, or does not hold what it promises."""
+    """An input file that cannot be read, is damaged, or contradicts its own header."""
 
 
 class OutputError(BumpymapError):
-    """A place that cannot be written, or already holds something that must not be overwritten."""
+    """An output folder that cannot be written, or holds something that must not be overwritten."""
 
 
-def causes(error: BaseException | None) -> Iterator[BaseException]:
-    """Give an error, what caused it, what caused that, and so on."""
+def error_chain(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error, its cause, the cause of that, and so on."""
     while error is not None:
         yield error
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
-def wanting(error: BaseException) -> str:
-    """Name what the machine, or a limit set for the process, does not give; empty where it is something else.
+def missing_resource(error: BaseException) -> str:
+    """Name the system resource that ran out, such as ``memory``; return an empty string for any other error.
 
-    Whoever met the want may have told it as a failure of its own, so the causes count too.
+    Libraries may raise an error of their own in response, so the causes are examined too.
     """
-    for cause in causes(error):
+    for cause in error_chain(error):
         text = str(cause).lower()
         if isinstance(cause, RuntimeError) and "start new thread" in text:
             return "thread"
-        if isinstance(cause, OSError) and cause.errno in _WANTED:
-            return _WANTED[cause.errno]
-        if isinstance(cause, MemoryError) or any(words in text for words in _NO_ROOM):
+        if isinstance(cause, OSError) and cause.errno in _RESOURCES:
+            return _RESOURCES[cause.errno]
+        if isinstance(cause, MemoryError) or any(words in text for words in _NO_MEMORY):
             return "memory"
     return ""

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written beside their place, synced, renamed."""
+"""Atomic file writing: files are written under a temporary name in the target folder, synced and renamed."""
 
 import os
 import shutil
@@ -12,33 +12,33 @@ from uuid import uuid4
 
 from bumpymap.core.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "in_utf8", "move_together", "no_empty_folder", "take_away", "together"]
+__all__ = ["STAGED", "atomic", "move_together", "remove_empty_on_error", "remove_path", "utf8_path", "write_together"]
 
 STAGED = ".bumpymap-layers-"
-"""How the names of folders begin where files wait for each other; one that a killed process left can go."""
-_SIDE = ".aux.xml"
-"""What GDAL keeps beside a raster: category names, and a CRS that GeoTIFF keys cannot hold."""
+"""Name prefix of staging folders, from which files are moved together; one left by a killed process can be deleted."""
+_SIDECAR = ".aux.xml"
+"""Suffix of GDAL's sidecar file: category names, and a CRS that GeoTIFF keys cannot express."""
 
 
 @contextmanager
 def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator[Path]:
-    """Give a path to write to; put what was written there in the place of ``target``.
+    """Yield a temporary path to write to, and rename it to ``target`` if the body succeeds.
 
-    The path lies in the same folder and ends like ``target``. Anything else in the folder whose name starts with the
-    path's stem is scratch and goes away, whatever happens. A GDAL side file moves along with its raster; one that an
-    earlier raster (or a GIS) left behind is removed, since it would describe the wrong pixels.
+    The path lies in the same folder as ``target`` and has the same suffix. Other files whose names start with its stem
+    are scratch files and are always removed. A GDAL sidecar file moves along with its raster; one that belongs to an
+    earlier raster is removed, since it would describe the wrong pixels.
 
     Parameters
     ----------
     target : Path
-        The file that shall appear or be replaced.
+        The file to create or replace.
     failures : exception types
-        What the writing library raises where it cannot write; ``OSError`` is always one of them.
+        What the writing library raises if it cannot write, in addition to ``OSError``.
 
     Raises
     ------
     OutputError
-        The file could not be written. ``target`` is as it was before.
+        The file could not be written. ``target`` is unchanged.
     """
     temporary = target.with_name(f".{target.stem}.{uuid4().hex}{target.suffix}")
     try:
@@ -55,73 +55,73 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
 
 
 @contextmanager
-def together(folder: Path, last: str) -> Iterator[Path]:
-    """Give an empty folder to write files to; all of them move to ``folder`` at the end, or none does.
+def write_together(folder: Path, last: str) -> Iterator[Path]:
+    """Yield an empty folder to write files to; at the end all of them move to ``folder``, or none.
 
-    What they replace stays until all are complete. The file ``last`` moves last, and an old one goes first: whoever
-    finds it finds all that belong to it, even if the process is killed between two moves. A GDAL side file of a raster
-    that is replaced goes with it, since it would describe the wrong pixels.
+    Files that they replace stay until all are complete. The file ``last`` moves last, and an old one is removed first,
+    so that its presence means that all others are there, even if the process is killed between two moves. The GDAL
+    sidecar file of a replaced raster is removed too, since it would describe the wrong pixels.
 
     Parameters
     ----------
     folder : Path
         An existing folder.
     last : str
-        Name of the file that says that all are there.
+        Name of the file that marks the set as complete.
 
     Raises
     ------
     OutputError
-        The files could not be moved. The folder is as it was before.
+        The files could not be moved. The folder is unchanged.
     """
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
         _make_folder(staged)
-        with in_utf8(staged) as path:
+        with utf8_path(staged) as path:
             yield path
         move_together(staged, folder, last)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
 
 
-def take_away(path: Path, place: int | None = None) -> None:
-    """Remove a file, a folder with all that is in it, or a link: never what it points to.
+def remove_path(path: Path, folder: int | None = None) -> None:
+    """Remove a file, a folder with its contents, or a link (never its target).
 
     Parameters
     ----------
     path : Path
-    place : int, optional
-        Descriptor of the folder that ``path`` starts at.
+    folder : int, optional
+        Descriptor of the folder that ``path`` is relative to.
 
     Raises
     ------
     OSError
-        It is not there, or cannot be removed.
+        It does not exist, or cannot be removed.
     """
-    if stat.S_ISDIR(os.stat(path, dir_fd=place, follow_symlinks=False).st_mode):
-        shutil.rmtree(path, dir_fd=place)  # it looks again, and follows no link
+    if stat.S_ISDIR(os.stat(path, dir_fd=folder, follow_symlinks=False).st_mode):
+        shutil.rmtree(path, dir_fd=folder)  # checks again, and follows no link
     else:
-        os.unlink(path, dir_fd=place)
+        os.unlink(path, dir_fd=folder)
 
 
 @contextmanager
-def no_empty_folder(folder: Path) -> Iterator[None]:
-    """Take a folder away that the body made and left empty when it failed."""
-    fresh = not folder.exists()
+def remove_empty_on_error(folder: Path) -> Iterator[None]:
+    """Remove the folder if the body fails, provided that the body created it and left it empty."""
+    created = not folder.exists()
     try:
         yield
     except BaseException:
-        if fresh:
-            with suppress(OSError):  # stays where something was written to it
+        if created:
+            with suppress(OSError):  # not empty
                 folder.rmdir()
         raise
 
 
 @contextmanager
-def in_utf8(folder: Path) -> Iterator[Path]:
-    """Give a path to a folder that GDAL and Arrow take: they take UTF-8 alone.
+def utf8_path(folder: Path) -> Iterator[Path]:
+    """Yield a path to the folder that is valid UTF-8, as GDAL and Arrow require.
 
-    Where that of the folder has other bytes, the one that is given leads there by way of an open descriptor.
+    If the folder's own path is not, the path goes through an open descriptor in ``/proc/self/fd``.
     """
     try:
         str(folder).encode()
@@ -143,9 +143,9 @@ def _make_folder(folder: Path) -> None:
 
 
 def move_together(staged: Path, folder: Path, last: str) -> None:
-    """Move all that ``staged`` holds to ``folder``, or nothing; see `together`. A link is replaced, never followed."""
+    """Move all files of ``staged`` to ``folder``, or none; see `write_together`. Links are replaced, never followed."""
     names = sorted((path.name for path in staged.iterdir()), key=lambda name: (name == last, name))
-    old = {target: None for name in names for target in (name, name + _SIDE) if lexists(folder / target)}
+    old = {target: None for name in names for target in (name, name + _SIDECAR) if lexists(folder / target)}
     aside = staged / "old"
     moves = [(folder / name, aside / name) for name in sorted(old, key=lambda name: name != last)]
     moves += [(staged / name, folder / name) for name in names]
@@ -153,7 +153,7 @@ def move_together(staged: Path, folder: Path, last: str) -> None:
     try:
         aside.mkdir()
         for source, target in moves:
-            os.replace(source, target)  # noqa: PTH105 (the name says that it replaces)
+            os.replace(source, target)  # noqa: PTH105 (os.replace says that it overwrites)
             done.append((source, target))
         _sync_folder(folder)
     except BaseException as error:
@@ -167,10 +167,10 @@ def move_together(staged: Path, folder: Path, last: str) -> None:
 
 
 def _move(temporary: Path, target: Path) -> None:
-    side, old_side = (path.with_name(path.name + _SIDE) for path in (temporary, target))
+    side, old_side = (path.with_name(path.name + _SIDECAR) for path in (temporary, target))
     _sync(temporary)
     old_side.unlink(missing_ok=True)
-    os.replace(temporary, target)  # noqa: PTH105 (the name says that it replaces)
+    os.replace(temporary, target)  # noqa: PTH105 (os.replace says that it overwrites)
     if side.exists():
         _sync(side)
         os.replace(side, old_side)  # noqa: PTH105

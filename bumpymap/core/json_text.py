@@ -1,4 +1,4 @@
-"""JSON that others may have written: parsed to a bounded depth, so that whatever walks it afterwards ends."""
+"""Parse JSON from untrusted files, with a limit on the nesting depth."""
 
 import json
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 __all__ = ["parse_json"]
 
 _DEEPEST = 50
-"""No file of bumpymap is nested as deep as this."""
+"""Deeper than any file that bumpymap writes."""
 
 
 def parse_json(text: str) -> Any:
-    """Parse a text.
+    """Parse JSON text.
 
     Raises
     ------

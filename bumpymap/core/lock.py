@@ -1,4 +1,4 @@
-"""One run at a time in a folder: a lock file that says who holds it. No link is followed."""
+"""A lock file that allows one run at a time in a folder and records who holds it. Links are not followed."""
 
 import errno
 import fcntl
@@ -20,65 +20,65 @@ from bumpymap.core.json_text import parse_json
 __all__ = ["LOCK", "locked"]
 
 LOCK = ".bumpymap-lock"
-"""In a folder, while a run writes there."""
+"""Name of the lock file, which exists while a run writes to the folder."""
 _TRIES = 1000
-"""So often a run that ends at this moment may take its lock, and the folder it made, away from under this one."""
-_NOTED = 4096
-"""Bytes of a lock file that are read."""
+"""Attempts: a run that is just ending may remove its lock file and the folder while this one opens them."""
+_MOST_BYTES = 4096
+"""Bytes of a lock file that are read at most."""
 _LONGEST = 200
-"""Characters of a command that a message shows."""
+"""Characters of a command that a message shows at most."""
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL}
-"""What a disk says that knows no locks."""
+"""Errors of file systems that do not support locks."""
 
 
 @contextmanager
 def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """Make a folder where it is missing, and hold its lock in the body. Nobody is waited for.
+    """Create the folder if it is missing, and hold its lock during the body. Does not wait for the lock.
 
-    The system gives the lock back when its holder ends, in whatever way. On a disk without locks the file itself is
-    the lock, and stays where its holder is killed.
+    The operating system releases the lock when its holder ends, even if it is killed. On a file system without locks
+    the file itself is the lock, and stays behind if its holder is killed.
 
     Parameters
     ----------
     folder : Path
-        May be a link to a folder: that is the user's choice.
+        May be a link to a folder, as the user chose it.
     name : str
-        Of the lock file, which goes away at the end.
+        Name of the lock file, which is removed at the end.
 
     Raises
     ------
     OutputError
         Another run holds the lock, or the folder cannot be written.
     """
-    place, descriptor = _taken(folder, name)
+    place, descriptor = _acquire(folder, name)
     try:
         yield
     finally:
         with suppress(OSError):  # the folder may be gone
-            os.unlink(name, dir_fd=place)  # before the lock is given back: whoever has it finds out
+            os.unlink(name, dir_fd=place)  # before releasing the lock: `_is_current` then sees it
         os.close(descriptor)
         os.close(place)
 
 
-def _taken(folder: Path, name: str) -> tuple[int, int]:
-    """Open the folder and its lock file, and lock that; both descriptors."""
+def _acquire(folder: Path, name: str) -> tuple[int, int]:
+    """Open the folder and its lock file, lock the file, and return both descriptors."""
     for _ in range(_TRIES):
         with ExitStack() as opened:
-            place = _opened_folder(folder)
+            place = _open_folder(folder)
             opened.callback(os.close, place)
-            descriptor, fresh = _opened_lock(place, name, folder)
+            descriptor, created = _open_lock(place, name, folder)
             if descriptor is None:
                 continue
             opened.callback(os.close, descriptor)
-            _lock(descriptor, folder / name, fresh=fresh)
-            if _is_there(folder, place) and _is_there(name, descriptor, place):
+            _lock(descriptor, folder / name, created=created)
+            if _is_current(folder, place) and _is_current(name, descriptor, place):
                 _note_holder(descriptor)
                 opened.pop_all()
                 return place, descriptor
-    raise OutputError(f"cannot lock the folder {folder}: it comes and goes. Choose another `out`")
+    raise OutputError(f"cannot lock the folder {folder}: other runs keep removing it. Choose another `out`")
 
 
-def _opened_folder(folder: Path) -> int:
+def _open_folder(folder: Path) -> int:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -88,14 +88,14 @@ def _opened_folder(folder: Path) -> int:
         raise _no_folder(folder, error) from error
 
 
-def _opened_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]:
-    """Open the lock file; None where it went away meanwhile. And whether it was made here."""
+def _open_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]:
+    """Open or create the lock file; return its descriptor (None if it was removed meanwhile) and whether it is new."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         return os.open(name, flags | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=place), True
     except FileExistsError:
         pass
-    except FileNotFoundError:  # so is the folder
+    except FileNotFoundError:  # the folder is gone too
         return None, False
     except OSError as error:
         raise _no_folder(folder, error) from error
@@ -106,7 +106,7 @@ def _opened_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]
     except PermissionError as error:
         raise OutputError(
             f"{folder / name} belongs to another user: a run of theirs writes there, or was killed. Choose another "
-            "`out`, or have them take the file away"
+            "`out`, or ask them to remove the file"
         ) from error
     except OSError as error:
         raise _no_lock(folder / name) from error
@@ -117,20 +117,20 @@ def _opened_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]
     raise _no_lock(folder / name)
 
 
-def _lock(descriptor: int, path: Path, *, fresh: bool) -> None:
-    """Lock the file; raises OutputError where another run has."""
+def _lock(descriptor: int, path: Path, *, created: bool) -> None:
+    """Lock the file; raise OutputError if another run holds the lock."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise OutputError(_held(descriptor, path)) from None
-        if not fresh:
-            more = f". If it has ended, take {path} away: this disk knows no locks"
+        if not created:
+            more = f". If it has ended, remove {path}: this file system does not support locks"
             raise OutputError(_held(descriptor, path) + more) from None
 
 
-def _is_there(name: Path | str, descriptor: int, place: int | None = None) -> bool:
-    """Whether this name is still that of the opened file: a run that ended may have taken it away."""
+def _is_current(name: Path | str, descriptor: int, place: int | None = None) -> bool:
+    """Return whether the name still refers to the open file: a run that ended may have removed it."""
     try:
         found = os.stat(name, dir_fd=place, follow_symlinks=place is None)
     except OSError:
@@ -142,18 +142,18 @@ def _note_holder(descriptor: int) -> None:
     words = [Path(sys.argv[0]).name, *sys.argv[1:]] if sys.argv else []
     since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
     holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": shlex.join(words)}
-    with suppress(OSError):  # the disk is full: what matters will say so
+    with suppress(OSError):  # disk full: writing the results will report it
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, json.dumps(holder).encode()[:_NOTED], 0)
+        os.pwrite(descriptor, json.dumps(holder).encode()[:_MOST_BYTES], 0)
 
 
 def _held(descriptor: int, path: Path) -> str:
     try:
-        holder: dict[str, Any] = parse_json(os.pread(descriptor, _NOTED, 0).decode())
+        holder: dict[str, Any] = parse_json(os.pread(descriptor, _MOST_BYTES, 0).decode())
         command = str(holder["command"])
         command = command if len(command) <= _LONGEST else f"{command[:_LONGEST]}..."
         who = f": pid {holder['pid']} on {holder['host']} since {holder['since']}: {command}"
-    except (OSError, ValueError, KeyError, TypeError):  # it took the lock this moment
+    except (OSError, ValueError, KeyError, TypeError):  # the holder has not written its record yet
         who = ""
     return f"another run is writing to {path.parent}{who}. Wait until it has ended, or choose another `out`"
 

@@ -1,7 +1,7 @@
-"""ONNX files of our own networks: read, checked, run. The only module that imports ONNX Runtime.
+"""Read, check and run the ONNX files of bumpymap's networks. The only module that imports ONNX Runtime.
 
-Its builds report what they are used for to their maker, from the moment of the import on: an identifier of the machine
-and a database of events in the user's cache, a thread that looks for the network. That is switched off before.
+Builds of ONNX Runtime send telemetry from import on: they store a machine identifier and a database of events in the
+user's cache and start a network thread. Telemetry is switched off before the import.
 """
 
 import os
@@ -16,18 +16,18 @@ __all__ = ["metadata_of", "onnx_runtime", "read_network", "session", "shipped_ne
 
 
 def onnx_runtime() -> Any:
-    """Import ONNX Runtime, silent towards the network and on the terminal."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # it looks at this once, when it is loaded
+    """Import ONNX Runtime with telemetry and terminal output switched off."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read once, when the library is loaded
     import onnxruntime
 
-    onnxruntime.disable_telemetry_events()  # builds that report to the system they run on know this alone
+    onnxruntime.disable_telemetry_events()  # the switch of builds for Windows
     onnxruntime.set_default_logger_severity(3)
     return onnxruntime
 
 
 @lru_cache(maxsize=4)
 def session(content: bytes) -> Any:
-    """Open a network for inference on one thread; the last few stay open."""
+    """Open a network for inference on one thread; the last four stay open."""
     runtime = onnx_runtime()
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -38,25 +38,25 @@ def session(content: bytes) -> Any:
 
 @lru_cache(maxsize=2)
 def shipped_network(room: str, name: str) -> bytes:
-    """Read a network that ships with a room of bumpymap: ``shipped_network("rating", "textures.onnx")``."""
+    """Read a network that ships with a package of bumpymap: ``shipped_network("rating", "textures.onnx")``."""
     return (files(f"bumpymap.{room}") / "data" / "models" / name).read_bytes()
 
 
 def read_network(path: Path, kind: str, remedy: str) -> bytes:
-    """Read a file.
+    """Read the file of a network.
 
     Parameters
     ----------
     path : Path
     kind : str
-        What it is, for the message: ``texture network``.
+        Kind of network, for messages: ``texture network``.
     remedy : str
-        What to do without it.
+        Advice for messages.
 
     Raises
     ------
     BadInputError
-        It cannot be read.
+        The file cannot be read.
     """
     try:
         return path.read_bytes()
@@ -72,20 +72,20 @@ def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy
     content : bytes
         The ONNX file.
     format_name : str
-        What its property ``format`` must be.
+        Required value of its property ``format``.
     origin : str
-        Where it is from, for messages.
+        Source of the file, for messages.
     kind, remedy : str
         As for ``read_network``.
 
     Raises
     ------
     BadInputError
-        It is no ONNX file, or none of ours.
+        The file is not an ONNX file, or not a network of bumpymap.
     """
     try:
         metadata = dict(session(content).get_modelmeta().custom_metadata_map)
-    except Exception as error:  # ONNX Runtime has its own family of exceptions, without a public base
+    except Exception as error:  # ONNX Runtime's exceptions have no public base
         raise BadInputError(f"{origin} is not an ONNX model: {error}. {remedy}") from error
     if metadata.get("format") != format_name:
         raise BadInputError(f"{origin} is an ONNX model, but not a {kind} of bumpymap. {remedy}")

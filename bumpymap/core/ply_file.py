@@ -1,4 +1,4 @@
-"""PLY files of points: the number types that the format knows, and writing. Reading is the readers' business."""
+"""The number types of the PLY format, and a writer for PLY point clouds. The reader is in `bumpymap.readers`."""
 
 from collections.abc import Sequence
 from typing import Any, BinaryIO
@@ -17,9 +17,9 @@ _NAMES = {
     "f4": ("float", "float32"),
     "f8": ("double", "float64"),
 }
-"""NumPy's code of a type, without byte order: its name, and the name that newer files use."""
+"""NumPy type code without byte order -> type name, and the name that newer files use."""
 PLY_TYPES = {name: code for code, names in _NAMES.items() for name in names}
-"""Name in a header: NumPy's code, without byte order."""
+"""Type name in a header -> NumPy type code without byte order."""
 
 
 def write_vertices(vertex: NDArray[Any], comments: Sequence[str], stream: BinaryIO) -> None:
@@ -28,7 +28,7 @@ def write_vertices(vertex: NDArray[Any], comments: Sequence[str], stream: Binary
     Parameters
     ----------
     vertex : structured array (n,)
-        A field is a property; its type is one of ``PLY_TYPES``, in any byte order.
+        Each field becomes a property; its type must be one of ``PLY_TYPES``, in any byte order.
     comments : sequence of str
         One line each, ASCII.
     stream : binary file

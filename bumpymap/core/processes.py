@@ -1,12 +1,12 @@
-"""Child processes: native code that may crash, hang or hold the interpreter's lock works in one of these.
+"""Child processes for native code that may crash, hang or hold the GIL.
 
-A child is a fresh interpreter that calls functions of one module by name, as its parent requests; its loop is
-`bumpymap.core._child`. It is not started through `multiprocessing.Process`: that starts a second process to track
-resources, imports the user's main module again, and is forbidden in the workers of Dask. Messages are those of
-`multiprocessing.connection`; large arrays lie in memory that both sides see (`bumpymap.core.shared_memory`).
+A child is a new interpreter that calls functions of one module by name, as its parent requests; its loop is in
+`bumpymap.core._child`. It is not started through `multiprocessing.Process`, which starts a second process to track
+resources, imports the user's main module again, and is not allowed in Dask workers. Messages go through
+`multiprocessing.connection`; large arrays lie in shared memory (`bumpymap.core.shared_memory`).
 
-A child ends with its parent, in whatever way that ends, since then the socket between them is closed. It never receives
-SIGINT and SIGTERM, which are for the parent.
+A child ends when its parent ends, even if the parent is killed, because the socket between them is then closed. SIGINT
+and SIGTERM go to the parent only.
 """
 
 import os
@@ -29,26 +29,26 @@ __all__ = [
     "Child",
     "ChildDiedError",
     "ChildError",
-    "can_start",
-    "folder_of",
-    "free_memory",
-    "take_memory",
+    "allocate_shared",
+    "can_start_children",
+    "module_folder",
+    "trim_shared",
 ]
 
-Supply = Callable[[int, memoryview], int]
-"""Fills a buffer from a place on; gives how many bytes there were."""
+ReadAt = Callable[[int, memoryview], int]
+"""Called with a byte offset and a buffer: reads bytes from there into the buffer and returns how many there were."""
 
 _SCRIPT = Path(__file__).with_name("_child.py")
 _MOST_WAIT_S = 10.0
-"""A child that has closed its socket ends soon."""
+"""Seconds to wait for the end of a child that has closed its socket."""
 
 
 class ChildError(Exception):
-    """A function raised in a child. The text is that of its exception."""
+    """A function raised an exception in a child process. The text is that of the exception."""
 
 
 class ChildDiedError(Exception):
-    """A child ended before it answered. The text says how.
+    """A child process ended before it returned a result. The text says how.
 
     Parameters
     ----------
@@ -65,23 +65,23 @@ class ChildDiedError(Exception):
 _memory = SharedMemory()
 
 
-def take_memory(size: int) -> SharedBytes:
-    """Give memory that can be handed to children; see `SharedMemory`."""
-    return _memory.take(size)
+def allocate_shared(size: int) -> SharedBytes:
+    """Allocate memory that child processes can access; see `SharedMemory`."""
+    return _memory.allocate(size)
 
 
-def free_memory() -> None:
-    """Give the memory back that nobody uses."""
+def trim_shared() -> None:
+    """Return unused shared memory to the operating system."""
     _memory.trim()
 
 
-def can_start() -> bool:
-    """Whether children can be started: not on Windows, and not where the executable is no Python (a frozen program)."""
+def can_start_children() -> bool:
+    """Return whether child processes can be started: not on Windows, and not from a frozen program."""
     return os.name == "posix" and bool(sys.executable) and not getattr(sys, "frozen", False)
 
 
-def folder_of(module: str) -> str:
-    """Folder in which a module or package is found; UsageError where it is not installed."""
+def module_folder(module: str) -> str:
+    """Return the folder that a module or package is imported from; raise UsageError if it is not installed."""
     found = find_spec(module)
     if found is None or found.origin is None:
         raise UsageError(f"{module} is not installed in this environment. Install it, and run again")
@@ -89,25 +89,25 @@ def folder_of(module: str) -> str:
 
 
 class Child:
-    """A process that does one request after the other.
+    """A child process that handles one request at a time.
 
     Parameters
     ----------
     purpose : str
-        What it is for, as in "cannot start a process to decode LAZ".
+        For messages, such as "to decode LAZ" in "cannot start a process to decode LAZ".
     module : str
-        Module whose functions it calls.
+        Name of the module whose functions it calls.
     folders : sequence of str, optional
-        Where the module, and what it imports, are found beside the standard library: the child then runs nothing else
-        (no site-packages as a whole, no environment variables of Python) and prints nothing. None: it finds modules as
-        this process does.
+        Folders of the module and of what it imports. The child then imports from these and the standard library only
+        (it ignores site-packages and Python's environment variables) and prints nothing. None: the child has the
+        ``sys.path`` of this process.
     environment : mapping, optional
-        Environment variables beside those of this process.
+        Environment variables to add to those of this process.
 
     Raises
     ------
     UsageError
-        It cannot be started.
+        The process cannot be started.
     """
 
     def __init__(
@@ -117,11 +117,11 @@ class Child:
         folders: Sequence[str] | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        if not can_start():
+        if not can_start_children():
             raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
-        alone = folders is not None
-        flags = ("-I", "-S") if alone else ("-P",)
-        output = subprocess.DEVNULL if alone else None
+        isolated = folders is not None
+        flags = ("-I", "-S") if isolated else ("-P",)
+        output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
         handed = theirs.fileno(), _memory.descriptor
         with theirs, blocked_signals():
@@ -141,25 +141,25 @@ class Child:
                     f"cannot start a process {purpose} ({error.strerror}). End other programs, and run again"
                 ) from error
         _children.add(self)
-        with suppress(OSError):  # whoever asks first is told that it died
-            self.link.send((not alone, sys.path if folders is None else folders, module))
+        with suppress(OSError):  # the first call reports that it died
+            self.link.send((not isolated, sys.path if folders is None else folders, module))
 
     @property
-    def runs(self) -> bool:
-        """Whether it can be asked."""
+    def is_alive(self) -> bool:
+        """Whether the process is running."""
         return self.process.poll() is None
 
-    def ask(
+    def call(
         self,
         function: str,
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
-        supply: Supply | None = None,
+        read_at: ReadAt | None = None,
     ) -> Any:
-        """Have a function called and give its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, asks=supply is not None)
-        return self.finish(supply)
+        """Call a function in the child and return its result; see `begin` for the parameters."""
+        self.begin(function, *arguments, shared=shared, seconds=seconds, takes_read_at=read_at is not None)
+        return self.finish(read_at)
 
     def begin(
         self,
@@ -167,49 +167,49 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
-        asks: bool = False,
+        takes_read_at: bool = False,
     ) -> None:
-        """Have a function called, and do not wait for it.
+        """Start a function call in the child and return at once.
 
         Parameters
         ----------
         function : str
-            Name in the child's module.
+            Name of a function of the child's module.
         *arguments
-            Whatever can be pickled.
+            Arguments that can be pickled.
         shared : sequence of SharedBytes
-            Memory that it is given as further arguments, writable memoryviews.
+            Memory that is passed as further arguments, as writable memoryviews.
         seconds : float
-            Processor time after which the system ends the child (SIGPROF); 0: as long as it takes.
-        asks : bool
-            Its first argument is a function that asks `supply` of this process.
+            CPU time after which the system ends the child (SIGPROF); 0: no limit.
+        takes_read_at : bool
+            Whether the function's first argument is a function that calls the `read_at` of `finish` in this process.
         """
         places = [(memory.start, memory.data.size) for memory in shared]
         try:
-            self.link.send((function, arguments, places, _memory.size, seconds, asks))
+            self.link.send((function, arguments, places, _memory.size, seconds, takes_read_at))
         except OSError:
             self._raise_child_died()
 
-    def finish(self, supply: Supply | None = None) -> Any:
-        """Wait for the result of what was begun.
+    def finish(self, read_at: ReadAt | None = None) -> Any:
+        """Wait for the result of the call that `begin` started.
 
         Raises
         ------
         ChildError
             The function raised.
         ChildDiedError
-            The child is no more.
+            The child has ended.
         """
         while True:
             try:
                 kind, value = self.link.recv()
             except (EOFError, OSError):
                 self._raise_child_died()
-            if kind == "question" and supply is not None:
+            if kind == "question" and read_at is not None:
                 start, size = value
                 buffer = memoryview(bytearray(size))
-                found = supply(start, buffer)
-                with suppress(OSError):  # then there is no answer either
+                found = read_at(start, buffer)
+                with suppress(OSError):  # the next `recv` reports that it died
                     self.link.send_bytes(buffer[:found])
             elif kind == "error":
                 raise ChildError(value)
@@ -217,14 +217,14 @@ class Child:
                 return value
 
     def close(self) -> None:
-        """End it, at once."""
+        """Kill the child process."""
         self.link.close()
         if self.process.returncode is None:
             self.process.kill()
             self.process.wait()
 
     def abandon(self) -> None:
-        """After a fork, in the new process: the child belongs to the old one."""
+        """Close the connection after a fork, in the new process: the child belongs to the old one."""
         self.link.close()
         self.process.returncode = 0  # nothing to wait for
 
@@ -241,7 +241,7 @@ _children: "weakref.WeakSet[Child]" = weakref.WeakSet()
 
 
 def _abandon_children() -> None:
-    global _memory  # noqa: PLW0603 (the old process goes on with its own)
+    global _memory  # noqa: PLW0603 (the old process keeps its own)
     _memory = SharedMemory()
     for child in _children:
         child.abandon()

@@ -1,4 +1,4 @@
-"""How far a run is, and how long its stages took."""
+"""Progress of a run, and wall time of its stages."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -11,17 +11,17 @@ Item = TypeVar("Item")
 
 
 class Progress(Protocol):
-    """Told how far a run is."""
+    """Receives the progress of a run."""
 
     def start(self, stage: str, total: int | None) -> None:
-        """Begin a stage of ``total`` steps; None where the number is not known."""
+        """Begin a stage of ``total`` steps; None if the number is not known."""
 
     def advance(self, steps: int) -> None:
-        """Go so many steps further."""
+        """Report that ``steps`` more steps are done."""
 
 
 class SilentProgress:
-    """Tells nobody."""
+    """Ignores all progress."""
 
     def start(self, stage: str, total: int | None) -> None:
         """Do nothing."""
@@ -31,20 +31,20 @@ class SilentProgress:
 
 
 class Steps:
-    """Turns how far a stage is into steps of it."""
+    """Callback that turns a count of finished items into steps of a stage."""
 
     def __init__(self, progress: Progress, each: int = 1) -> None:
-        self._told, self._each, self._told_of = progress, each, 0
+        self._progress, self._each, self._reported = progress, each, 0
 
     def __call__(self, done: int, total: int) -> None:
-        """Take the number of things that are done; ``each`` of them are one step."""
+        """Report that ``done`` items are finished; ``each`` items are one step."""
         steps = done // self._each
-        self._told.advance(steps - self._told_of)
-        self._told_of = steps
+        self._progress.advance(steps - self._reported)
+        self._reported = steps
 
 
 def counted(items: Iterable[Item], progress: Progress) -> Iterator[Item]:
-    """Hand out things; each is a step of the stage, once it is done with."""
+    """Yield the items, and advance the progress by one step after each."""
     for item in items:
         yield item
         progress.advance(1)
@@ -59,7 +59,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the body of a ``with``."""
+        """Measure the wall time of the body."""
         begin = time.perf_counter()
         try:
             yield

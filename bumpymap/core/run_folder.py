@@ -1,8 +1,8 @@
-"""The folder in which a run keeps what is finished, so that it can go on: ``.bumpymap-run`` beside its products.
+"""The folder for the checkpoints of a run: ``.bumpymap-run`` inside the output folder.
 
-A run that is killed leaves it; ``--resume`` goes on from there. Everything in it appears whole or not at all, so
-whatever can be seen can be used. It is the user's own (mode 0700) and holds no links: nothing that is deleted or
-written here lies elsewhere.
+A run that is killed leaves it behind, and ``--resume`` continues from it. Its files are written atomically, so every
+file in it is complete. It belongs to the user (mode 0700) and holds no symbolic links, so that nothing outside of it is
+written or deleted.
 """
 
 import json
@@ -17,7 +17,7 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.files import STAGED, atomic, take_away
+from bumpymap.core.files import STAGED, atomic, remove_path
 from bumpymap.core.json_text import parse_json
 from bumpymap.core.run_spec import differences
 
@@ -25,46 +25,46 @@ __all__ = [
     "WORK_FOLDER",
     "Kept",
     "RunFolder",
-    "broken_off",
+    "check_interrupted",
+    "clean_folder",
+    "is_interrupted",
     "is_own_folder",
     "read_record",
-    "refuse_broken_off",
     "refuse_other",
-    "tidy",
-    "what_is_kept",
+    "what_to_keep",
     "work_folder",
-    "writing_in",
+    "writing_to",
 ]
 
 WORK_FOLDER = ".bumpymap-run"
-"""In the folder of the products, while a run is under way or was broken off."""
-_ASKED = "asked.json"
+"""Exists in the output folder while a run is under way, or after it was interrupted."""
+_RUN_SPEC = "run_spec.json"
 
 
 class Kept(Enum):
-    """What stays of a run that ends early."""
+    """Which checkpoints stay after a run that ends early."""
 
     NOTHING = auto()
-    """The same would happen again."""
+    """None: a second attempt would fail in the same way."""
     FINISHED = auto()
-    """What is finished; what takes much room goes."""
+    """Finished tiles; large scratch files are removed."""
     ALL = auto()
-    """As after a kill."""
+    """Everything, as after a kill."""
 
 
 def work_folder(out: Path) -> Path:
-    """Where a run with these products keeps its work."""
+    """Return the folder for the checkpoints of a run that writes to ``out``."""
     return out / WORK_FOLDER
 
 
-def broken_off(out: Path) -> bool:
-    """Whether a run with these products was broken off (or is under way): it may go on, and replace what it may."""
-    return not work_folder(out).is_symlink() and (work_folder(out) / _ASKED).exists()
+def is_interrupted(out: Path) -> bool:
+    """Return whether ``out`` holds an interrupted run, or one that is under way."""
+    return not work_folder(out).is_symlink() and (work_folder(out) / _RUN_SPEC).exists()
 
 
-def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
-    """Say whether a run with these products was broken off; raises OutputError where nobody said what becomes of it."""
-    if not broken_off(out):
+def check_interrupted(out: Path, *, resume: bool, overwrite: bool) -> bool:
+    """Return whether ``out`` holds an interrupted run; raise OutputError if it does and no option says what to do."""
+    if not is_interrupted(out):
         return False
     if resume or overwrite:
         return True
@@ -74,13 +74,13 @@ def refuse_broken_off(out: Path, *, resume: bool, overwrite: bool) -> bool:
     )
 
 
-def what_is_kept(end: BaseException) -> Kept:
-    """Say what stays of a run that ends with this.
+def what_to_keep(end: BaseException) -> Kept:
+    """Return which checkpoints to keep after a run that ended with this exception.
 
-    A bad input is as bad the next time, and one that was mended is another input: nothing is kept. One that could not
-    be read because a disk or a server failed may be read the next time. A user who ends a run, and a full disk, want
-    the room back. Anything else (a helper that was killed, workers that were lost, no memory) may be gone the next
-    time.
+    A damaged input file will fail again, and a repaired one is a different input: nothing is kept. An input that could
+    not be read because a disk or a server failed may be readable the next time: all is kept. If the user stopped the
+    run, or the disk is full, large scratch files are removed. After any other error (a child process was killed,
+    workers were lost, memory ran out) all is kept, since the next attempt may succeed.
     """
     if isinstance(end, BadInputError):
         return Kept.ALL if isinstance(end.__cause__, OSError) else Kept.NOTHING
@@ -89,14 +89,14 @@ def what_is_kept(end: BaseException) -> Kept:
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Where a run keeps its work, and what it was asked."""
+    """The checkpoint folder of a run, with the run's inputs and settings."""
 
     path: Path
     run_spec: dict[str, Any]
-    """``inputs``, ``settings``, ``made with``: what a run that goes on must have been asked too. Beside these what it
-    takes over from the earlier one, such as ``cut``: how files are cut into pieces."""
-    goes_on: bool
-    """Whether there is work of an earlier run."""
+    """``inputs``, ``settings`` and ``made with`` (versions, model ids), which must be the same in a resumed run. Other
+    entries, such as ``cut`` (how files are split into chunks), are taken over from the interrupted run."""
+    resumed: bool
+    """Whether checkpoints of an interrupted run are used."""
 
     @classmethod
     @contextmanager
@@ -108,37 +108,53 @@ class RunFolder:
         resume: bool,
         finished: Callable[[Path], bool],
         advice: str,
-        spared: Collection[str] = (),
-        judge: Callable[[BaseException], Kept] = what_is_kept,
+        keep: Collection[str] = (),
+        decide: Callable[[BaseException], Kept] = what_to_keep,
     ) -> Iterator["RunFolder"]:
-        """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
+        """Open the checkpoint folder of an interrupted run, or create a new one. The caller holds the lock of ``out``.
 
-        The folder goes away where the body succeeds, and where it fails with nothing ``finished`` or nothing that
-        ``judge`` would keep. Where it stays, the exception is given the ``advice`` as a note. Of an earlier run that
-        does not go on, ``spared`` files alone stay.
+        The folder is removed if the body succeeds. If the body fails, it is removed if there is nothing ``finished``
+        or ``decide`` returns ``Kept.NOTHING``; otherwise ``advice`` is added to the exception as a note.
+
+        Parameters
+        ----------
+        out : Path
+            Output folder of the run.
+        run_spec : mapping
+            Inputs and settings of the run; see `RunFolder.run_spec`.
+        resume : bool
+            Whether to continue an interrupted run.
+        finished : callable
+            Return whether the folder holds finished work.
+        advice : str
+            What the user can do with the checkpoints.
+        keep : collection of str
+            Names of files that stay when a new run replaces an interrupted one.
+        decide : callable
+            Return which checkpoints to keep after an exception.
 
         Raises
         ------
         UsageError
-            The earlier run was asked something else.
+            The interrupted run had other inputs or settings.
         OutputError
-            The place cannot be written, or is a link or somebody else's.
+            The folder cannot be written, is a link, or belongs to another user.
         """
         path = work_folder(out)
-        with writing_in(path):
+        with writing_to(path):
             _make_own(path)
-            before = read_record(path / _ASKED) if resume else None
+            before = read_record(path / _RUN_SPEC) if resume else None
             if before is not None:
                 refuse_other(before, run_spec, out)
             record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))
-            tidy(path, everything=before is None, spared=spared)
+            clean_folder(path, everything=before is None, keep=keep)
             if before is None:
-                with atomic(path / _ASKED) as temporary:
+                with atomic(path / _RUN_SPEC) as temporary:
                     temporary.write_text(json.dumps(record), encoding="utf-8")
         try:
             yield cls(path, record, before is not None)
         except BaseException as end:
-            if judge(end) is not Kept.NOTHING and finished(path):
+            if decide(end) is not Kept.NOTHING and finished(path):
                 end.add_note(advice)
             else:
                 _remove(path)
@@ -147,7 +163,7 @@ class RunFolder:
 
 
 def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -> None:
-    """Raise UsageError where a run was asked something else than the one that wants to go on."""
+    """Raise UsageError if an interrupted run had other inputs or settings than the run that shall resume it."""
     found = differences(before, json.loads(json.dumps(dict(now))))
     if found:
         raise UsageError(
@@ -158,7 +174,7 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """Read a JSON object; None where there is none, or a damaged one."""
+    """Read a JSON object from a file; return None if the file is missing or damaged."""
     try:
         record = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -167,24 +183,27 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 
 def is_own_folder(path: Path, beside: Path) -> bool:
-    """Whether this is a folder, no link, and of this user, or of whoever owns ``beside``: disks may map users."""
+    """Return whether this is a folder, not a link, of this user or (if users are mapped) of the owner of ``beside``."""
     found = path.lstat()
     return stat.S_ISDIR(found.st_mode) and found.st_uid in {os.geteuid(), beside.stat().st_uid}
 
 
-def tidy(path: Path, *, everything: bool = False, spared: Collection[str] = ()) -> None:
-    """Take away what is half-written in a folder, or everything, and every link. It is opened once, and no link."""
-    place = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+def clean_folder(path: Path, *, everything: bool = False, keep: Collection[str] = ()) -> None:
+    """Remove partly written files and all symbolic links from a folder, or everything but the names in ``keep``.
+
+    The folder is opened once, by descriptor, and refused if it is a link itself.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        for name in os.listdir(place):  # noqa: PTH208 (of the opened folder)
-            if name.startswith(".") or (everything and name not in spared):
-                take_away(Path(name), place)
-        for _, folders, names, folder in os.fwalk(dir_fd=place):
+        for name in os.listdir(descriptor):  # noqa: PTH208 (takes a descriptor)
+            if name.startswith(".") or (everything and name not in keep):
+                remove_path(Path(name), descriptor)
+        for _, folders, names, folder in os.fwalk(dir_fd=descriptor):
             for name in (*folders, *names):
                 if stat.S_ISLNK(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode):
                     os.unlink(name, dir_fd=folder)
     finally:
-        os.close(place)
+        os.close(descriptor)
 
 
 def _taken_over(before: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -203,19 +222,19 @@ def _make_own(path: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove everything at one stroke: a kill leaves nothing that looks like a run to go on with.
+    """Rename the folder, then delete it: a run that is killed meanwhile leaves nothing that could be resumed.
 
-    Folders of that name are cleared away by the next run with the same output.
+    The next run with the same output folder deletes what is left of the renamed folder.
     """
-    gone = path.with_name(f"{STAGED}{uuid4().hex}")
+    renamed = path.with_name(f"{STAGED}{uuid4().hex}")
     with suppress(OSError):
-        path.rename(gone)
-        take_away(gone)
+        path.rename(renamed)
+        remove_path(renamed)
 
 
 @contextmanager
-def writing_in(folder: Path, options: str = "`out`") -> Iterator[None]:
-    """Turn what goes wrong while a folder is written to into an OutputError; ``options`` name another one."""
+def writing_to(folder: Path, options: str = "`out`") -> Iterator[None]:
+    """Turn an OSError in the body into an OutputError; ``options`` are the settings that choose another folder."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a run was asked: inputs, settings, what makes its numbers. Two such records are compared, in words."""
+"""The run spec: inputs, settings, and versions and ids of what a run computes with; and how two of them differ."""
 
 import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -6,24 +6,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-__all__ = ["as_done", "differences", "flat_settings", "same_content"]
+__all__ = ["differences", "flat_settings", "same_content", "spec_of_manifest"]
 
-_SHOWN = 8
-"""So many differences are named."""
+_MOST_LISTED = 8
+"""Differences that a message lists at most."""
 _LONGEST = 80
-"""Characters of a value that are shown."""
+"""Characters of a value that a message shows at most."""
 _FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method": ("method", "model", "stripes")}
-"""What names a thing that has an id of its own: these settings differ only where the id does."""
+"""Settings that select something with an id of its own: they count as different only if the id differs."""
 
 
 def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
-    """Give the settings of a dataclass as JSON knows them, with those of a table as ``table.name``.
+    """Return the settings of a dataclass as JSON values; those of a nested table are named ``table.name``.
 
     Parameters
     ----------
     config : dataclass, or mapping of its fields
     without : collection of str
-        Settings that have no say.
+        Settings to leave out, because they do not change the results.
     """
     found = config if isinstance(config, Mapping) else asdict(config)
     return {
@@ -43,14 +43,15 @@ def differences(
     now: Mapping[str, Any],
     same: Callable[[str, Mapping[str, Any], Mapping[str, Any]], bool] | None = None,
 ) -> list[str]:
-    """Say in words what differs between two records of what a run was asked; one phrase each.
+    """Describe the differences between two run specs, one phrase each.
 
     Parameters
     ----------
     before, now : mapping
-        ``inputs``: path to what tells the file from another; ``settings``; ``made with``: name to version or id.
+        ``inputs``: path -> identity of the file; ``settings``; ``made with``: name -> version or id.
     same : callable, optional
-        Whether an input (its path, what was known, what is) is still the same; None: where the two are equal.
+        Called with path, old and new identity of an input, returns whether it is the same file. None: compare the
+        two identities.
     """
     made = [{**record.get("made with", {})} for record in (before, now)]
     settings = [{**record.get("settings", {})} for record in (before, now)]
@@ -65,22 +66,22 @@ def differences(
     found = _inputs(before.get("inputs", {}), now.get("inputs", {}), same)
     for old, new in (settings, made):
         found += [
-            f"{name} was {_shown(old.get(name))}, is {_shown(new.get(name))}"
+            f"{name} was {_value_text(old.get(name))}, is {_value_text(new.get(name))}"
             for name in dict.fromkeys([*old, *new])
             if old.get(name) != new.get(name)
         ]
-    return found if len(found) <= _SHOWN else [*found[:_SHOWN], f"and {len(found) - _SHOWN} more"]
+    return found if len(found) <= _MOST_LISTED else [*found[:_MOST_LISTED], f"and {len(found) - _MOST_LISTED} more"]
 
 
 def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
-    """Whether an input is still the one that a run read: by size and time, or by its checksum where the time differs.
+    """Return whether an input file is unchanged: by size and time, or by its checksum if the time differs.
 
     Parameters
     ----------
     path : str
-        Of the file, or a URL, which is never read for this.
+        Of the file, or a URL. A URL is never downloaded to compare checksums.
     known : mapping
-        ``bytes``, ``sha256`` and, where it was noted, ``mtime_ns`` or the ``version`` that a server gave.
+        ``bytes``, ``sha256`` and, if they were recorded, ``mtime_ns`` or the ``version`` reported by a server.
     here : mapping
         From `bumpymap.readers.source.identity`.
     """
@@ -95,16 +96,18 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         return bool(hashlib.file_digest(file, "sha256").hexdigest() == known["sha256"])
 
 
-def as_done(record: Mapping[str, Any], without: Collection[str], made_with: Mapping[str, Any]) -> dict[str, Any]:
-    """Give what a complete run was asked, by its run.json or scan.json.
+def spec_of_manifest(
+    record: Mapping[str, Any], without: Collection[str], made_with: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the run spec of a complete run, from its run.json or scan.json.
 
     Parameters
     ----------
     record : mapping
     without : collection of str
-        Settings that have no say.
+        Settings to leave out, because they do not change the results.
     made_with : mapping
-        Ids of what made the numbers, beside the versions.
+        Ids of models and calibrations, in addition to the versions.
     """
     return {
         "inputs": {str(file["path"]): file for file in (*record["inputs"], *record.get("skipped_inputs", ()))},
@@ -136,7 +139,7 @@ def _is_same(path: str, old: Any, new: Any, same: Callable[..., bool] | None) ->
 
 
 def _plain(value: Any) -> Any:
-    """Turn a setting into what it is when it was JSON."""
+    """Return a setting as it would be after a round trip through JSON."""
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -144,7 +147,7 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if value is None:
         return "not given"
     if isinstance(value, bool):

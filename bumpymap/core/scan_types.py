@@ -1,7 +1,7 @@
-"""The vocabulary of dynamic scenes: one scan, the polar grid over it, what was measured in its sectors, their classes.
+"""Records of the scan job: a scan, its polar grid, the measures of its sectors, and their classes.
 
-A scan lives in the sensor's frame: x forward, y to the left, z up, metres. Azimuth runs from x towards y, in radians.
-One row of a ``SectorStack`` is one sector that holds enough points; its arrays have the same length.
+A scan is in the sensor frame: x forward, y to the left, z up, metres. Azimuth is counted from x towards y, in radians.
+One row of a ``SectorStack`` is one sector with enough points; all its arrays have the same length.
 """
 
 import math
@@ -29,35 +29,35 @@ ScanMethod = Literal["filter", "learned"]
 CLASSES = 3
 """Class 0 (smooth) to 2 (rough) of a scan's sectors."""
 NOT_TRAVERSABLE = 255
-"""Class of a sector whose points do not lie like ground, and of a point in no classed sector."""
+"""Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """Returns of a file that are no points of the scan, by reason."""
+    """Number of returns of a file that were dropped, by reason."""
 
     no_return: int = 0
     """At (0, 0, 0): the beam hit nothing."""
     not_finite: int = 0
-    """With a coordinate that is not a number or infinite."""
+    """A coordinate is NaN or infinite."""
     on_robot: int = 0
     """On the robot that carries the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One turn of a LiDAR, in the sensor's frame."""
+    """One revolution of a LiDAR, in the sensor frame."""
 
     points: NDArray[np.float32]
     """(n, 3) x forward, y left, z up, m; finite."""
     intensity: NDArray[np.float32] | None = None
-    """(n,) as the file has it; None where it has none."""
+    """(n,) as stored in the file; None if the file has none."""
     label: NDArray[np.uint16] | None = None
-    """(n,) semantic ids; None where nobody labelled the scan."""
+    """(n,) semantic ids; None if the scan has no labels."""
     name: str = ""
-    """What the frame is called: the stem of its file."""
+    """Name of the frame: the stem of its file."""
     dropped: Dropped = Dropped()
-    """Returns that were left out."""
+    """Returns of the file that were left out."""
 
     def __post_init__(self) -> None:
         count = len(self.points)
@@ -74,25 +74,25 @@ class PolarSettings:
     """The concentric-zone polar grid. The defaults are the paper's."""
 
     zone_starts_m: tuple[float, ...] = (4.0, 12.0, 28.0, 60.0)
-    """Where each zone begins, horizontal distance from the sensor, m."""
+    """Inner radius of each zone, horizontal distance from the sensor, m."""
     end_m: float = 100.0
-    """Where the last zone ends, m."""
+    """Outer radius of the last zone, m."""
     sectors: tuple[int, ...] = (24, 32, 48, 32)
     """Sectors around each zone."""
     rings: tuple[int, ...] = (4, 4, 4, 2)
     """Rings of each zone, of equal width."""
     least_points: int = 30
-    """A sector is measured where it has more points than this."""
+    """A sector is measured if it has more points than this."""
     pixels: int = 15
     """Rows and columns of a sector's heightmap."""
     least_normal_z: float = math.cos(math.radians(45.0))
-    """A sector is traversable where abs(n_z) of its principal normal is at least this: 45 degrees, the limit at which
-    published ground segmentation on the same grid takes a sector for a wall."""
+    """A sector is traversable if abs(n_z) of its PCA normal is at least this. The default, 45 degrees, is the limit at
+    which published ground segmentation on the same grid treats a sector as a wall."""
     overhead_m: float = 2.0
-    """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, no ground.
-    The margin allows for frames whose origin lies at the robot's foot."""
+    """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
+    ground. The margin allows for frames whose origin is at the robot's base."""
     anchored: bool = True
-    """Sector 0 starts where the scan's points say, so that the grid turns with the ground; False: at the x axis."""
+    """Whether the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
 
     def __post_init__(self) -> None:
         edges = (*self.zone_starts_m, self.end_m)
@@ -125,7 +125,7 @@ class SectorStack:
 
     settings: PolarSettings
     azimuth_start_rad: float
-    """Where sector 0 of every zone starts, counter-clockwise from the x axis."""
+    """Azimuth at which sector 0 of every zone starts, counter-clockwise from the x axis."""
     zone: NDArray[np.int16]
     """(n,) 0 is the innermost; rows are sorted by zone, ring, sector."""
     ring: NDArray[np.int16]
@@ -135,22 +135,22 @@ class SectorStack:
     count: NDArray[np.int32]
     """(n,) points."""
     normal: NDArray[np.float32]
-    """(n, 3) axis of the least spread of the points, sensor frame, n_z >= 0."""
+    """(n, 3) PCA normal (axis of least variance) of the points, sensor frame, n_z >= 0."""
     traversable: NDArray[np.bool_]
-    """(n,) True where the normal is close enough to vertical, and the surface is not seen from below."""
+    """(n,) True if the normal is close enough to vertical and the surface is not seen from below."""
     heights: NDArray[np.float32]
-    """(n, pixels, pixels) mean z above the sector's plane, m. Rows go outwards with the distance, columns
-    counter-clockwise with the azimuth, both in equal steps of the sector; empty pixels are filled."""
+    """(n, pixels, pixels) mean z above the sector's plane, m. Rows go outwards with distance, columns counter-clockwise
+    with azimuth, both in equal steps; empty pixels are filled."""
     coverage: NDArray[np.float32]
     """(n,) share of the pixels that hold a point, 0..1."""
     variance: NDArray[np.float32]
     """(n,) population variance of z over the sector's points, m^2."""
     residual: NDArray[np.float32]
-    """(n,) mean perpendicular distance of all the sector's points to the plane that RANSAC found, m."""
+    """(n,) mean perpendicular distance of all the sector's points to the RANSAC plane, m."""
     label: NDArray[np.int16]
-    """(n,) most frequent label of the points (the smallest of equals); -1 where the scan has no labels."""
+    """(n,) most frequent label of the points (the smallest if tied); -1 if the scan has no labels."""
     point_sector: NDArray[np.int32]
-    """(m,) row of the sector that holds each point of the scan, -1 where none does."""
+    """(m,) row of the sector that holds each point of the scan; -1 if none does."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)
@@ -161,26 +161,26 @@ class SectorStack:
 
 @dataclass(frozen=True, slots=True)
 class ClassedSectors:
-    """Sectors and their classes."""
+    """Measured sectors with their classes."""
 
     sectors: SectorStack
     class_id: NDArray[np.uint8]
-    """(n,) 0 smooth .. 2 rough; ``NOT_TRAVERSABLE`` where the gate refuses the sector."""
+    """(n,) 0 smooth .. 2 rough; ``NOT_TRAVERSABLE`` if the sector is not traversable."""
     stripes: NDArray[np.float32] | None
     """(n,) stripe count of the filter method; None from the learned one."""
     method: ScanMethod
-    """How they were found."""
+    """Method that classified the sectors."""
     confidence: NDArray[np.float32] | None = None
-    """(n,) probability of the class by the learned method, NaN where not traversable; None from the filter method."""
+    """(n,) class probability from the learned method, NaN if not traversable; None from the filter method."""
 
 
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
-    """Give every point the class of its sector.
+    """Return the class of each point: that of its sector.
 
     Returns
     -------
     (m,) uint8
-        0 to 2; ``NOT_TRAVERSABLE`` where the sector is not, or where no sector holds the point.
+        0 to 2; ``NOT_TRAVERSABLE`` if the sector is not traversable, or no sector holds the point.
     """
     place = classed.sectors.point_sector
     if len(place) != len(scan.points):

@@ -1,4 +1,4 @@
-"""Where the sectors of a scan lie, in polar coordinates."""
+"""Polar bounds of the sectors of a scan."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ __all__ = ["SectorBounds", "sector_bounds"]
 
 @dataclass(frozen=True, slots=True)
 class SectorBounds:
-    """The part of the plane that each sector covers."""
+    """Distance and azimuth ranges of sectors."""
 
     near: NDArray[np.float64]
-    """(n,) horizontal distance from the sensor, m."""
+    """(n,) inner horizontal distance from the sensor, m."""
     far: NDArray[np.float64]
-    """(n,) m."""
+    """(n,) outer distance, m."""
     right: NDArray[np.float64]
-    """(n,) azimuth where the sector starts, counter-clockwise from the x axis, 0 to 2 pi, rad."""
+    """(n,) azimuth at which the sector starts, counter-clockwise from the x axis, 0 to 2 pi, rad."""
     left: NDArray[np.float64]
-    """(n,) azimuth where it ends, above ``right``, rad."""
+    """(n,) azimuth at which it ends, greater than ``right``, rad."""
 
 
 def sector_bounds(stack: SectorStack) -> SectorBounds:

@@ -1,4 +1,4 @@
-"""Dataclasses from TOML files, by the types of their fields: settings of a run and vehicle profiles."""
+"""Parse TOML files into dataclasses by the types of their fields: settings of a run and vehicle profiles."""
 
 import os
 from collections.abc import Mapping
@@ -10,25 +10,25 @@ from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, runt
 
 from bumpymap.core.config import NameOrFile, names_a_file
 from bumpymap.core.errors import BumpymapError, UsageError
-from bumpymap.core.toml_file import read_toml, shown, shown_names
+from bumpymap.core.toml_file import read_toml, short_names, short_repr
 
 __all__ = [
     "UNFILLED",
     "FieldRule",
     "field_rule",
     "parse_record",
+    "path_fault",
     "read_settings_file",
     "refuse_faults",
     "settings_of_call",
-    "why_no_path",
 ]
 
 UNFILLED = "?"
-"""What a file to fill in has where a value with a `FieldRule` is wanted."""
+"""Placeholder, in a template file, for a value that the user must fill in."""
 _MOST_FAULTS = 40
-"""That a message says."""
+"""Faults that a message lists at most."""
 _LONGEST_NAME = 255
-"""Bytes of one name of a path: the file systems in use take no more."""
+"""Bytes of one component of a path: the limit of common file systems."""
 
 _WORDS = {
     bool: ("true or false", "true or false"),
@@ -36,21 +36,21 @@ _WORDS = {
     float: ("a number", "numbers"),
 }
 _TEXT = ("a string", "strings")
-"""One value of a kind, and several."""
-_UNFIT = object()
-"""In the place of a value that is not of its field's type."""
+"""Names of a type for messages: singular and plural."""
+_WRONG_TYPE = object()
+"""Returned for a value that does not have its field's type."""
 
 
 @runtime_checkable
 class FieldRule(Protocol):
-    """What a field takes beyond its type; it stands in the field's ``Annotated`` type."""
+    """A constraint on the values of a field beyond its type, given in the field's ``Annotated`` type."""
 
     @property
     def allowed(self) -> str:
-        """Say what is allowed; follows *it must be*."""
+        """Description of the allowed values; continues *it must be*."""
 
     def fault(self, value: Any) -> str:
-        """Say what is wrong with a value of the field's type, such as *it must be positive*; empty where nothing is."""
+        """Return what is wrong with a value of the field's type, such as *it must be positive*; empty if valid."""
 
 
 def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
@@ -59,19 +59,19 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     Parameters
     ----------
     path : Path
-        Of the file. Relative paths in it start at its folder.
+        Path of the file. Relative paths in the file start at its folder.
     owner : type
         Dataclass that the settings are for; see `parse_record`.
 
     Returns
     -------
     dict
-        Of the fields that the file names, as arguments of ``owner``.
+        Arguments of ``owner`` for the fields that the file sets.
 
     Raises
     ------
     UsageError
-        No such file, not TOML, an unknown key, a value of the wrong type or out of bounds; all of them are said.
+        No such file, not TOML, an unknown key, a value of the wrong type or out of range; the message lists all faults.
     """
     arguments, faults = parse_record(read_toml(path, "settings", UsageError), owner, path.parent)
     refuse_faults(faults, str(path), UsageError)
@@ -79,16 +79,16 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
 
 
 def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> dict[str, Any]:
-    """Check the keyword arguments of a Python call as those of a file are checked.
+    """Check the keyword arguments of a Python call in the same way as the settings of a file.
 
     Parameters
     ----------
     given : mapping
-        Name -> value. Tables may be dicts or records, paths any path-like object; None is left out.
+        Name -> value. Tables may be dicts or dataclasses, paths any path-like object; None means not given.
     owner : type
         Dataclass that the settings are for, see `parse_record`.
     function : str
-        What is called, for messages.
+        Name of the called function, for messages.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
     Raises
     ------
     UsageError
-        Values of the wrong type or out of bounds; all of them are said.
+        Values of the wrong type or out of range; the message lists all faults.
     """
     record = {name: _plain(value) for name, value in given.items() if value is not None}
     arguments, faults = parse_record(record, owner, Path())
@@ -107,7 +107,7 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
 
 
 def _plain(value: Any) -> Any:
-    """Turn a value of Python into what a TOML file would give."""
+    """Convert a Python value to the value that a TOML file would contain."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
@@ -116,7 +116,7 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, bool) or not isinstance(value, Real):
         return value
-    return int(value) if isinstance(value, Integral) else float(value)  # numpy's numbers too
+    return int(value) if isinstance(value, Integral) else float(value)  # NumPy scalars too
 
 
 def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = False) -> tuple[dict[str, Any], list[str]]:
@@ -125,31 +125,31 @@ def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = Fal
     Parameters
     ----------
     record : dict
-        As it stands in a TOML or JSON file.
+        As read from a TOML or JSON file.
     owner : type
-        Dataclass. A field may be a bool, a number, a text, a Path, a ``Path | str`` (a URL stays a text), a
-        ``NameOrFile``, a Literal of texts, a tuple of one of these, a dataclass (a table of the file), any of them or
+        Dataclass. A field may be a bool, a number, a str, a Path, a ``Path | str`` (a URL stays a str), a
+        ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass (a table in the file), any of them or
         None, or any of them ``Annotated`` with a `FieldRule`.
     folder : Path
-        Where relative paths start.
+        Folder at which relative paths start.
     complete : bool
-        Whether a missing field without a default is a fault. In tables it always is.
+        Whether a missing field without a default is a fault. In nested tables it always is.
 
     Returns
     -------
     arguments : dict
-        Of the fields that ``record`` names.
+        Arguments for the fields that ``record`` sets.
     faults : list of str
-        Each names the key, what came and what is allowed.
+        Each names the key, its value and what is allowed.
     """
     parser = _Parser(folder)
     if not isinstance(record, dict):
-        return {}, [f"it holds {shown(record)}; it must hold a table with {_names(owner)}"]
+        return {}, [f"it holds {short_repr(record)}; it must hold a table with {_names(owner)}"]
     return parser.table(record, owner, "", complete=complete), parser.faults
 
 
 def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], more: str = "") -> None:
-    """Raise an error that says all faults, if there are any; ``more`` follows their number."""
+    """Raise an error that lists all faults, if there are any; ``more`` follows their number in the message."""
     if len(faults) == 1:
         raise error(f"{origin}: {faults[0]}")
     if faults:
@@ -159,24 +159,24 @@ def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], mo
 
 
 def field_rule(kind: Any) -> FieldRule | None:
-    """Return the rule in the type of a field; None without one."""
+    """Return the rule in the type of a field; None if it has none."""
     return next((item for item in get_args(kind)[1:] if isinstance(item, FieldRule)), None)
 
 
 class _Parser:
-    """Turns values into the types of fields, and collects what is wrong with them."""
+    """Converts values to the types of fields, and collects faults."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.faults: list[str] = []
 
     def table(self, record: dict[str, Any], owner: type, table: str, *, complete: bool) -> dict[str, Any]:
-        """Return the arguments of a dataclass; ``table`` is the name of its table, empty for the top of the file."""
+        """Return the arguments of a dataclass; ``table`` is the name of its table, empty for the top level."""
         known = {field.name: field for field in fields(owner)}
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
-            self.faults.append(f"{where}unknown setting {shown_names(unknown)}; there are: {', '.join(known)}")
+            self.faults.append(f"{where}unknown setting {short_names(unknown)}; there are: {', '.join(known)}")
         arguments = {}
         for name, field in known.items():
             full = f"{table}.{name}" if table else name
@@ -187,21 +187,21 @@ class _Parser:
         return arguments
 
     def _value(self, value: Any, kind: Any, name: str) -> Any:
-        """Return a value as the type of its field."""
+        """Convert a value to the type of its field and check its rule."""
         rule, before = field_rule(kind), len(self.faults)
         found = self._converted(value, kind, name)
         if len(self.faults) > before:
             return found
         if rule is not None and value == UNFILLED:
             self.faults.append(f"{name} is not filled in: {rule.allowed}")
-        elif found is _UNFIT:
-            self.faults.append(f"{name} is {shown(value)}; it must be {_allowed(kind, name)}")
+        elif found is _WRONG_TYPE:
+            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
         elif rule is not None and (fault := rule.fault(found)):
-            self.faults.append(f"{name} is {shown(value)}; {fault}")
+            self.faults.append(f"{name} is {short_repr(value)}; {fault}")
         return found
 
     def _converted(self, value: Any, kind: Any, name: str) -> Any:
-        kind = _bare(kind)
+        kind = _plain_type(kind)
         items = get_args(kind)
         if is_dataclass(kind) and isinstance(value, dict):
             return self._built(value, kind, name)
@@ -214,31 +214,31 @@ class _Parser:
         if kind is float and type(value) is int and abs(value) < 2**1023:
             return float(value)
         of_kind = isinstance(value, str) and value in items if get_origin(kind) is Literal else type(value) is kind
-        return value if of_kind else _UNFIT
+        return value if of_kind else _WRONG_TYPE
 
     def _built(self, record: dict[str, Any], kind: Any, name: str) -> Any:
-        """Build the dataclass of a table."""
+        """Create the dataclass of a table."""
         before = len(self.faults)
         arguments = self.table(record, kind, name, complete=True)
         if len(self.faults) > before:
-            return _UNFIT
+            return _WRONG_TYPE
         try:
             return kind(**arguments)
         except UsageError as error:
             self.faults.append(f"[{name}]: {error}")
-            return _UNFIT
+            return _WRONG_TYPE
 
     def _placed(self, text: str, kind: Any, name: str) -> Path | str:
-        """Let a path start at the folder of the file; URLs and names are none."""
-        if reason := why_no_path(text):
+        """Resolve a relative path against the folder of the file; leave URLs and names as they are."""
+        if reason := path_fault(text):
             self.faults.append(f"{name}: {reason}")
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
         return text if kind is not Path and "://" in text else self._folder / text
 
 
-def why_no_path(text: str) -> str:
-    """Say why no file can have this path; empty where one can."""
+def path_fault(text: str) -> str:
+    """Return why no file can have this path; empty if the path is valid."""
     if "\0" in text:
         return "a path cannot hold the character NUL"
     if "://" in text:
@@ -249,8 +249,8 @@ def why_no_path(text: str) -> str:
     return ""
 
 
-def _bare(kind: Any) -> Any:
-    """Return the type without None (whoever wants that leaves the setting out) and without its rule."""
+def _plain_type(kind: Any) -> Any:
+    """Return the type without None (which means that the setting is left out) and without its rule."""
     if get_args(kind)[1:] == (NoneType,):
         kind = get_args(kind)[0]
     return get_args(kind)[0] if get_origin(kind) is Annotated and field_rule(kind) else kind
@@ -269,10 +269,10 @@ def _names(owner: Any) -> str:
 
 
 def _allowed(kind: Any, name: str) -> str:
-    """Say what a field can be."""
+    """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
-    kind = _bare(kind)
+    kind = _plain_type(kind)
     items = get_args(kind)
     if is_dataclass(kind):
         return f"a table, [{name}], with {_names(kind)}"

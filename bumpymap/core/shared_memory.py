@@ -1,8 +1,8 @@
-"""Memory that this process and its children see: arrays in it are handed out, and their place is used again later.
+"""Memory shared between this process and its children, from which arrays are allocated.
 
-It is one file without a name that every child maps once. Were each array a file of its own, mapping and clearing them
-would take a tenth of the time of decoding. ``multiprocessing.shared_memory`` needs room in ``/dev/shm``, which
-containers limit to 64 MB, and starts a process to remove what is left there.
+It is one anonymous file that every child maps once. With one file for each array, mapping and clearing them would take
+a tenth of the decoding time. ``multiprocessing.shared_memory`` needs space in ``/dev/shm``, which containers limit to
+64 MB, and starts a process to clean up there.
 """
 
 import mmap
@@ -20,21 +20,21 @@ __all__ = ["SharedBytes", "SharedMemory"]
 
 _PAGE = 4096
 _GROWTH = 1 << 22
-"""The memory grows by multiples of so many bytes."""
+"""The memory grows in multiples of this, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class SharedBytes:
-    """Some bytes of the shared memory."""
+    """A range of bytes of the shared memory."""
 
     start: int
-    """Where they lie in it."""
+    """Offset of the first byte."""
     data: NDArray[np.uint8]
     """(n,)"""
 
 
 class SharedMemory:
-    """Arrays are placed into the first gap that is wide enough. From any thread."""
+    """First-fit allocator of shared memory. Thread-safe."""
 
     def __init__(self) -> None:
         if hasattr(os, "memfd_create"):
@@ -42,32 +42,32 @@ class SharedMemory:
         else:
             with tempfile.TemporaryFile() as file:
                 self.descriptor = os.dup(file.fileno())
-        # The interpreter drops arrays at any instant, so their starts are noted without a lock.
-        self._dropped: deque[int] = deque()
+        # Arrays may be garbage-collected at any moment, so their offsets are recorded without a lock.
+        self._freed: deque[int] = deque()
         self._ends: dict[int, int] = {}
         self._lock = threading.Lock()
         self._map: mmap.mmap | None = None
         self.size = 0
-        """Bytes by now."""
+        """Current size, bytes."""
 
-    def take(self, size: int) -> SharedBytes:
-        """Give ``size`` bytes, of any content. They are given back when their last array is gone."""
+    def allocate(self, size: int) -> SharedBytes:
+        """Allocate ``size`` uninitialized bytes, which are freed when the last array that uses them is deleted."""
         length = max(-(-size // _PAGE), 1) * _PAGE
         with self._lock:
             self._collect()
-            start = self._gap(length)
+            start = self._first_gap(length)
             if start + length > self.size or self._map is None:
                 self.size = -(-(start + length) // _GROWTH) * _GROWTH
                 os.ftruncate(self.descriptor, self.size)
-                # Arrays that are in use keep the map through which they were given.
+                # Arrays in use keep the map that they were created from.
                 self._map = mmap.mmap(self.descriptor, self.size)
             self._ends[start] = start + length
             whole = np.frombuffer(self._map, np.uint8, length, start)
-        weakref.finalize(whole, self._dropped.append, start).atexit = False
+        weakref.finalize(whole, self._freed.append, start).atexit = False
         return SharedBytes(start, whole[:size])
 
     def trim(self) -> None:
-        """Give all memory back, where no array is in use."""
+        """Return all memory to the operating system, if no array is in use."""
         with self._lock:
             self._collect()
             if not self._ends:
@@ -75,10 +75,10 @@ class SharedMemory:
                 os.ftruncate(self.descriptor, 0)
 
     def _collect(self) -> None:
-        while self._dropped:
-            del self._ends[self._dropped.popleft()]
+        while self._freed:
+            del self._ends[self._freed.popleft()]
 
-    def _gap(self, length: int) -> int:
+    def _first_gap(self, length: int) -> int:
         at = 0
         for start in sorted(self._ends):
             if start - at >= length:

@@ -1,7 +1,7 @@
-"""The vocabulary that the rooms share: frozen records that carry their place on Earth.
+"""The records that all packages share: frozen dataclasses of arrays, with their georeference.
 
-Everything inside is metres. ``Georeference`` knows how to go back to the survey's own units. One row of a record is
-one tile; arrays of one record have the same length.
+All lengths and coordinates are in metres; ``Georeference`` converts back to the units of the survey. One row of a
+record is one tile; all arrays of a record have the same length.
 """
 
 from collections.abc import Mapping
@@ -40,12 +40,12 @@ __all__ = [
 
 Texture = Literal["flat", "low_noise", "noise_sin", "high_noise"]
 TEXTURES: tuple[Texture, ...] = ("flat", "low_noise", "noise_sin", "high_noise")
-"""The four terrain forms of the paper, in the order of every array that has a texture axis."""
+"""The four terrain forms of the paper, in the order of the texture axis of every array."""
 
 CLASS_NAMES = ("smooth", "fair", "rough", "very rough")
-"""Class 0 to 3 in words."""
+"""Names of classes 0 to 3."""
 NO_CLASS = 255
-"""Value of ``CostMap.klass`` where a tile is unknown."""
+"""Value of ``CostMap.class_id`` for unknown tiles."""
 
 
 class Reason(IntEnum):
@@ -71,11 +71,10 @@ REASON_TEXT: dict[Reason, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Georeference:
-    """The survey's CRS and what one of its units is in metres."""
+    """The survey's CRS and its units in metres."""
 
     crs: "CRS | None"
-    """The survey's CRS, with the vertical one where it states that (a compound CRS); None where nothing is known (local
-    coordinates)."""
+    """The survey's CRS, a compound CRS if the survey states a vertical one; None if unknown (local coordinates)."""
     metres_per_unit: float = 1.0
     """Horizontal: metres = file units x this."""
     metres_per_unit_z: float = 1.0
@@ -84,7 +83,7 @@ class Georeference:
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """A chunk of points that count, in metres."""
+    """A chunk of points in metres, after withheld and noise points have been removed."""
 
     easting: NDArray[np.float64]
     """(n,) m."""
@@ -93,12 +92,12 @@ class PointCloud:
     upward: NDArray[np.float64]
     """(n,) m."""
     is_ground: NDArray[np.bool_]
-    """(n,) True where the file says class 2 (ground). All False where the file has no classes."""
+    """(n,) True for points of class 2 (ground). All False if the file has no classes."""
 
 
 @dataclass(frozen=True, slots=True)
 class PatchStack:
-    """Measured tiles: one row each, only tiles that hold points."""
+    """Measured tiles, one row each; only tiles that hold points."""
 
     grid: Grid
     col: NDArray[np.int64]
@@ -114,9 +113,9 @@ class PatchStack:
     z_variance: NDArray[np.float64]
     """(n,) population variance of z over the tile's points, m^2."""
     ransac_residual: NDArray[np.float64]
-    """(n,) mean perpendicular distance of all points to the plane that RANSAC found, m; NaN where there is none."""
+    """(n,) mean perpendicular distance of all points to the RANSAC plane, m; NaN if RANSAC found no plane."""
     slope: NDArray[np.float64]
-    """(n,) angle of that plane with the horizontal, degrees; NaN where there is none."""
+    """(n,) angle between that plane and the horizontal, degrees; NaN if there is none."""
     z_range: NDArray[np.float64]
     """(n,) max - min of ``heights``, m."""
     density: NDArray[np.float64]
@@ -124,43 +123,43 @@ class PatchStack:
     coverage: NDArray[np.float64]
     """(n,) share of the pixels that hold a point, 0..1."""
     heights: NDArray[np.float32]
-    """(n, pixels, pixels) mean z of a pixel, m, north row first, west column first; NaN where no point fell."""
+    """(n, pixels, pixels) mean z of each pixel, m, north row first, west column first; NaN in pixels without points."""
     spread_count: NDArray[np.int32]
-    """(n, pixels, pixels) points behind each height."""
+    """(n, pixels, pixels) number of points in each pixel."""
     spread_variance: NDArray[np.float32]
-    """(n, pixels, pixels) population variance inside the pixel of the height above the tile's plane, m^2: of
-    z where RANSAC found none; NaN where no point fell."""
+    """(n, pixels, pixels) population variance, inside each pixel, of the height above the tile's RANSAC plane (of z if
+    there is no plane), m^2; NaN in pixels without points."""
     relief_map: NDArray[np.float32]
-    """(n, pixels, pixels) heights with their least-squares plane taken off and holes filled from their neighbours, m;
-    NaN where the tile cannot be judged."""
+    """(n, pixels, pixels) heights minus their least-squares plane, with holes filled from neighbours, m; NaN if the
+    tile cannot be rated."""
     relief: NDArray[np.float64]
     """(n,) max - min of ``relief_map``, m."""
     reason: NDArray[np.uint8]
-    """(n,) a ``Reason``: 0 where the tile can be judged."""
+    """(n,) a ``Reason``; 0 if the tile can be rated."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextureMap:
-    """What the texture network sees in each tile."""
+    """Texture probabilities of each tile, from the texture network."""
 
     probability: NDArray[np.float32]
-    """(n, 4) over ``TEXTURES``, rows sum to 1; NaN where the tile is unknown."""
+    """(n, 4) in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles."""
 
 
 FAIL_SHARE = 0.5
-"""Ground on which at least this share of the drives fails is not passable, and of the last class."""
+"""If at least this share of the simulated drives fails, the ground is not passable and gets the roughest class."""
 
 
 PASSABLE_COLUMNS = ("class_id", "c_r", "p_fail", "slope")
-"""What decides whether a tile is passable."""
+"""Columns that decide whether a tile is passable."""
 
 
 @dataclass(frozen=True, slots=True)
 class CostRule:
-    """How a vehicle's ride becomes the cost of a planner: what is passable, and the factor on distance where it is.
+    """How ride cost and failure risk become a planner's cost: passable tiles, and the factor on distance.
 
-    ``cost = 1 + ride_weight * c_r + fail_weight * hazard``. Integrated along a path it is the path's length, plus a
-    detour for the shaking, plus one for the risk: ``exp(-integral of the hazard)`` is the probability of arriving.
+    ``cost = 1 + ride_weight * c_r + fail_weight * hazard``. Its integral along a path is the path's length, plus the
+    detours that the shaking and the risk are worth. ``exp(-integral of the hazard)`` is the probability of arriving.
     """
 
     ride_weight: float
@@ -168,64 +167,64 @@ class CostRule:
     fail_weight: float
     """m: the detour that one certain failure is worth."""
     drive_m: float
-    """Length of a drive of the calibration, m: ``p_fail`` is a share of such drives."""
+    """Path length of a calibration drive, m: ``p_fail`` is the share of such drives that fail."""
     slope_limit_deg: float
-    """Steeper ground is not for this vehicle."""
+    """Steeper ground is not passable for this vehicle."""
 
     def hazard(self, p_fail: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Failures per metre, 1/m: ``-ln(1 - p_fail) / drive_m``; infinite where all drives fail, NaN where unknown."""
+        """Return failures per metre, ``-ln(1 - p_fail) / drive_m``, 1/m: infinite if all fail, NaN if unknown."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-p_fail.astype(np.float64)) / self.drive_m)
 
     def passable(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-        """Whether tiles may be driven on: known, not too steep, and fewer than ``FAIL_SHARE`` of the drives fail.
+        """Return which tiles are passable: known, not too steep, and fewer than ``FAIL_SHARE`` of the drives fail.
 
-        Where the rating knows no ``p_fail`` (NaN: ``--compat paper``) the last class is not passable.
+        If the rating has no ``p_fail`` (NaN: ``--compat paper``), the roughest class is not passable.
 
         Parameters
         ----------
         columns : mapping
-            Those named in ``PASSABLE_COLUMNS``, (n,) each, as in `tile_columns`.
+            The columns named in ``PASSABLE_COLUMNS``, (n,) each, as in `tile_columns`.
         """
         class_id, c_r, p_fail, slope = (columns[name] for name in PASSABLE_COLUMNS)
         fails = np.where(np.isnan(p_fail), class_id == len(CLASS_NAMES) - 1, p_fail >= FAIL_SHARE)
         return np.asarray((class_id != NO_CLASS) & np.isfinite(c_r) & (slope <= self.slope_limit_deg) & ~fails)
 
     def cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Factor on distance; a hazard that is not known (NaN) counts nothing."""
+        """Return the factor on distance; an unknown hazard (NaN) counts as 0."""
         return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * np.where(np.isnan(hazard), 0.0, hazard))
 
 
 @dataclass(frozen=True, slots=True)
 class CostMap:
-    """Rated tiles: everything that the products are made of."""
+    """Rated tiles: everything that is written to the layers."""
 
     georeference: Georeference
     patches: PatchStack
     textures: TextureMap
     class_id: NDArray[np.uint8]
-    """(n,) class 0 (flattest) to 3 (roughest); ``NO_CLASS`` where unknown."""
+    """(n,) class 0 (flattest) to 3 (roughest); ``NO_CLASS`` if unknown."""
     c_r: NDArray[np.float32]
-    """(n,) ride cost, rad of pitch per metre; NaN where unknown (so are the next four)."""
+    """(n,) ride cost, rad of pitch per metre; NaN if unknown (so are the next four)."""
     c_r_low: NDArray[np.float32]
     """(n,) lower end of the 80 % interval of c_r, rad/m."""
     c_r_high: NDArray[np.float32]
     """(n,) upper end, rad/m."""
     p_fail: NDArray[np.float32]
-    """(n,) share of simulated drives over such ground that rolled over or got stuck, 0..1."""
+    """(n,) share of simulated drives over such ground that roll over or get stuck, 0..1."""
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
     rule: CostRule
-    """What of it is passable, and at what cost."""
+    """Which tiles are passable, and at what cost."""
 
     def band(self, name: str) -> NDArray[np.floating]:
-        """Values of one of ``BANDS``, (n,)."""
+        """Return the values of one of ``BANDS``, (n,)."""
         owner = self if name in self.__slots__ else self.patches
         values: NDArray[np.floating] = getattr(owner, name)
         return values
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns of `tile_columns`, one row a tile: what a run keeps of its tiles."""
+        """Return the columns of `tile_columns`, one row for each tile, as a run stores its tiles."""
         own: dict[str, NDArray[Any]] = {"class_id": self.class_id, "probability": self.textures.probability}
         names = [column.name for column in tile_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
@@ -233,22 +232,22 @@ class CostMap:
 
 @dataclass(frozen=True, slots=True)
 class CostTable:
-    """All rated tiles of a run, read by window: what the products are made of."""
+    """All rated tiles of a run, read by window, from which the layers are written."""
 
     georeference: Georeference
     rule: CostRule
-    """What of it is passable, and at what cost."""
+    """Which tiles are passable, and at what cost."""
     tiles: TileTable
     """Columns of `tile_columns`."""
 
     @classmethod
     def of(cls, cost_map: CostMap) -> "CostTable":
-        """Make a mosaic of a map in memory (at least one tile)."""
+        """Return the table of a map in memory (at least one tile)."""
         return cls(cost_map.georeference, cost_map.rule, TileTable.of(cost_map.patches.grid, cost_map.columns()))
 
 
 def tile_columns(pixels: int) -> tuple[Column, ...]:
-    """Columns of a rated tile, named and measured as in `PatchStack` and `CostMap`."""
+    """Return the columns of a rated tile, with names and units as in `PatchStack` and `CostMap`."""
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
     return (
@@ -263,11 +262,11 @@ def tile_columns(pixels: int) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A layer of roughness.tif and a column of tiles.parquet."""
+    """A band of roughness.tif and a column of tiles.parquet."""
 
     name: str
     unit: str
-    """As GDAL writes units; empty where the number has none."""
+    """As GDAL writes units; empty if there is none."""
     description: str
 
 

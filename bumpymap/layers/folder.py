@@ -11,7 +11,7 @@ from threading import Event
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import STAGED, CostTable, OutputError, Progress, SilentProgress, take_away, together
+from bumpymap.core import STAGED, CostTable, OutputError, Progress, SilentProgress, remove_path, write_together
 from bumpymap.layers.geotiff import write_classes, write_cost, write_heightmap, write_roughness
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, describe_input, write_manifest
 from bumpymap.layers.placement import Placement
@@ -65,7 +65,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.touch()
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
-            take_away(left)
+            remove_path(left)
         present = [name for name in PRODUCT_NAMES if lexists(folder / name)]
     except OSError as error:
         raise OutputError(
@@ -125,7 +125,7 @@ def write_products(
     # Fail early: there may be no transformation from the survey's CRS to longitude and latitude.
     coordinates = GeoJsonCoordinates.of(placement, local=local)
     progress = progress or SilentProgress()
-    with together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
+    with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
         counting = background.submit(summarise, table)
         inputs = [background.submit(describe_input, record) for record in manifest.get("inputs", ())]
         try:

@@ -1,4 +1,4 @@
-"""Readers, every file format once: files of points in, chunks of points in metres out."""
+"""Readers of all point cloud formats: files in, chunks of points in metres out."""
 
 import lazy_loader
 

@@ -35,7 +35,7 @@ from .protocol import (
 from .source import (
     Location as Location,
     Version as Version,
-    changed as changed,
+    file_changed as file_changed,
     identity as identity,
     is_url as is_url,
 )

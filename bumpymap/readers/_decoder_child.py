@@ -1,9 +1,8 @@
-"""What decodes LAZ: a few functions on bytes.
+"""The functions of the LAZ decoder process, which call lazrs.
 
-The decoder is native code that others wrote. A damaged file can send it through the stack, into panics or round in
-circles, and while it works it holds the interpreter's lock; so these functions are called in a process of its own
-(`bumpymap.readers.decoder`), which may die. It must start in no time: nothing is imported here but lazrs, where it is
-used, and a few modules of the standard library.
+lazrs is native code. A damaged file can make it overflow the stack, panic or loop forever, and it holds the GIL all the
+time; so these functions are called in a child process (`bumpymap.readers.decoder`), which may crash. The process must
+start quickly: only a few modules of the standard library are imported at the top, and lazrs where it is used.
 """
 
 import io
@@ -12,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 __all__ = [
-    "Source",
+    "CallbackFile",
     "check_record",
     "close_stream",
     "decode_chunks",
@@ -22,52 +21,52 @@ __all__ = [
 ]
 
 _BLOCK = 1 << 18
-"""Bytes of a file that a stream asks for at once."""
+"""Bytes of a file that a stream requests at once."""
 _streams: dict[int, Any] = {}
 
 
-class Source(io.RawIOBase):
-    """A file that is read by asking somebody for its bytes.
+class CallbackFile(io.RawIOBase):
+    """A raw stream whose bytes come from a callback.
 
     Parameters
     ----------
-    supply : callable
-        Fills a buffer with the bytes from a place on; gives how many there were.
+    read_at : callable
+        Called with a byte offset and a buffer: reads bytes into the buffer and returns how many there were.
     size : int
-        Bytes of the file.
+        Size of the file in bytes.
     """
 
-    def __init__(self, supply: Callable[[int, memoryview], int], size: int) -> None:
-        self._supply, self._size, self._at = supply, size, 0
+    def __init__(self, read_at: Callable[[int, memoryview], int], size: int) -> None:
+        self._supply, self._size, self._at = read_at, size, 0
 
     def readable(self) -> bool:
-        """Yes."""
+        """Return True."""
         return True
 
     def seekable(self) -> bool:
-        """Yes."""
+        """Return True."""
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to a place."""
+        """Set the position, and return it."""
         start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
         self._at = max(start + offset, 0)
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer, as far as the file goes."""
+        """Read bytes into a buffer, up to the end of the file; return how many."""
         wanted = min(len(buffer), self._size - self._at)
         got = self._supply(self._at, memoryview(buffer)[:wanted]) if wanted > 0 else 0
         self._at += got
         return got
 
     def readall(self) -> bytes:
-        """Read the rest, at once."""
+        """Read the rest of the file in one call."""
         return self.read(max(self._size - self._at, 0)) or b""
 
 
 def _fields() -> Any:
-    """Choose what is decoded of point formats 6 to 10; earlier ones are decoded whole."""
+    """Return the fields to decode of point formats 6 to 10; earlier formats are always decoded completely."""
     import lazrs
 
     return lazrs.DecompressionSelection(
@@ -79,15 +78,15 @@ def _fields() -> Any:
 
 
 def check_record(record: bytes) -> None:
-    """Raise where there is no decoder for a LASzip record."""
+    """Raise an exception if lazrs cannot decode data with this LASzip record."""
     import lazrs
 
-    # An empty table of chunks: the decoder looks at the record alone.
+    # With an empty chunk table, only the record is checked.
     lazrs.LasZipDecompressor(io.BytesIO(struct.pack("<qII", 8, 0, 0)), record)
 
 
 def read_chunk_table(record: bytes, data: Any) -> list[tuple[int, int]]:
-    """Points and bytes of each chunk; ``data`` starts where the table does."""
+    """Return number of points and bytes of each LAZ chunk; ``data`` begins at the start of the chunk table."""
     import lazrs
 
     table: list[tuple[int, int]] = lazrs.read_chunk_table_only(io.BytesIO(data), lazrs.LazVlr(record))
@@ -95,26 +94,26 @@ def read_chunk_table(record: bytes, data: Any) -> list[tuple[int, int]]:
 
 
 def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], data: Any, out: Any) -> None:
-    """Decode chunks that lie one behind the other, on all cores; ``table`` as from `read_chunk_table`."""
+    """Decode adjacent LAZ chunks on all cores; ``table`` is as from `read_chunk_table`."""
     import lazrs
 
     lazrs.decompress_points_with_chunk_table(data, record, out, list(table), _fields())
 
 
-def open_stream(supply: Callable[[int, memoryview], int], number: int, record: bytes, start: int, size: int) -> None:
-    """Go through a file of ``size`` bytes in order from ``start`` on; `supply` as of `Source`."""
+def open_stream(read_at: Callable[[int, memoryview], int], number: int, record: bytes, start: int, size: int) -> None:
+    """Open stream ``number`` on a file of ``size`` bytes at offset ``start``; ``read_at`` is that of `CallbackFile`."""
     import lazrs
 
-    stream = io.BufferedReader(Source(supply, size), _BLOCK)
+    stream = io.BufferedReader(CallbackFile(read_at, size), _BLOCK)
     stream.seek(start)
     _streams[number] = lazrs.LasZipDecompressor(stream, record, _fields())
 
 
 def read_stream(_: object, number: int, out: Any) -> None:
-    """Fill ``out`` with the points of a stream that come next."""
+    """Fill ``out`` with the next points of a stream."""
     _streams[number].decompress_many(out)
 
 
 def close_stream(number: int) -> None:
-    """Forget a stream."""
+    """Close a stream."""
     _streams.pop(number, None)

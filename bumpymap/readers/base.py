@@ -1,18 +1,18 @@
-"""The part that all readers share: pieces one after the other as chunks of points, and the verdict at the end."""
+"""Base class of all survey readers: iterates over the chunks of a file and checks the points at the end."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bumpymap.core import PointCloud, UsageError
-from bumpymap.readers.point_stats import PointStats, judge
+from bumpymap.readers.point_stats import PointStats, verify
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyInfo
 
 __all__ = ["SurveyBase"]
 
 
 class SurveyBase(ABC):
-    """A ``SurveyReader``; a format adds how its pieces are cut, read and converted."""
+    """A ``SurveyReader``; subclasses for the formats split, read and convert the chunks."""
 
     def __init__(self, info: SurveyInfo) -> None:
         self._info = info
@@ -20,42 +20,42 @@ class SurveyBase(ABC):
 
     @property
     def info(self) -> SurveyInfo:
-        """What the header says."""
+        """Contents of the header."""
         return self._info
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Points that did not count so far, by reason."""
+        """Number of points dropped so far, by reason."""
         return dict(self._dropped)
 
     @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut the file; see ``SurveyReader.pieces``."""
+        """Split the file into chunks; see ``SurveyReader.chunks``."""
 
     @abstractmethod
     def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode; see ``SurveyReader.fetch``."""
+        """Read and decode a chunk; see ``SurveyReader.fetch``."""
 
     @abstractmethod
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Points that count, in metres; see ``SurveyReader.convert``."""
+        """Convert a chunk to points in metres; see ``SurveyReader.convert``."""
 
-    def judge(self, tally: PointStats) -> None:
-        """Hold all points to the header; see ``SurveyReader.judge``."""
-        judge(tally, self._info.path, self._info.point_count, self._info.bounds)
+    def verify(self, stats: PointStats) -> None:
+        """Check all points against the header; see ``SurveyReader.verify``."""
+        verify(stats, self._info.path, self._info.point_count, self._info.bounds)
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
-        """Give the points that count; see ``SurveyReader.chunks``."""
+        """Yield the points of the file; see ``SurveyReader.clouds``."""
         if points < 1:
-            raise UsageError(f"a chunk of {points} points was asked for; it must hold at least 1")
-        tally = PointStats()
+            raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
+        stats = PointStats()
         for chunk in self.chunks(points):
-            batch = self.convert(chunk, self.fetch(chunk))
-            tally = tally.merge(batch.tally)
-            self._dropped = tally.dropped
-            if not tally.bad:
-                yield from _split(batch.cloud, points)
-        self.judge(tally)
+            converted = self.convert(chunk, self.fetch(chunk))
+            stats = stats.merge(converted.stats)
+            self._dropped = stats.dropped
+            if not stats.bad:
+                yield from _split(converted.cloud, points)
+        self.verify(stats)
 
 
 def _split(cloud: PointCloud, points: int) -> Iterator[PointCloud]:

@@ -1,31 +1,31 @@
-"""Checks that every reader makes before points are read: decoders that fail, headers that lie."""
+"""Checks shared by all readers: failing parsers, and headers that contradict the file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
-from bumpymap.core import BadInputError, BumpymapError, wanting
+from bumpymap.core import BadInputError, BumpymapError, missing_resource
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
 __all__ = ["TRUST", "box_text", "decoding", "refuse_count", "refuse_header_bounds"]
 
-TRUST = "`trust_points=True` goes on with the points' own extent"
+TRUST = "`trust_points=True` continues with the extent of the points"
 
 
 @contextmanager
 def decoding(path: Location, what: str) -> Iterator[None]:
-    """Turn whatever a parser throws at a damaged file into a BadInputError.
+    """Turn any exception of a parser into a BadInputError: the file is damaged.
 
-    Decoders written in Rust panic with an exception that is not an ``Exception``.
+    A panic of a decoder written in Rust is a ``BaseException``, not an ``Exception``.
     """
     try:
         yield
     except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:
-        if wanting(error):  # nothing is wrong with the file
+        if missing_resource(error):  # out of memory or the like: not the file's fault
             raise
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise BadInputError(
@@ -33,21 +33,21 @@ def decoding(path: Location, what: str) -> Iterator[None]:
         ) from error
 
 
-def refuse_count(path: Location, promised: int, held: int, unit: str = "points") -> None:
-    """Raise BadInputError where a file holds fewer points than its header promises."""
-    if held < promised:
+def refuse_count(path: Location, declared: int, held: int, unit: str = "points") -> None:
+    """Raise BadInputError if a file holds fewer points, or other units, than its header declares."""
+    if held < declared:
         raise BadInputError(
-            f"{path} declares {promised:,} {unit} but holds {held:,}: truncated? Copy or download it again"
+            f"{path} declares {declared:,} {unit} but holds {held:,}: truncated? Copy or download it again"
         )
 
 
 def refuse_header_bounds(path: Location, bounds: Bounds) -> None:
-    """Raise BadInputError where a header's box cannot be one."""
+    """Raise BadInputError if the bounds in a header are not finite or inverted."""
     sides = (bounds.west, bounds.south, bounds.east, bounds.north)
     if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
-        raise BadInputError(f"the header of {path} gives an extent that cannot be: {box_text(bounds)}. {TRUST}")
+        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
 
 
 def box_text(bounds: Bounds) -> str:
-    """Spell a box for people."""
+    """Return bounds as text for messages."""
     return f"easting {bounds.west:,.2f} to {bounds.east:,.2f} m, northing {bounds.south:,.2f} to {bounds.north:,.2f} m"

@@ -1,4 +1,4 @@
-"""Columns of a PLY or PCD table as points in metres, and what float32 does to large coordinates."""
+"""Convert columns of a PLY or PCD table to points in metres, and warn of large coordinates in float32."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,21 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Georeference
-from bumpymap.readers.batch import RawPoints
+from bumpymap.readers.conversion import RawPoints
 from bumpymap.readers.source import OpenFile
 
 __all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
-"""Names, in lower case, of a column that holds LAS class codes."""
+"""Names, in lower case, of columns that hold LAS class codes."""
 DECIMALS = 8
-"""Coordinates are rounded to so many, in the file's unit."""
+"""Decimals that coordinates are rounded to, in the file's unit."""
 _LARGE = 1e5
-"""Coordinates from here on are spaced 1 cm or more apart in float32, in the file's unit."""
+"""From here on the resolution of float32 is 1 cm or coarser, in the file's unit."""
 
 
 def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, place: Georeference) -> RawPoints:
-    """Turn a block of rows into points.
+    """Convert table rows to points.
 
     Parameters
     ----------
@@ -30,40 +30,40 @@ def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, p
         Names of x, y and z.
     class_column : str or None
     place : Georeference
-        Gives the units.
+        Its units are used.
 
     Returns
     -------
     RawPoints
     """
-    # Rounded like LAS coordinates: the same point from a LAS and a PLY file is one point.
+    # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file.
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     x, y, z = (_coordinate(rows[name], unit) for name, unit in zip(columns, units, strict=True))
     return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
 
 
 def read_rows(file: OpenFile, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
-    """Read rows of a binary table from ``first`` on; fewer than ``count`` where the file ends."""
+    """Read ``count`` rows of a binary table from row ``first``; fewer at the end of the file."""
     data = file.read(data_at + first * dtype.itemsize, count * dtype.itemsize)
     return data[: data.size // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
-    # What overflows becomes infinite, and is refused for it; NaN of any kind is watched for later.
+    # Overflow becomes infinity; infinity and NaN are rejected later.
     with np.errstate(over="ignore", invalid="ignore"):
         value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
         return value if unit == 1.0 else value * unit
 
 
 def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any]) -> tuple[str, ...]:
-    """Say so where float32 cannot hold the coordinates: a survey in UTM loses centimetres to half a metre.
+    """Return a note if float32 is too coarse for the coordinates: for UTM, the error is centimetres to half a metre.
 
     Parameters
     ----------
     first : (float, float, float) or None
         The first point, in the file's unit.
     types : sequence of 3 dtypes
-        Of x, y and z.
+        Types of x, y and z.
     """
     if first is None:
         return ()

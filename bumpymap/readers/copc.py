@@ -1,10 +1,10 @@
-"""COPC: LAZ whose chunks are the nodes of an octree, so that a region can be read by itself.
+"""COPC: LAZ files whose chunks are the nodes of an octree.
 
-Layout as in the COPC 1.0 specification. The octree is walked depth first, a node before its children, and children
-that lie above each other one after the other: once the walk has left a square of ground, that square is complete. Only
-the few nodes above a place in the tree are shared with the rest of the file.
+The layout follows the COPC 1.0 specification. Nodes are read depth first, a node before its children, and children with
+the same x and y consecutively. A square of ground is therefore complete once the traversal has left it, except for the
+points of the few ancestors, which come before.
 
-laspy is not used: it follows pages that lead in a circle without end, and builds a Python object for each node.
+laspy is not used: it follows cyclic pages forever, and creates a Python object for each node.
 """
 
 import struct
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.batch import RecordLayout
 from bumpymap.readers.columns import DECIMALS
+from bumpymap.readers.conversion import RecordLayout
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
 from bumpymap.readers.point_stats import OUTSIDE
@@ -28,37 +28,38 @@ _ENTRY = np.dtype(
     [("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")]
 )
 _ON_ANOTHER_PAGE = -1
-"""Value of ``points`` where an entry names a page instead of a node."""
+"""Value of ``points`` in an entry that refers to another page instead of a node."""
 _DEEPEST = 30
-"""Levels of the tree: more would divide a metre of the largest survey into nanometres."""
+"""Levels of the octree at most."""
 _MOST_PAGES = 100_000
-_ANEW = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
+_REBUILD = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
 
 
 def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_unit: float | None) -> ChunkTable:
-    """Read all pages of the hierarchy; ``metres_per_unit`` is None where the cubes are not to be believed.
+    """Read all pages of the hierarchy; ``metres_per_unit`` is None if the bounds of the nodes are to be ignored.
 
     Raises
     ------
     BadInputError
-        Pages or nodes that are not in the file, that overlap or come twice, or whose points are not as many as the
-        header promises.
+        Pages or nodes lie outside of the file, overlap or occur twice, or the number of points differs from that of
+        the header.
     """
     info = header.records[b"copc", 1]
     if len(info) < 56:
-        raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_ANEW}")
+        raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_REBUILD}")
     x, y, _, half, _, page_at, page_size = struct.unpack_from("<5d2Q", info)
     if not (np.isfinite([x, y, half]).all() and half > 0):
         raise BadInputError(
-            f"the octree of {path} has its centre at {x:g}, {y:g} and a half-width of {half:g}. {_ANEW}"
+            f"the octree of {path} has its centre at {x:g}, {y:g} and a half-width of {half:g}. {_REBUILD}"
         )
     nodes = _read_nodes(stream, path, header, page_at, page_size)
-    held = int(nodes["points"].sum(dtype=np.int64))
-    if held != header.point_count:
+    counted = int(nodes["points"].sum(dtype=np.int64))
+    if counted != header.point_count:
         raise BadInputError(
-            f"{path} declares {header.point_count:,} points in its header but {held:,} in its octree: damaged. {_ANEW}"
+            f"{path} declares {header.point_count:,} points in its header but {counted:,} in its octree: damaged. "
+            f"{_REBUILD}"
         )
-    nodes = nodes[_walk_order(nodes)]
+    nodes = nodes[_depth_first_order(nodes)]
     sizes, counts = nodes["size"].astype(np.int64), nodes["points"].astype(np.int64)
     refuse_density(path, counts, sizes)
     starts = nodes["offset"].astype(np.int64)
@@ -73,7 +74,7 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_
 def _read_nodes(
     stream: BinaryIO, path: Location, header: RawHeader, page_at: int, page_size: int
 ) -> NDArray[np.void]:  # fmt: skip
-    """All entries that hold points."""
+    """Return all entries with points."""
     waiting, seen = [(page_at, page_size)], {page_at}
     found: list[NDArray[np.void]] = []
     while waiting:
@@ -82,7 +83,7 @@ def _read_nodes(
         pages = [(int(at), int(size)) for at, size in zip(further["offset"], further["size"], strict=True)]
         offsets = {at for at, _ in pages}
         if len(offsets) < len(pages) or offsets & seen or len(seen) + len(pages) > _MOST_PAGES:
-            raise BadInputError(f"the octree of {path} contains a cycle: damaged. {_ANEW}")
+            raise BadInputError(f"the octree of {path} contains a cycle: damaged. {_REBUILD}")
         seen |= offsets
         waiting += pages
         found.append(page[page["points"] > 0])
@@ -94,7 +95,7 @@ def _read_nodes(
 def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, size: int) -> NDArray[np.void]:
     if size <= 0 or size % _ENTRY.itemsize or not header.offset_to_points <= at <= header.size - size:
         raise BadInputError(
-            f"the octree of {path} has a page of {size:,} bytes at byte {at:,} of {header.size:,}, which cannot be: "
+            f"the octree of {path} has a page of {size:,} bytes at byte {at:,} of {header.size:,}, which is invalid: "
             f"damaged or truncated? Copy or download it again"
         )
     stream.seek(at)
@@ -114,17 +115,17 @@ def _refuse_nodes(path: Location, header: RawHeader, nodes: NDArray[np.void]) ->
     sound &= nodes["offset"] <= np.maximum(room, 0).astype(np.uint64)
     if not sound.all():
         raise BadInputError(
-            f"{int((~sound).sum()):,} of {nodes.size:,} nodes in the octree of {path} are at no place in the tree or "
-            f"in the file: damaged or truncated? Copy or download it again"
+            f"{int((~sound).sum()):,} of {nodes.size:,} nodes in the octree of {path} have no valid position in the "
+            f"octree or in the file: damaged or truncated? Copy or download it again"
         )
     order = np.argsort(nodes["offset"])
     starts = nodes["offset"][order].astype(np.int64)
     if (starts[:-1] + nodes["size"][order][:-1] > starts[1:]).any():
-        raise BadInputError(f"nodes in the octree of {path} share bytes of the file: damaged. {_ANEW}")
+        raise BadInputError(f"nodes in the octree of {path} share bytes of the file: damaged. {_REBUILD}")
 
 
-def _walk_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
-    """Order of the walk: by the path from the root, three bits a level, height last; a node before its children."""
+def _depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
+    """Return the depth-first order: by the path from the root, three bits a level, z last; parents before children."""
     level = nodes["level"].astype(np.int64)
     deepest = int(level.max(initial=0))
     keys: list[NDArray[np.int64]] = []
@@ -140,15 +141,15 @@ def _walk_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
 def count_points_outside_node(
     records: NDArray[np.uint8], layout: RecordLayout, metres_per_unit: float, box: Bounds, nodes: ChunkTable
 ) -> int:
-    """Count points inside the file's box and more than ``OUTSIDE`` outside the cube of their node.
+    """Count points inside the file's bounds, but more than ``OUTSIDE`` outside the cube of their node.
 
-    Node by node, so that the verdict does not depend on how the file is cut. Only nodes whose extremes lie outside are
-    looked at point by point.
+    Checked by node, so that the result does not depend on the chunks. Only nodes whose minimum or maximum lies outside
+    are checked point by point.
     """
     scales, offsets = np.array(layout.scales[:2]), np.array(layout.offsets[:2])
 
     def outside(words: NDArray[np.int32], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-        # The steps of the kernel that converts all points, so the same bits.
+        # The same operations as in the kernel that converts the points, so that results are bit-identical.
         with np.errstate(over="ignore"):
             points = np.round(words * scales + offsets, DECIMALS) * metres_per_unit
         beyond = (points < boxes[:, :2] - OUTSIDE) | (points > boxes[:, 2:] + OUTSIDE)

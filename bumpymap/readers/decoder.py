@@ -1,7 +1,7 @@
-"""The decoder of LAZ as readers see it: it works in a child process, which may die of a damaged file.
+"""The LAZ decoder. It runs in a child process, since a damaged file may crash it.
 
-It serves one request after the other, since it uses every core by itself. Where it dies, the file is refused, and the
-next request starts another. Where no child can be started, the same functions work in this process.
+It handles one request at a time, because each uses all cores. If the child crashes, the file is refused, and the next
+request starts a new child. If no child can be started, the same functions run in this process.
 """
 
 import itertools
@@ -23,123 +23,123 @@ from bumpymap.core import (
     ChildError,
     SharedBytes,
     UsageError,
-    can_start,
-    folder_of,
-    free_memory,
-    take_memory,
+    allocate_shared,
+    can_start_children,
+    module_folder,
+    trim_shared,
 )
 from bumpymap.readers import _decoder_child
 
 __all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close_decoder", "decoder"]
 
 Bytes = NDArray[np.uint8]
-Supply = Callable[[int, Bytes], int]
-"""Fills an array with the bytes of a file from a place on; gives how many there were."""
+ReadAt = Callable[[int, Bytes], int]
+"""Called with a byte offset and an array: reads bytes of the file into the array and returns how many there were."""
 Table = Sequence[tuple[int, int]]
-"""Points and bytes of chunks."""
+"""Number of points and bytes of each LAZ chunk."""
 
 _SECONDS, _SECONDS_PER_BYTE = 4.0, 1e-7
-"""Processor time that a request may take, and for each byte that goes in or comes out: ten times what files take."""
+"""CPU time limit of a request, and for each byte of input and output: ten times what real files need."""
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 
 
 class DecoderError(Exception):
-    """The decoder cannot cope with what it was given. The text says why."""
+    """The decoder cannot decode the data. The text says why."""
 
 
 class StreamLostError(Exception):
-    """What went through a file is gone, through no fault of the file: open a stream again."""
+    """The stream was lost for a reason unrelated to its file; open a new one."""
 
 
 class Decoder:
-    """What lazrs does for readers. Every method but ``take`` and ``close`` raises DecoderError. From any thread."""
+    """Calls lazrs in a child process. Thread-safe. Methods except ``allocate`` and ``close`` may raise DecoderError."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._child: Child | None = None
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
-        """Of the child that runs."""
+        """Open streams of the running child."""
 
-    def take(self, size: int) -> SharedBytes:
-        """Memory for bytes that the decoder will read."""
-        return take_memory(size)
+    def allocate(self, size: int) -> SharedBytes:
+        """Allocate memory for bytes that the decoder will read."""
+        return allocate_shared(size)
 
     def check(self, record: bytes) -> None:
-        """Raise where there is no decoder for a LASzip record."""
+        """Raise DecoderError if lazrs cannot decode data with this LASzip record."""
         with self._lock:
-            self._ask("check_record", record)
+            self._call("check_record", record)
 
     def chunk_table(self, record: bytes, data: SharedBytes, chunks: int) -> Table:
-        """Points and bytes of ``chunks`` chunks; ``data`` starts where the table of the file does."""
+        """Decode the first ``chunks`` entries of a chunk table; ``data`` begins where the table does in the file."""
         with self._lock:
-            table: Table = self._ask("read_chunk_table", record, shared=(data,))
+            table: Table = self._call("read_chunk_table", record, shared=(data,))
         return table[:chunks]
 
     def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int) -> Bytes:
-        """Decode chunks that lie one behind the other; ``size`` bytes come out."""
-        out = self.take(size)
+        """Decode adjacent LAZ chunks to ``size`` bytes."""
+        out = self.allocate(size)
         with self._lock:
-            self._ask("decode_chunks", record, table, shared=(data, out))
+            self._call("decode_chunks", record, table, shared=(data, out))
         return out.data
 
-    def stream(self, record: bytes, supply: Supply, start: int, file_size: int) -> "Stream":
-        """Go through a file from ``start`` on."""
+    def stream(self, record: bytes, read_at: ReadAt, start: int, file_size: int) -> "Stream":
+        """Open a stream that decodes a file sequentially from offset ``start``."""
         number = next(self._numbers)
         with self._lock:
-            self._ask("open_stream", number, record, start, file_size, supply=supply)
+            self._call("open_stream", number, record, start, file_size, read_at=read_at)
             self._streams.add(number)
-        return Stream(self, number, supply)
+        return Stream(self, number, read_at)
 
-    def read_stream(self, number: int, supply: Supply, size: int) -> Bytes:
-        """Bytes of the points of a stream that come next."""
-        out = self.take(size)
+    def read_stream(self, number: int, read_at: ReadAt, size: int) -> Bytes:
+        """Decode the next ``size`` bytes of points of a stream."""
+        out = self.allocate(size)
         with self._lock:
-            if number not in self._streams or not self._runs():
+            if number not in self._streams or not self._is_alive():
                 raise StreamLostError
-            self._ask("read_stream", number, shared=(out,), supply=supply)
+            self._call("read_stream", number, shared=(out,), read_at=read_at)
         return out.data
 
     def close_stream(self, number: int) -> None:
-        """Forget a stream."""
+        """Close a stream."""
         with self._lock:
-            if number in self._streams and self._runs():
-                self._ask("close_stream", number)
+            if number in self._streams and self._is_alive():
+                self._call("close_stream", number)
             self._streams.discard(number)
 
     def close(self) -> None:
-        """Give back memory and the child until the next request. Arrays that were given out stay."""
+        """End the child and free unused memory, until the next request. Arrays in use stay valid."""
         with self._lock:
             self._end()
-            free_memory()
+            trim_shared()
 
-    def _ask(
-        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), supply: Supply | None = None
+    def _call(
+        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
-        """Have something done by a child; the caller holds the lock."""
+        """Call a function in the child; the caller holds the lock."""
         seconds = _SECONDS + _SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
-        fill = None if supply is None else partial(_fill, supply)
+        fill = None if read_at is None else partial(_fill, read_at)
         try:
-            child = self._running()
-            return child.ask(function, *arguments, shared=shared, seconds=seconds, supply=fill)
+            child = self._live_child()
+            return child.call(function, *arguments, shared=shared, seconds=seconds, read_at=fill)
         except ChildError as error:
             raise DecoderError(str(error)) from error
         except ChildDiedError as error:
             self._end()
             _raise_child_died(error)
         except BaseException:
-            # Whatever it was, nobody waits for the answer any more.
+            # The result of an interrupted call would be taken for that of the next one.
             self._end()
             raise
 
-    def _runs(self) -> bool:
-        return self._child is not None and self._child.runs
+    def _is_alive(self) -> bool:
+        return self._child is not None and self._child.is_alive
 
-    def _running(self) -> Child:
-        if self._child is None or not self._child.runs:
+    def _live_child(self) -> Child:
+        if self._child is None or not self._child.is_alive:
             self._end()
-            # Without site-packages as a whole: what people put there is run at every start.
-            folders = [str(Path(__file__).parent), folder_of("lazrs")]
+            # Not all of site-packages: its .pth files would run at every start.
+            folders = [str(Path(__file__).parent), module_folder("lazrs")]
             self._child = Child("to decode LAZ", "_decoder_child", folders)
         return self._child
 
@@ -151,58 +151,58 @@ class Decoder:
 
 
 class LocalDecoder(Decoder):
-    """Decodes in this process."""
+    """A decoder that runs in this process."""
 
-    def _ask(
-        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), supply: Supply | None = None
+    def _call(
+        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
-        """Have something done here."""
-        questions = () if supply is None else (partial(_fill, supply),)
+        """Call a function in this process."""
+        callbacks = () if read_at is None else (partial(_fill, read_at),)
         try:
-            return getattr(_decoder_child, function)(*questions, *arguments, *(memory.data for memory in shared))
+            return getattr(_decoder_child, function)(*callbacks, *arguments, *(memory.data for memory in shared))
         except (KeyboardInterrupt, SystemExit, MemoryError):
             raise
         except BaseException as error:
-            # A panic in Rust is no Exception.
+            # A panic in Rust is not an Exception.
             raise DecoderError(str(error).strip() or type(error).__name__) from error
 
-    def _runs(self) -> bool:
+    def _is_alive(self) -> bool:
         return True
 
     def _end(self) -> None:
-        """There is nothing to end."""
+        """Do nothing: there is no child."""
 
 
 class Stream:
-    """Points of a file in order."""
+    """Sequential decoding of the points of a file."""
 
-    def __init__(self, owner: Decoder, number: int, supply: Supply) -> None:
-        self._owner, self._number, self._supply = owner, number, supply
+    def __init__(self, owner: Decoder, number: int, read_at: ReadAt) -> None:
+        self._owner, self._number, self._supply = owner, number, read_at
 
     def read(self, size: int) -> Bytes:
-        """Bytes of the points that come next. Raises StreamLostError too."""
+        """Decode the next ``size`` bytes of points. May also raise StreamLostError."""
         return self._owner.read_stream(self._number, self._supply, size)
 
     def close(self) -> None:
-        """Forget the place."""
+        """Close the stream."""
         self._owner.close_stream(self._number)
 
 
-def _fill(supply: Supply, start: int, buffer: memoryview) -> int:
-    return supply(start, np.frombuffer(buffer, np.uint8))
+def _fill(read_at: ReadAt, start: int, buffer: memoryview) -> int:
+    return read_at(start, np.frombuffer(buffer, np.uint8))
 
 
 def _raise_child_died(error: ChildDiedError) -> NoReturn:
-    """Say what the child died of: the file, or something else."""
+    """Raise the error for a dead child: DecoderError if the file crashed it, else UsageError."""
     if not error.signal:
         raise UsageError(
-            f"the process that decodes LAZ {error}: is lazrs installed as it should be? Try: "
+            f"the process that decodes LAZ {error}: is lazrs installed correctly? Try: "
             f"{sys.executable} -c 'import lazrs'"
         ) from error
     if error.signal in _FROM_OUTSIDE:
         raise UsageError(
-            f"the process that decodes LAZ was killed ({error.signal}), for want of memory? Lower `memory`, or end "
-            "other programs, and run again"
+            f"the process that decodes LAZ was killed ({error.signal}), perhaps for lack of memory. Lower `memory`, "
+            "or end other programs, and run again"
         ) from error
     if error.signal == "SIGPROF":
         raise DecoderError("the decoder did not finish") from error
@@ -214,25 +214,25 @@ _current: Decoder | None = None
 
 
 def decoder() -> Decoder:
-    """Give the decoder of this process."""
-    global _current  # noqa: PLW0603 (one for all readers: it uses every core by itself)
+    """Return the decoder of this process."""
+    global _current  # noqa: PLW0603 (one for all readers: it uses all cores)
     with _lock:
         if _current is None:
-            _current = Decoder() if can_start() else LocalDecoder()
+            _current = Decoder() if can_start_children() else LocalDecoder()
         return _current
 
 
 def close_decoder() -> None:
-    """Give back what the decoder holds; the next request takes it again."""
+    """End the decoder's child process and free its memory; the next request starts it again."""
     if _current is not None:
         _current.close()
 
 
-def _forget() -> None:
+def _reset_after_fork() -> None:
     global _lock, _current
     _lock, _current = threading.Lock(), None
 
 
 at_exit(close_decoder)
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget)
+    os.register_at_fork(after_in_child=_reset_after_fork)

@@ -1,4 +1,4 @@
-"""Which reader a file needs, by its content: an ending proves nothing."""
+"""Detect the format of a file by its content, not its suffix, and open it with the right reader."""
 
 import logging
 from codecs import getincrementaldecoder
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import Location, OpenFile, open_source
-from bumpymap.readers.watched import WatchedSurvey
+from bumpymap.readers.versioned import VersionedSurvey
 
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted
@@ -41,16 +41,16 @@ _FOREIGN = (
     (b"<", "an XML or HTML page; did a download give an error page?"),
     (b"{", "a JSON text"),
 )
-"""How files begin that are taken for point clouds now and then."""
+"""First bytes of other formats that users may pass by mistake."""
 
 
 def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
-    """Open a point cloud and check what its header says; points are read later. Its notes are logged as warnings.
+    """Open a point cloud and check its header; points are read later. Notes about the file are logged as warnings.
 
     Parameters
     ----------
     path : Path or str
-        A path, or the text of a URL.
+        A path, or a URL as a str.
     options : ReadOptions
 
     Returns
@@ -60,10 +60,10 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
     Raises
     ------
     BadInputError
-        The file cannot be read, is not a point cloud, holds no points, promises more than it can hold, or is not in
+        The file cannot be read, is not a point cloud, holds no points, declares more than it can hold, or is not in
         a projected CRS.
     UsageError
-        ``options.crs`` is no CRS.
+        ``options.crs`` is not a CRS.
     """
     reader = reopen_survey(path, options)
     for note in reader.info.notes:
@@ -72,8 +72,8 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
-    """Open a point cloud again, in a worker; its notes were logged already. As ``open_survey`` otherwise."""
-    return WatchedSurvey(path, partial(_reader, path, options))
+    """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
+    return VersionedSurvey(path, partial(_reader, path, options))
 
 
 def _reader(path: Location, options: ReadOptions) -> SurveyReader:
@@ -95,23 +95,23 @@ def _reader(path: Location, options: ReadOptions) -> SurveyReader:
 
 
 def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
-    """Read the points of a PLY or PCD file whole, opening it once.
+    """Read all points of a PLY or PCD file, opening it once.
 
     Parameters
     ----------
     path : Path
     wanted : dict of str to tuple of str
-        What is wanted beside x, y and z, where it is there, and the columns that may hold it, in lower case.
+        Optional quantities beside x, y and z -> names, in lower case, of columns that may hold them.
 
     Returns
     -------
     dict of str to array (n,)
-        By the names that ``wanted`` gives; x, y and z too.
+        x, y, z and the quantities that were found, by the keys of ``wanted``.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, is neither PLY nor PCD, promises more than it holds, or is damaged.
+        The file cannot be read, is neither PLY nor PCD, declares more than it holds, or is damaged.
     """
     with open_source(path) as stream:
         kind, file = _format_of(path, stream.read(_HEAD)), OpenFile(path, stream)
@@ -133,12 +133,12 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
 
 
 def detect_format(path: Location) -> Kind:
-    """Tell the format by the first bytes.
+    """Return the format of a file by its first bytes.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, is empty, or is something else; says what it looks like.
+        The file cannot be read, is empty, or is not a point cloud; the message says what it looks like.
     """
     with open_source(path) as stream:
         return _format_of(path, stream.read(_HEAD))
@@ -174,7 +174,7 @@ def _describe(head: bytes) -> str:
 
 def _is_text(head: bytes) -> bool:
     try:
-        # Incremental: the last character may be cut.
+        # Incremental: the last character may be truncated.
         text = getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
         return False

@@ -1,4 +1,4 @@
-"""From what the user typed to a list of files."""
+"""Find the survey files that the user named."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -11,27 +11,27 @@ from bumpymap.readers.source import Location, is_folder, is_url, list_folder
 __all__ = ["SUFFIXES", "find_surveys"]
 
 SUFFIXES = (".las", ".laz", ".ply", ".pcd")
-"""Endings that a folder is searched for, in any case (``.copc.laz`` is one of them)."""
+"""File suffixes that a folder is searched for, in any case (``.laz`` includes ``.copc.laz``)."""
 
 
 def find_surveys(paths: Sequence[Location]) -> list[Location]:
-    """List the survey files that the paths name.
+    """Return the survey files at the given paths.
 
     Parameters
     ----------
     paths : sequence of Path or str
-        Files are taken whatever their ending; folders are searched with their subfolders for ``SUFFIXES``, hidden
-        entries left out. The text of a URL may name a file or a folder too.
+        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
+        ones. URLs, as str, may be files or folders too.
 
     Returns
     -------
     list of Path or str
-        Sorted, URLs last; one entry a file even where it was reached twice.
+        Sorted, URLs last; each file once.
 
     Raises
     ------
     BadInputError
-        A path that is not there or cannot be listed, or a folder without surveys.
+        A path does not exist or cannot be listed, or a folder holds no surveys.
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
@@ -50,7 +50,7 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
 
 def _urls_of(url: str) -> list[str]:
-    # Asked only where the name leaves it open: every question to a server takes time.
+    # The server is only asked if the suffix does not decide: every request takes time.
     if url.lower().endswith(SUFFIXES) or not is_folder(url):
         return [url]
     return _some([name for name in list_folder(url) if name.lower().endswith(SUFFIXES)], url)
@@ -59,8 +59,8 @@ def _urls_of(url: str) -> list[str]:
 def _some(files: list[Any], folder: Location) -> list[Any]:
     if not files:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are looked for, "
-            "in its subfolders too. A file with another ending can be named itself"
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched for, "
+            "in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
 

@@ -1,4 +1,4 @@
-"""CRS of a LAS file: its WKT and GeoTIFF records, and which of them counts.
+"""Read the CRS of a LAS file from its WKT and GeoTIFF records, and choose between them.
 
 GeoTIFF 1.1 (OGC 19-008r4) keys: 1024 model type (1 projected, 2 geographic, 3 geocentric), 2048 geodetic CRS, 3072
 projected CRS, 3076 unit of easting and northing, 4096 vertical CRS, 4099 unit of height. 32767 means "user-defined".
@@ -28,15 +28,15 @@ _PROJECTION = b"LASF_Projection"
 _MODEL, _GEODETIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
 _USER_DEFINED = 32767
 _SAME_FOOT = 1e-5
-"""Relative; the two feet differ by 2e-6, and files mix them up without harm."""
+"""Relative tolerance; the two feet differ by 2e-6, and files confuse them."""
 
 
 def statement_of_las(header: RawHeader) -> CrsStatement:
-    """Choose between the two records that a LAS header may hold.
+    """Return what the CRS records of a LAS header state.
 
-    LAS 1.4 R15, 2.6.1: where bit 4 of the global encoding is set, the WKT record counts, otherwise the GeoTIFF keys.
-    Where only one record is there it counts, whatever the bit; where the keys count but cannot be worked out and the
-    WKT can, the WKT counts, with a note.
+    LAS 1.4 R15, 2.6.1: if bit 4 of the global encoding is set, the WKT record is used, otherwise the GeoTIFF keys. If
+    there is only one record, it is used whatever the bit. If the keys should be used but cannot be interpreted, the
+    WKT record is used, with a note.
     """
     wkt, directory, citation = (header.records.get((_PROJECTION, number), b"") for number in (2112, 34735, 34737))
     from_wkt = statement_from_wkt(_text(wkt)) if _text(wkt) else None
@@ -44,7 +44,7 @@ def statement_of_las(header: RawHeader) -> CrsStatement:
     if from_wkt is None or from_keys is None:
         return from_wkt or from_keys or CrsStatement()
     if not header.wkt_bit and from_keys.crs is None and from_wkt.crs is not None:
-        note = "its GeoTIFF keys cannot be worked out; the CRS was taken from its WKT record"
+        note = "its GeoTIFF keys cannot be interpreted; the CRS was taken from its WKT record"
         return CrsStatement(from_wkt.crs, notes=(note,))
     chosen, other = (from_wkt, from_keys) if header.wkt_bit else (from_keys, from_wkt)
     chosen = _with_height_unit(chosen, other)
@@ -54,36 +54,36 @@ def statement_of_las(header: RawHeader) -> CrsStatement:
     if same_crs(ours, theirs):
         return _with_vertical_crs(chosen, ours, other.crs)
     names = ("WKT record", "GeoTIFF keys") if header.wkt_bit else ("GeoTIFF keys", "WKT record")
-    note = f"its {names[0]} ({chosen.crs.name}) counts; its {names[1]} ({other.crs.name}) is spelled differently"
+    note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
     return replace(chosen, notes=(*chosen.notes, note))
 
 
 def _text(data: bytes) -> str:
-    """Decode a text record: zero bytes end it."""
+    """Decode a text record up to the first zero byte."""
     return data.split(b"\0")[0].decode("utf-8", "replace").strip()
 
 
 def _keys(data: bytes) -> dict[int, int]:
-    """Read the GeoTIFF key directory (16-bit words, four a key); keeps the keys whose value stands in it."""
+    """Read the GeoTIFF key directory (16-bit words, four per key); return keys whose value is stored in it."""
     head, *entries = np.frombuffer(data[: len(data) // 8 * 8] or bytes(8), "<u2").reshape(-1, 4).tolist()
     return {key: value for key, place, _, value in entries[: head[3]] if place == 0 and key}
 
 
 def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> CrsStatement:
-    """Take the vertical CRS from the record that does not count, where only that one states it."""
+    """Add the vertical CRS of the other record, if only that one states it."""
     vertical = vertical_of(other)
     if vertical is None or chosen.crs is None or chosen.crs.is_compound:
         return chosen
-    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is believed"
+    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is used"
     return replace(chosen, crs=with_vertical(horizontal, vertical), notes=(*chosen.notes, note))
 
 
 def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
-    """Take the unit of height from the record that does not count, where only that one states it."""
+    """Add the unit of height of the other record, if only that one states it."""
     unit = _height_unit(other)
     if unit is None or _height_unit(chosen) is not None:
         return chosen
-    note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is believed"
+    note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is used"
     return replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
 
 
@@ -94,13 +94,15 @@ def _height_unit(statement: CrsStatement) -> float | None:
 
 
 def _statement_from_keys(keys: dict[int, int], citation: str) -> CrsStatement | None:
-    """Work GeoTIFF keys out: coded CRS and units; a user-defined projection gives its units and a note."""
+    """Interpret GeoTIFF keys: EPSG codes and units; for a user-defined projection, units and a note."""
     if not keys:
         return None
     unit_code = keys.get(_LINEAR, 0)
     unit = linear_unit(unit_code)
     if unit is None and unit_code not in {0, _USER_DEFINED}:
-        trouble = f"its GeoTIFF keys give {unit_code} as the unit of easting and northing, which is no unit of length"
+        trouble = (
+            f"its GeoTIFF keys name {unit_code} as the unit of easting and northing, which is not a unit of length"
+        )
         return CrsStatement(trouble=trouble)
     vertical = _coded(keys, _VERTICAL)
     if vertical is not None and not vertical.is_vertical:
@@ -132,6 +134,6 @@ def _projected(keys: dict[int, int], unit: float | None, unit_z: float | None, v
 
 
 def _coded(keys: dict[int, int], key: int) -> CRS | None:
-    """CRS whose EPSG code a key gives; None where it gives none that PROJ knows."""
+    """Return the CRS of the EPSG code in a key; None if there is none that PROJ knows."""
     code = keys.get(key, 0)
     return crs_from_epsg(code) if 0 < code < _USER_DEFINED else None

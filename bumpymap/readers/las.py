@@ -1,4 +1,4 @@
-"""LAS, LAZ and COPC: the header is read here, lazrs decodes, only the fields that bumpymap needs."""
+"""The reader of LAS, LAZ and COPC. lazrs decodes only the fields that bumpymap needs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,39 +6,37 @@ from typing import BinaryIO
 
 import numpy as np
 
-from bumpymap.core import BadInputError, Georeference, georeference
+from bumpymap.core import BadInputError, Georeference, Place, georeference
 from bumpymap.readers.base import SurveyBase
-from bumpymap.readers.batch import NO_POINTS, RecordLayout, Watch, batch_of_records
 from bumpymap.readers.checks import decoding, refuse_header_bounds
 from bumpymap.readers.columns import DECIMALS
+from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, convert_las_points
 from bumpymap.readers.copc import count_points_outside_node, read_octree
 from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, read_raw_header
 from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
 from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
-from bumpymap.readers.source import Location, open_source, place_of
+from bumpymap.readers.source import Location, open_source
 from bumpytiles import Bounds
 
 __all__ = ["LasSurvey"]
 
 
 class LasSurvey(SurveyBase):
-    """One LAS, LAZ or COPC file.
+    """A LAS, LAZ or COPC file.
 
-    A coordinate is ``integer * scale + offset``, rounded to 1e-8 of the file's unit, then turned into metres. The
-    rounding takes off the last bits of the float sum, which depend on the offset that a writer chose: a survey split
-    into files with other offsets then gives the same bits. 1e-8 is far below a LAS grid (1e-3 or so) and above the
-    spacing of float64 up to 6.7e7 units, so millimetres at 4,000,000 m stay what they are.
+    A coordinate is ``integer * scale + offset``, rounded to 1e-8 of the file's unit and then converted to metres. The
+    rounding removes the last bits of the floating-point sum, which depend on the offset that a writer chose: a survey
+    that is split into files with different offsets gives bit-identical points. 1e-8 is far below the resolution of LAS
+    files (about 1e-3) and above that of float64 up to 6.7e7 units, so coordinates are not changed otherwise.
     """
 
     def __init__(self, path: Location, options: ReadOptions) -> None:
         with decoding(path, "the header"), open_source(path) as stream:
             raw = read_raw_header(stream, path)
             _refuse_scales(path, raw)
-            place, notes = georeference(
-                place_of(path, _middle(raw)), statement_of_las(raw), options.crs, options.z_unit
-            )
+            place, notes = georeference(Place(path, _middle(raw)), statement_of_las(raw), options.crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
@@ -53,32 +51,32 @@ class LasSurvey(SurveyBase):
         )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut the file: between points, LAZ chunks, or nodes of the octree."""
+        """Split the file between points, LAZ chunks, or nodes of the octree."""
         return self._source.chunks(points)
 
     def fetch(self, chunk: Chunk) -> Records:
-        """Read and decode the records of a piece."""
+        """Read and decode the point records of a chunk."""
         return self._source.fetch(chunk)
 
     def convert(self, chunk: Chunk, fetched: Records) -> ChunkPoints:
-        """Points of a piece that count, in metres."""
+        """Convert the records of a chunk to points in metres."""
         info = self.info
-        batch = batch_of_records(fetched, self._layout, info.georeference, Watch(chunk.first, info.bounds))
+        converted = convert_las_points(fetched, self._layout, info.georeference, PointChecks(chunk.first, info.bounds))
         nodes = self._source.nodes(chunk)
         if nodes is None or info.bounds is None:
-            return batch
+            return converted
         points_outside_node = count_points_outside_node(
             fetched, self._layout, info.georeference.metres_per_unit, info.bounds, nodes
         )
         return (
-            batch
+            converted
             if not points_outside_node
-            else ChunkPoints(NO_POINTS, replace(batch.tally, points_outside_node=points_outside_node))
+            else ChunkPoints(NO_POINTS, replace(converted.stats, points_outside_node=points_outside_node))
         )
 
 
 def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:
-    """Choose how to read; ``metres_per_unit`` is None where the boxes of the file are not to be believed."""
+    """Choose how to read the points; ``metres_per_unit`` is None if the bounds of octree nodes are to be ignored."""
     if not raw.compressed:
         return PlainPoints(path, raw)
     record = laz_record(path, raw)
@@ -94,7 +92,7 @@ def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: f
 
 
 def _layout(raw: RawHeader) -> RecordLayout:
-    """LAS 1.4 R15, tables 7 and 10: formats 6 and up have a byte of their own for the class."""
+    """Return where class and flags are: LAS 1.4 R15, tables 7 and 10; formats 6 and up have a separate class byte."""
     if raw.point_format < 6:
         return RecordLayout(raw.scales, raw.offsets, class_byte=15, class_mask=31, withheld_byte=15, withheld_mask=128)
     return RecordLayout(raw.scales, raw.offsets, class_byte=16, class_mask=255, withheld_byte=15, withheld_mask=4)
@@ -116,14 +114,14 @@ def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
 
 
 def _bounds(raw: RawHeader, place: Georeference) -> Bounds:
-    # What overflows becomes infinite, and is refused for it, as is NaN of any kind.
+    # Overflow becomes infinity, which is rejected later, as is NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         sides = np.round(np.array([*raw.mins[:2], *raw.maxs[:2]]), DECIMALS) * place.metres_per_unit
     return Bounds(*sides.tolist())
 
 
 def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:
-    """Say so where a file without CRS looks like degrees: a grid finer than a micrometre, inside 180 x 90."""
+    """Return a note if a file without CRS may be in degrees: scale below 1e-6, extent within 180 x 90."""
     inside = max(map(abs, (raw.mins[0], raw.maxs[0]))) <= 180 and max(map(abs, (raw.mins[1], raw.maxs[1]))) <= 90
     if place.crs is not None or not inside or max(raw.scales[:2]) > 1e-6:
         return ()

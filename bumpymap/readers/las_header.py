@@ -1,7 +1,8 @@
-"""What a LAS header and its records promise, held against the size of the file before anything is allocated or decoded.
+"""Read a LAS header and its variable length records, and check them against the size of the file.
 
-Offsets are those of LAS 1.4 R15, tables 3, 4 and 17; earlier versions share the first 227 bytes. laspy is not used: it
-loops over as many records as a header promises (four billion), and keeps the bytes of all of them.
+The checks come before anything is allocated or decoded. Offsets are those of LAS 1.4 R15, tables 3, 4 and 17; earlier
+versions share the first 227 bytes. laspy is not used: it loops over as many records as a header declares (up to four
+billion), and keeps the bytes of all of them.
 """
 
 import io
@@ -17,26 +18,26 @@ __all__ = ["LAYERED", "RawHeader", "read_raw_header"]
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
 _FIELDS = struct.Struct("<6xH16xBB68xHIIBHI")
-"""Encoding; version; bytes of the header, offset to the points, records; point format, bytes of a point, points."""
+"""Encoding; version; header size, offset to the points, number of records; point format, point size, point count."""
 _FIELDS_1_4 = struct.Struct("<QIQ")
-"""Offset to the extended records, their number; points."""
+"""Offset to the extended records, their number; point count."""
 _RECORD, _EXTENDED_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
 _NEEDED = {b"LASF_Projection", b"laszip encoded", b"copc"}
 _LONGEST_RECORD = 1 << 20
-"""Of those that are needed, bytes."""
+"""Limit for the records that are needed, bytes."""
 _POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
-"""Bytes of a point of formats 0 to 10, without extra bytes."""
+"""Point size of formats 0 to 10, without extra bytes."""
 LAYERED = 6
-"""Point formats from here on are compressed in layers."""
+"""First point format that LAZ compresses in layers."""
 _AGAIN = "The file is damaged or truncated; copy or download it again"
 
 Numbers = tuple[float, float, float]
-"""One for x, one for y, one for z, in the file's unit."""
+"""Values for x, y and z, in the file's unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawHeader:
-    """The fields that bumpymap needs."""
+    """The header fields that bumpymap needs."""
 
     size: int
     """Bytes of the file."""
@@ -54,9 +55,9 @@ class RawHeader:
     """A coordinate is ``integer * scale + offset``."""
     mins: Numbers
     maxs: Numbers
-    """What the header says of the points' extent."""
+    """Extent of the points as declared in the header."""
     records: dict[tuple[bytes, int], bytes]
-    """By user id and number: those of projection (extended ones too), of LASzip and of COPC."""
+    """By user id and record id: those of the projection (extended ones too), of LASzip and of COPC."""
 
     @property
     def extra_bytes(self) -> int:
@@ -65,7 +66,7 @@ class RawHeader:
 
 
 def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
-    """Read a header; raise BadInputError where it is truncated, unknown, or promises more than the file can hold."""
+    """Read a header; raise BadInputError if it is truncated, unknown, or declares more than the file can hold."""
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     head = stream.read(_HEADER_1_4)
@@ -83,20 +84,20 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     _refuse_format(path, point_format, point_size)
     if not _HEADER_1_0 <= header_size <= offset <= size:
         raise BadInputError(
-            f"{path} says that its points start at byte {offset:,}, behind a header of {header_size:,} bytes, and is "
+            f"{path} says that its points start at byte {offset:,}, after a header of {header_size:,} bytes, and is "
             f"{size:,} bytes long. {_AGAIN}"
         )
     _refuse_points(path, count, None if compressed else (size - offset) // point_size, point_size)
     plain = list(_walk(stream, path, records, header_size, offset))
     far = list(_walk(stream, path, extended, first_extended, size, extended=True))
-    # COPC: its record is the first, right behind a header of LAS 1.4.
+    # COPC: its record is the first, directly after a header of LAS 1.4.
     is_copc = header_size == _HEADER_1_4 and [record[:2] for record in plain[:1]] == [(b"copc", 1)]
-    # The extent alternates: highest x, lowest x, highest y, ...
+    # The extent alternates: max x, min x, max y, ...
     numbers = struct.unpack_from("<12d", head, 131)
     return RawHeader(
         size, f"{major}.{minor}", point_format, compressed, point_size, count, offset, bool(encoding & 0x10), is_copc,
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
-        # Of records of one name the first counts.
+        # Of several records with the same ids, the first is used.
         {(user, number): data for user, number, data in reversed(plain + far) if user in _NEEDED},
     )  # fmt: skip
 
@@ -109,8 +110,8 @@ def _refuse_format(path: Location, point_format: int, point_size: int) -> None:
         )
     if point_size < _POINT_SIZES[point_format]:
         raise BadInputError(
-            f"{path} gives a point {point_size} bytes, and format {point_format} needs {_POINT_SIZES[point_format]}. "
-            f"{_AGAIN}"
+            f"{path} declares {point_size} bytes per point, and format {point_format} needs "
+            f"{_POINT_SIZES[point_format]}. {_AGAIN}"
         )
 
 
@@ -127,7 +128,7 @@ def _refuse_points(path: Location, count: int, most: int | None, point_size: int
 def _walk(
     stream: BinaryIO, path: Location, count: int, start: int, end: int, *, extended: bool = False
 ) -> Iterator[tuple[bytes, int, bytes]]:
-    """Give user id, number and bytes of the records between two places; no bytes of those that nobody here needs."""
+    """Yield user id, record id and bytes of the records between two offsets; the bytes are empty if not needed."""
     head = _EXTENDED_RECORD if extended else _RECORD
     for index in range(count):
         at, start = start, start + head.size
@@ -138,7 +139,7 @@ def _walk(
         if start > end:
             raise BadInputError(
                 f"{path} declares {count:,} {'extended ' if extended else ''}variable length records, and record "
-                f"{index:,} does not fit in. {_AGAIN}"
+                f"{index:,} exceeds the space for them. {_AGAIN}"
             )
         user = user.split(b"\0")[0]
         needed = user in _NEEDED and length <= _LONGEST_RECORD

@@ -1,4 +1,4 @@
-"""The bytes of LAS points, piece by piece: as they are, from LAZ chunks, or from LAZ that must be read in order."""
+"""Read the bytes of LAS points in chunks: uncompressed, from LAZ chunks, or from sequential LAZ."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.cut import cut_chunks, cut_rows
+from bumpymap.readers.chunking import group_laz_chunks, split_rows
 from bumpymap.readers.decoder import Stream, StreamLostError, decoder
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
@@ -18,39 +18,39 @@ from bumpymap.readers.source import Location, read_into, read_range
 __all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "Records", "has_huge_chunks"]
 
 Records = NDArray[np.uint8]
-"""(n, bytes of a point)."""
+"""Point records, (n, bytes of a point)."""
 _HUGE_CHUNK = 1 << 28
-"""A chunk of more bytes than this, decoded, is read in parts."""
+"""A LAZ chunk of more decoded bytes than this is read sequentially, in parts."""
 _CHUNK_HEAD = 1 << 19
-"""More bytes than the head of any chunk takes: the longest point, and four bytes for each of its layers."""
+"""Upper limit of the head of a LAZ chunk, bytes: the longest point, and four bytes for each of its layers."""
 _SKIPPED = 100_000
-"""Points that are decoded at once to get past them."""
+"""Points that are decoded at a time to skip them."""
 
 
 class RecordSource(ABC):
-    """How the points of a file are cut and read."""
+    """Splits the points of a file into chunks and reads them."""
 
     def __init__(self, path: Location, header: RawHeader) -> None:
         self._path, self._header = path, header
 
     def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut anywhere."""
-        return cut_rows(self._header.point_count, points, self._header.point_size)
+        """Split between any two points."""
+        return split_rows(self._header.point_count, points, self._header.point_size)
 
     @abstractmethod
     def fetch(self, chunk: Chunk) -> Records:
-        """Read and decode a piece."""
+        """Read and decode a chunk."""
 
     def nodes(self, chunk: Chunk) -> ChunkTable | None:
-        """Give the nodes of an octree that hold the points, in the order of `fetch`; None where there is no octree."""
+        """Return the octree nodes that hold the chunk's points, in the order of `fetch`; None if there is no octree."""
         return None
 
 
 class PlainPoints(RecordSource):
-    """Points that are not compressed."""
+    """Uncompressed points."""
 
     def fetch(self, chunk: Chunk) -> Records:
-        """Read a range of bytes."""
+        """Read the byte range of a chunk."""
         header = self._header
         start = header.offset_to_points + chunk.first * header.point_size
         data = read_range(self._path, start, chunk.points * header.point_size)
@@ -61,32 +61,32 @@ class PlainPoints(RecordSource):
 
 
 class LazChunks(RecordSource):
-    """LAZ with a table: any run of chunks can be decoded by itself, on all cores. Nodes of an octree are chunks too."""
+    """LAZ with a chunk table: LAZ chunks (octree nodes are such too) are decoded independently, on all cores."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
         super().__init__(path, header)
         self._record, self._table, self._ends = record, table, np.cumsum(table.counts)
 
     def chunks(self, points: int) -> Sequence[Chunk]:
-        """Cut between chunks; around nodes of an octree goes a box."""
-        return cut_chunks(self._ends, points, self._header.point_size, self._table.boxes)
+        """Split between LAZ chunks; if these are octree nodes, chunks have bounds."""
+        return group_laz_chunks(self._ends, points, self._header.point_size, self._table.boxes)
 
     def fetch(self, chunk: Chunk) -> Records:
-        """Read the bytes of the chunks, neighbours in the file at once, and decode them."""
+        """Read the bytes of the LAZ chunks, adjacent ones with one request, and decode them."""
         part = self._part(chunk)
-        block = decoder().take(int(part.sizes.sum()))
+        compressed = decoder().allocate(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
-            held += read_into(self._path, int(starts[0]), block.data[held : held + int(sizes.sum())])
-        refuse_count(self._path, block.data.size, held, "bytes of LAZ chunks")
+            held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
+        refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
         table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
         at = 0
         for points, size in table:
-            check_layers(self._path, self._header, block.data[at : at + size], size, points)
+            check_layers(self._path, self._header, compressed.data[at : at + size], size, points)
             at += size
         with decoding(self._path, "LAZ chunks"):
-            records = decoder().chunks(self._record, table, block, chunk.points * self._header.point_size)
+            records = decoder().chunks(self._record, table, compressed, chunk.points * self._header.point_size)
         return records.reshape(chunk.points, self._header.point_size)
 
     def nodes(self, chunk: Chunk) -> ChunkTable | None:
@@ -94,14 +94,14 @@ class LazChunks(RecordSource):
         return None if self._table.boxes is None else self._part(chunk)
 
     def _part(self, chunk: Chunk) -> ChunkTable:
-        """Chunks of a piece, in the order of their bytes."""
+        """Return the LAZ chunks of a chunk, by their offsets in the file."""
         last = chunk.first + chunk.points - 1
         first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
         return self._table.rows(first + np.argsort(self._table.starts[first : end + 1], kind="stable"))
 
 
 class LazStream(RecordSource):
-    """LAZ in one stream, or in chunks too large to be decoded at once: read in order; to go back is to start again."""
+    """LAZ without a chunk table, or with LAZ chunks too large to decode at once: decoded from the start in order."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
         super().__init__(path, header)
@@ -115,7 +115,7 @@ class LazStream(RecordSource):
             check_layers(path, header, read_range(path, start, min(size, _CHUNK_HEAD)), size, points)
 
     def fetch(self, chunk: Chunk) -> Records:
-        """Decode the points that come next, or those before them first."""
+        """Decode the points of a chunk, skipping those before it if necessary."""
         try:
             with decoding(self._path, f"points from {chunk.first:,} on"):
                 data = self._read(chunk)
@@ -129,12 +129,12 @@ class LazStream(RecordSource):
     def _read(self, chunk: Chunk) -> Records:
         while True:
             try:
-                return self._go_on(chunk)
+                return self._read_once(chunk)
             except StreamLostError:
-                # The decoder was ended for another file.
+                # The decoder process was restarted because of another file.
                 self._stream = None
 
-    def _go_on(self, chunk: Chunk) -> Records:
+    def _read_once(self, chunk: Chunk) -> Records:
         stream = self._stream
         if stream is None or chunk.first < self._next:
             self._close()
@@ -156,5 +156,5 @@ class LazStream(RecordSource):
 
 
 def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
-    """Whether a chunk takes more memory than a piece may."""
+    """Return whether a LAZ chunk is too large to be decoded at once."""
     return bool((table.counts * header.point_size > _HUGE_CHUNK).any())

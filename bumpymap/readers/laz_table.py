@@ -1,7 +1,7 @@
-"""Checks on LAZ data before the decoder sees it: its record, its table of chunks, the layers inside a chunk.
+"""Check LAZ data before it is decoded: the LASzip record, the chunk table, the layers of a LAZ chunk.
 
-lazrs reserves memory for whatever these promise; a promise that no machine can keep ends the process, so each is held
-against the size of the file first.
+lazrs allocates memory for any size that these declare, and a size beyond all memory ends the process. Each is therefore
+checked against the size of the file first.
 """
 
 import struct
@@ -20,7 +20,7 @@ from bumpymap.readers.source import Location
 __all__ = ["ChunkTable", "check_layers", "is_chunked", "laz_record", "read_table", "refuse_density"]
 
 _NOT_CHUNKED = 1
-"""Value of the "compressor" word of the LASzip record for one stream without a chunk table."""
+"""Value of the "compressor" word of the LASzip record for data without a chunk table."""
 _ITEMS = (
     (6, 20, 0, range(6)),
     (7, 8, 0, (1, 3, 4, 5)),
@@ -31,38 +31,38 @@ _ITEMS = (
     (12, 8, 2, (8, 10)),
     (13, 29, 1, (9, 10)),
 )
-"""What points are made of: type, bytes, layers in a chunk, point formats. Extra bytes are one more item."""
+"""Items that points consist of: type, bytes, layers in a LAZ chunk, point formats. Extra bytes are one more item."""
 _EXTRA, _EXTRA_LAYERED = 0, 14
 _DENSEST = 4096
-"""Points in a byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and a point has one at least."""
+"""Points per byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and each point has at least one."""
 _ANY_SIZE = 0xFFFFFFFF
-"""Chunk size of a LASzip record that leaves it to the table."""
+"""Chunk size in a LASzip record if the sizes are in the chunk table."""
 _ENTRY_BYTES = 16
-"""An entry of the table has two numbers, which take less than eight bytes each, coded."""
-_CUT = "truncated? Copy or download it again"
+"""Limit of a chunk table entry: two numbers, which take less than eight bytes each when encoded."""
+_TRUNCATED = "truncated? Copy or download it again"
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkTable:
-    """The chunks of a LAZ file in the order of reading, those without points left out."""
+    """The LAZ chunks of a file in reading order, without empty ones."""
 
     counts: NDArray[np.int64]
-    """(n,) points of each."""
+    """(n,) number of points."""
     starts: NDArray[np.int64]
-    """(n,) byte of the file where each begins."""
+    """(n,) offset in the file, bytes."""
     sizes: NDArray[np.int64]
-    """(n,) bytes."""
+    """(n,) size in bytes."""
     boxes: NDArray[np.float64] | None = None
-    """(n, 4) west, south, east and north of the cubes of an octree, m; None: no such cubes, or not to be believed."""
+    """(n, 4) west, south, east and north of the octree nodes, m; None if there are none, or they are to be ignored."""
 
     def rows(self, chosen: NDArray[Any]) -> "ChunkTable":
-        """Give some of the chunks."""
+        """Return some of the LAZ chunks."""
         boxes = None if self.boxes is None else self.boxes[chosen]
         return ChunkTable(self.counts[chosen], self.starts[chosen], self.sizes[chosen], boxes)
 
 
 def laz_record(path: Location, header: RawHeader) -> bytes:
-    """Give the LASzip record, once it is known to go with the points, and lazrs to decode by it."""
+    """Return the LASzip record, after checking that it matches the point format and that lazrs supports it."""
     record = header.records.get((b"laszip encoded", 22204), b"")
     if len(record) < 34:
         raise BadInputError(f"{path} is compressed and has no LASzip record to decode it by. Copy or download it again")
@@ -77,7 +77,7 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
             f"{header.point_size} bytes: the file is damaged. Copy or download it again"
         )
     if not is_chunked(record):
-        # The size of chunks means nothing here, yet lazrs panics on 0 and on the value for "any size".
+        # The chunk size is not used here, but lazrs panics if it is 0 or the value for "any size".
         record = record[:12] + struct.pack("<I", _ANY_SIZE - 1) + record[16:]
     try:
         decoder().check(record)
@@ -90,33 +90,33 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
 
 
 def is_chunked(record: bytes) -> bool:
-    """Whether there is a table of chunks; old files may be one stream."""
+    """Return whether there is a chunk table; old files may have none."""
     word: int = struct.unpack_from("<H", record)[0]
     return word != _NOT_CHUNKED
 
 
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
-    """Read the chunk table and check it against the file and the number of points in the header."""
+    """Read the chunk table and check it against the size of the file and the point count in the header."""
     table_at, chunks = _table_place(stream, path, header)
-    block = decoder().take(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
+    encoded = decoder().allocate(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
     stream.seek(table_at)
-    data = stream.read(block.data.size)
-    refuse_count(path, block.data.size, len(data), "bytes of a LAZ chunk table")
-    block.data[:] = np.frombuffer(data, np.uint8)
+    data = stream.read(encoded.data.size)
+    refuse_count(path, encoded.data.size, len(data), "bytes of a LAZ chunk table")
+    encoded.data[:] = np.frombuffer(data, np.uint8)
     with decoding(path, "the LAZ chunk table"):
-        table = decoder().chunk_table(record, block, chunks)
+        table = decoder().chunk_table(record, encoded, chunks)
     data_bytes = sum(size for _, size in table)
     if header.offset_to_points + 8 + data_bytes > table_at:
         raise BadInputError(
-            f"the LAZ chunks of {path} need {data_bytes:,} bytes, more than lie before their table: {_CUT}"
+            f"the LAZ chunks of {path} need {data_bytes:,} bytes, more than lie before their table: {_TRUNCATED}"
         )
     (chunk,) = struct.unpack_from("<I", record, 12)
-    # The table of chunks of one size does not repeat it.
+    # If all LAZ chunks have one size, the table does not contain it.
     counts = [points if chunk == _ANY_SIZE else chunk for points, _ in table]
     refuse_count(path, header.point_count, sum(counts))
     sizes = np.array([size for _, size in table], np.int64)
     starts = header.offset_to_points + 8 + np.cumsum(sizes) - sizes
-    # The last chunk is shorter than the others; behind the last point of the header there is nothing to read.
+    # The last LAZ chunk is shorter; points beyond the header's count are ignored.
     ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
     held = np.diff(np.minimum(ends, header.point_count), prepend=0)
     found = ChunkTable(held, starts, sizes).rows(held > 0)
@@ -125,51 +125,55 @@ def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: byte
 
 
 def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
-    """Raise BadInputError where chunks promise more points than any compression could put into them."""
+    """Raise BadInputError if LAZ chunks declare more points than could be compressed into their bytes."""
     if (counts > _DENSEST * sizes).any():
         worst = int(np.argmax(counts - _DENSEST * sizes))
         raise BadInputError(
-            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which cannot be: damaged "
-            f"or {_CUT}"
+            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which is impossible: "
+            f"damaged or {_TRUNCATED}"
         )
 
 
 def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], size: int, points: int) -> None:
-    """Hold what a chunk of layers says of itself to its size in bytes and to the points that the table promises.
+    """Check the head of a layered LAZ chunk against its size in bytes and its points in the chunk table.
 
-    It starts with its first point, the number of its points and the sizes of its layers, which fill the rest: a layer
-    whose size is a lie would be left out, or take bytes of the next. Chunks of earlier point formats say nothing of
-    themselves. ``chunk`` is the start of the chunk, or all of it.
+    A layered chunk starts with its first point, its number of points and the sizes of its layers, which fill the rest:
+    a layer with a wrong size would be skipped, or include bytes of the next. Chunks of point formats 0 to 5 have no
+    such head. ``chunk`` is the beginning of the LAZ chunk, or all of it.
     """
     if header.point_format < LAYERED:
         return
     layers = header.extra_bytes + sum(count for *_, count, formats in _ITEMS if header.point_format in formats)
     head = header.point_size + 4 * (layers + 1)
     if min(size, chunk.size) < head:
-        raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take {head:,} at least: {_CUT}")
+        raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take at least {head:,}: {_TRUNCATED}")
     held, *layer_bytes = struct.unpack(f"<{layers + 1}I", chunk[header.point_size : head].tobytes())
     refuse_count(path, points, held, "points in a LAZ chunk")
     if head + sum(layer_bytes) != size:
         raise BadInputError(
             f"the layers of a LAZ chunk of {path} take {head + sum(layer_bytes):,} bytes, and it has {size:,}: damaged "
-            f"or {_CUT}"
+            f"or {_TRUNCATED}"
         )
 
 
 def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[int, int]:
-    """Where the chunk table is and how many chunks it has, once both are known to fit."""
+    """Return the offset of the chunk table and its number of entries, after checking both against the file size."""
     size, place = header.size, -1
-    # A writer that could not seek back leaves -1 there, and the place in the last eight bytes.
+    # A writer that cannot seek stores -1 there, and the offset in the last eight bytes of the file.
     for at in (header.offset_to_points, size - 8):
         if place == -1 and header.offset_to_points <= at <= size - 8:
             stream.seek(at)
             (place,) = struct.unpack("<q", stream.read(8))
     if not header.offset_to_points + 8 <= place <= size - 8:
-        raise BadInputError(f"{path} has no LAZ chunk table where its header says (byte {place} of {size:,}): {_CUT}")
+        raise BadInputError(
+            f"{path} has no LAZ chunk table where its header says (byte {place} of {size:,}): {_TRUNCATED}"
+        )
     stream.seek(place + 4)
     (chunks,) = struct.unpack("<I", stream.read(4))
-    # A chunk holds its first point as it is.
+    # A LAZ chunk holds its first point uncompressed.
     room = (place - header.offset_to_points) // header.point_size
     if chunks > room or (chunks == 0 and header.point_count):
-        raise BadInputError(f"{path} declares {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_CUT}")
+        raise BadInputError(
+            f"{path} declares {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_TRUNCATED}"
+        )
     return place, chunks

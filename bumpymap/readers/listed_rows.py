@@ -1,7 +1,7 @@
-"""Rows of a binary PLY element with lists.
+"""Read the rows of a binary PLY element that has list properties.
 
-A list takes as many bytes as the number before it says, so where a row starts is known once all rows before it were
-walked. The numbers in a list are passed over, and never held: a list may claim to be as long as it likes.
+The size of a list depends on the length stored before it, so the offset of a row is known only after all rows before it
+have been read. The values of lists are skipped without loading them, since a damaged file may declare any length.
 """
 
 from collections.abc import Iterator
@@ -22,17 +22,17 @@ __all__ = ["ListedRows", "data_start"]
 
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _BLOCK = 20_000
-"""Rows that are Python numbers at a time."""
+"""Rows held as Python numbers at a time."""
 
 
 @dataclass(slots=True)
 class ListedRows(SerialRows):
-    """Columns of an element that are no lists."""
+    """Rows of the scalar properties of an element."""
 
     element: PlyElement
     byte_order: str
     size: int
-    """Bytes of the file."""
+    """Size of the file, bytes."""
     _walk: Any = field(init=False, default=None)
 
     def _open(self) -> None:
@@ -53,20 +53,20 @@ class ListedRows(SerialRows):
 
 
 def data_start(file: OpenFile, header: PlyHeader, size: int) -> int:
-    """Find the byte where the vertices of a binary file start: elements with lists before them are walked.
+    """Return the offset of the vertices in a binary file; elements with lists that come before are read through.
 
     Raises
     ------
     BadInputError
-        The file ends before.
+        The file ends before the vertices.
     """
     path, at = file.path, header.data_at
     for element in header.before:
         if element.has_lists:
             with decoding(path, f"the element '{element.name}'"), file.open() as stream:
                 stream.seek(at)
-                walked = sum(1 for _ in _rows(stream, element, header.byte_order, size))
-                refuse_count(path, element.count, walked, f"'{element.name}'")
+                rows = sum(1 for _ in _rows(stream, element, header.byte_order, size))
+                refuse_count(path, element.count, rows, f"'{element.name}'")
                 at = stream.tell()
         else:
             at += element.count * element.dtype(header.byte_order).itemsize
@@ -74,7 +74,7 @@ def data_start(file: OpenFile, header: PlyHeader, size: int) -> int:
 
 
 def _rows(stream: BinaryIO, element: PlyElement, byte_order: str, size: int) -> Iterator[tuple[Any, ...]]:
-    """Walk the rows, leaving ``stream`` behind the last one; numbers that are in no list. Ends where the file ends."""
+    """Yield the scalar values of each row, up to the end of the file; ``stream`` is left after the last row."""
     runs = _runs(element, byte_order)
     at = stream.tell()
     for _ in range(element.count):
@@ -98,7 +98,7 @@ def _rows(stream: BinaryIO, element: PlyElement, byte_order: str, size: int) -> 
 
 
 def _runs(element: PlyElement, byte_order: str) -> list[tuple[Struct, int]]:
-    """Cut a row behind each number that says how long a list is; with it, the bytes of an entry of the list."""
+    """Split a row after each list length; return the parts with the item size of the list that follows (0: none)."""
     runs, letters = [], ""
     for prop in element.properties:
         if prop.length_code is None:

@@ -1,4 +1,4 @@
-"""PCD: text and binary are read piece by piece, compressed is unpacked whole by pypcd4. Scans, mostly."""
+"""The reader of PCD files. Text and binary are read in chunks; compressed files are unpacked as a whole by pypcd4."""
 
 import io
 import struct
@@ -19,17 +19,17 @@ from bumpymap.readers.text_rows import TextRows
 __all__ = ["PcdTable"]
 
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
-_AT_REST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _DENSEST = 100
-"""LZF packs 264 bytes into 3 at best."""
+"""Compression ratio at most: LZF packs 264 bytes into 3 at best."""
 _MOST_VALUES = 10_000
-"""No descriptor of a point is longer."""
+"""Values of a point at most; no point descriptor is longer."""
 _UNPACKED_COPIES, _PACKED_COPIES = 2, 3
-"""How often a compressed file is held while it is unpacked."""
+"""Number of copies of the unpacked and packed bytes in memory while a compressed file is unpacked."""
 
 
 class PcdTable(PointTable):
-    """One PCD file. Metres; a row with NaN is a beam without return, and does not count.
+    """A PCD file, in metres. A row with NaN is a beam without return, and is dropped.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ class PcdTable(PointTable):
     wanted : dict of str to tuple of str
         See `Wanted`.
     memory : int
-        What unpacking may take, bytes.
+        Memory limit for unpacking, bytes.
     text_type : numpy type, optional
-        Of the numbers of a text; None: as the header declares them.
+        Type of the numbers of a text file; None: as declared in the header.
     """
 
     nan_is_no_return, searched = True, 100_000
@@ -59,8 +59,8 @@ class PcdTable(PointTable):
             _refuse_unpacking(stream, path, self._data_at, head, memory)
         types = {name: self._dtype[name] for name in self._dtype.names or ()}
         is_text = head.data is Encoding.ASCII
-        posed = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
-        notes = posed if head.viewpoint != _AT_REST else ()
+        pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
+        notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
         super().__init__(path, TableInfo(kind, size, head.points, self._dtype.itemsize, types, is_text, notes))
         self._text = self._text_rows(wanted, text_type) if is_text else None
@@ -85,10 +85,10 @@ class PcdTable(PointTable):
 
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
-        """All rows; kept, since they are packed column by column."""
+        """All rows; cached, since they are compressed column by column."""
         with decoding(self.path, "the points"), self._file.open() as stream:
             stream.seek(self._data_at)
-            # The header that was checked, not the one that another parser would find in the file.
+            # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
             rows: NDArray[np.void] = PointCloud.from_fileobj(whole).pc_data
             return rows
@@ -107,9 +107,9 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
         if line.startswith("DATA"):
             break
     else:
-        raise BadInputError(f"the header of {path} has no line DATA: truncated? Copy or download it again")
+        raise BadInputError(f"the header of {path} has no DATA line: truncated? Copy or download it again")
     if not any(line.startswith("COUNT") for line in lines):
-        # The line may be left out: one value a field.
+        # The line is optional: one value for each field.
         fields = next((len(line.split()) - 1 for line in lines if line.startswith("FIELDS")), 0)
         lines.insert(-1, "COUNT " + " ".join(["1"] * fields))
     head = MetaData.parse_header(lines)
@@ -117,8 +117,8 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
         raise BadInputError(f"the header of {path} has FIELDS, SIZE, TYPE and COUNT of different length")
     if sum(head.count) > _MOST_VALUES:
         raise BadInputError(
-            f"the header of {path} gives a point {sum(head.count):,} values (COUNT); up to {_MOST_VALUES:,} are read. "
-            "The file is damaged; export it again"
+            f"the header of {path} declares {sum(head.count):,} values per point (COUNT); at most {_MOST_VALUES:,} are "
+            "read. The file is damaged; export it again"
         )
     if head.points == 0:
         raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
@@ -136,7 +136,7 @@ def _refuse_columns(head: Any, dtype: np.dtype[np.void], path: Location) -> None
 
 
 def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None:
-    """Hold the promised count against the bytes that are there, before anything is reserved for it."""
+    """Check the declared point count against the size of the file, before memory is allocated for it."""
     row = head.build_dtype().itemsize
     if head.data is Encoding.ASCII:
         refuse_count(path, head.points, (room + 1) // (2 * sum(head.count)))
@@ -155,15 +155,15 @@ def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None
 
 
 def _refuse_unpacking(stream: BinaryIO, path: Location, data_at: int, head: Any, memory: int) -> None:
-    """Refuse a compressed file that memory cannot hold unpacked, before anything is unpacked."""
+    """Refuse a compressed file that does not fit in memory unpacked, before unpacking it."""
     if head.data is not Encoding.BINARY_COMPRESSED:
         return
     stream.seek(data_at)
     packed, unpacked = struct.unpack("<II", stream.read(8))
-    wanted = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
-    if wanted > memory:
+    needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
+    if needed > memory:
         raise BadInputError(
-            f"{path} is compressed, so it must be unpacked whole, which takes {wanted / 1e6:,.0f} MB; "
-            f"{memory / 1e6:,.0f} MB are given. Write it uncompressed (DATA binary), which is read in pieces: "
+            f"{path} is compressed, so it must be unpacked as a whole, which needs {needed / 1e6:,.0f} MB; "
+            f"{memory / 1e6:,.0f} MB are available. Write it uncompressed (DATA binary), which is read in chunks: "
             "pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1; or raise `memory`"
         )

@@ -1,4 +1,4 @@
-"""PLY: text, binary, and rows with lists, all read piece by piece."""
+"""The reader of PLY files: text, binary, and binary with lists, all read in chunks."""
 
 import io
 from functools import cached_property
@@ -21,7 +21,7 @@ _ENDIAN = {"<": "binary little endian", ">": "binary big endian", "=": "ascii"}
 
 
 class PlyTable(PointTable):
-    """One PLY file. Text is read as float64 whatever the header declares, since its digits may hold more than a float.
+    """A PLY file. Text is read as float64 whatever the header declares, since it may have more digits than a float32.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ class PlyTable(PointTable):
         self._dtype = header.vertex.dtype(header.byte_order)
         types = {name: self._dtype[name] for name in header.vertex.scalars}
         _refuse_size(header, path, size)
-        shown = " ".join(dict.fromkeys(types[name].name for name in header.columns))
+        type_names = " ".join(dict.fromkeys(types[name].name for name in header.columns))
         row_bytes = 8 * len(header.columns) if header.text else self._dtype.itemsize
-        kind = f"PLY, {_ENDIAN[header.byte_order]}, {shown}"
+        kind = f"PLY, {_ENDIAN[header.byte_order]}, {type_names}"
         super().__init__(path, TableInfo(kind, size, header.vertex.count, row_bytes, types, header.text))
         self._serial = self._serial_rows(wanted)
 
@@ -68,7 +68,7 @@ class PlyTable(PointTable):
         return data_start(self._file, self._header, self.info.size)
 
     def _serial_rows(self, wanted: Wanted) -> SerialRows | None:
-        """Rows that can be read in order alone: text, and those with lists; None where each has its place."""
+        """Return a sequential reader for text and for rows with lists; None if rows have a fixed size."""
         header = self._header
         if header.text:
             names = list(self.info.find(wanted).values())
@@ -81,7 +81,7 @@ class PlyTable(PointTable):
 
 
 def _refuse_size(header: PlyHeader, path: Location, size: int) -> None:
-    """Hold the promised counts against the bytes that are there, before anything is reserved for them."""
+    """Check the declared counts against the size of the file, before memory is allocated for them."""
     room = size - header.data_at
     for head in (*header.before, header.vertex):
         least = head.least_bytes(text=header.text)

@@ -1,4 +1,4 @@
-"""The header of a PLY file: its elements, where its data starts, which columns are coordinates."""
+"""Read the header of a PLY file: its elements, the offset of its data, and the coordinate columns."""
 
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -17,18 +17,18 @@ _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": 
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """One property as the header declares it."""
+    """A property as declared in the header."""
 
     name: str
     code: str
-    """NumPy's code of its numbers, without byte order."""
+    """NumPy type code of its values, without byte order."""
     length_code: str | None = None
-    """Of a list: the code of the number that says how long it is."""
+    """NumPy type code of the list length; None for a scalar."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """One element as the header declares it."""
+    """An element as declared in the header."""
 
     name: str
     count: int
@@ -36,25 +36,25 @@ class PlyElement:
 
     @property
     def lists(self) -> tuple[bool, ...]:
-        """Of each property whether it is a list."""
+        """Whether each property is a list."""
         return tuple(prop.length_code is not None for prop in self.properties)
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows may differ in length."""
+        """Whether any property is a list, so that rows differ in size."""
         return any(self.lists)
 
     @property
     def scalars(self) -> list[str]:
-        """Names of the properties that are no lists."""
+        """Names of the properties that are not lists."""
         return [prop.name for prop in self.properties if prop.length_code is None]
 
     def dtype(self, byte_order: str) -> np.dtype[np.void]:
-        """Columns of its rows, lists left out."""
+        """Return the dtype of its rows, without lists."""
         return np.dtype([(p.name, byte_order + p.code) for p in self.properties if p.length_code is None])
 
     def least_bytes(self, *, text: bool) -> int:
-        """Bytes that one row takes at least: a list has at least the number that says how long it is."""
+        """Return the minimum size of a row in bytes: a list has at least its length."""
         if text:
             return max(2 * len(self.properties) - 1, 1)
         return max(sum(np.dtype(prop.length_code or prop.code).itemsize for prop in self.properties), 1)
@@ -62,15 +62,15 @@ class PlyElement:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """What the readers of PLY data need."""
+    """The contents of a PLY header that are needed to read its vertices."""
 
     byte_order: str
-    """``<`` or ``>``; ``=`` where the file is text."""
+    """``<`` or ``>``; ``=`` for text."""
     data_at: int
-    """Byte where the data starts."""
+    """Offset of the data, bytes."""
     vertex: PlyElement
     before: tuple[PlyElement, ...]
-    """Elements whose data comes first."""
+    """Elements whose data precedes the vertices."""
     columns: tuple[str, str, str]
     """Names of the x, y and z properties."""
 
@@ -81,17 +81,17 @@ class PlyHeader:
 
     @property
     def lines_before(self) -> int:
-        """Of a text: lines between the header and the vertices."""
+        """Lines between the header and the vertices of a text file."""
         return sum(element.count for element in self.before)
 
 
 def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
-    """Read the header of a PLY file from its start.
+    """Read the header of a PLY file from the start of ``stream``.
 
     Raises
     ------
     BadInputError
-        Not a PLY header, no vertex element, no x, y and z.
+        Not a PLY header, or without vertex element or x, y and z.
     """
     lines, data_at = _lines(stream, path)
     with decoding(path, "the header"):
@@ -116,7 +116,7 @@ def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
 
 
 def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
-    """Lines of the header that say something, and the byte where it ends."""
+    """Return the lines of the header without comments, and the offset of its end."""
     lines: list[bytes] = []
     while len(lines) < _HEADER_LIMIT:
         line = stream.readline(_LINE_LIMIT)
@@ -131,7 +131,7 @@ def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
 
 
 def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
-    """Byte order and elements; raises ValueError where the lines are no header."""
+    """Return byte order and elements; raise ValueError if the lines are not a PLY header."""
     if len(lines) < 2 or lines[0] != "ply":
         raise ValueError("its first line is not 'ply'")
     match lines[1].split():
@@ -168,4 +168,4 @@ def _property(words: list[str], line: str) -> PlyProperty:
 
 def _refuse_twice(name: str, known: list[PlyElement] | list[PlyProperty], line: str) -> None:
     if any(other.name == name for other in known):
-        raise ValueError(f"{line!r} gives the name {name} a second time")
+        raise ValueError(f"{line!r} declares the name {name} a second time")

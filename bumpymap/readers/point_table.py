@@ -1,4 +1,4 @@
-"""Points as rows with named columns, as PLY and PCD hold them: once for surveys, once for the scans of a robot."""
+"""Tables of points with named columns (PLY and PCD), for surveys and for scans."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -8,54 +8,56 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CrsStatement, georeference
+from bumpymap.core import CrsStatement, Place, georeference
 from bumpymap.readers.base import SurveyBase
-from bumpymap.readers.batch import Watch, batch_of_points
 from bumpymap.readers.checks import refuse_count
+from bumpymap.readers.chunking import split_rows
 from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note
-from bumpymap.readers.cut import cut_rows
+from bumpymap.readers.conversion import PointChecks, convert_table_points
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
-from bumpymap.readers.source import Location, place_of
+from bumpymap.readers.source import Location
 
 __all__ = ["CLASSES", "PointTable", "TableInfo", "TableSurvey", "Wanted"]
 
 Wanted = dict[str, tuple[str, ...]]
-"""What a reader would like beside x, y and z: a name of its own, and the columns that may hold it, in lower case."""
+"""Optional quantities beside x, y and z: a key, and names (in lower case) of columns that may hold the quantity."""
 CLASSES: Wanted = {"class": CLASS_COLUMNS}
 _PLACE: Wanted = {axis: (axis,) for axis in "xyz"}
 
 
 @dataclass(frozen=True, slots=True)
 class TableInfo:
-    """What the header of a table says."""
+    """Contents of the header of a table."""
 
     format: str
-    """Such as ``PCD 0.7, ascii``."""
+    """For example ``PCD 0.7, ascii``."""
     size: int
-    """Bytes of the file."""
+    """Size of the file, bytes."""
     count: int
     row_bytes: int
-    """Bytes that a row takes in memory."""
+    """Size of a row in memory, bytes."""
     types: dict[str, np.dtype[Any]]
-    """Of each column in their order, by name as it is spelled; lists left out."""
+    """Name -> type of each column, in order, without lists."""
     is_text: bool
     notes: tuple[str, ...] = ()
-    """What a user should know."""
+    """Notes for the user."""
 
     def find(self, wanted: Wanted) -> dict[str, str]:
-        """Give the names, as they are spelled, of x, y and z, and of what is wanted as far as it is there."""
-        spelled = {name.lower(): name for name in reversed(self.types)}
-        held = {what: [spelled[name] for name in names if name in spelled] for what, names in (_PLACE | wanted).items()}
+        """Return the column names of x, y, z and of those wanted quantities that the table has."""
+        column_of = {name.lower(): name for name in reversed(self.types)}
+        held = {
+            what: [column_of[name] for name in names if name in column_of] for what, names in (_PLACE | wanted).items()
+        }
         return {what: names[0] for what, names in held.items() if names}
 
 
 class PointTable(ABC):
-    """An open table; a format adds its header and how rows are read."""
+    """An open table; subclasses for the formats read its header and rows."""
 
     nan_is_no_return: ClassVar[bool]
-    """Whether a row with NaN coordinates is a beam without return, or a fault."""
+    """Whether a row with NaN coordinates is a beam without return, rather than an error."""
     searched: ClassVar[int]
-    """Rows that are searched for a first point."""
+    """Rows that are searched for the first valid point."""
 
     def __init__(self, path: Location, info: TableInfo) -> None:
         self.path, self.info = path, info
@@ -63,18 +65,18 @@ class PointTable(ABC):
     @property
     @abstractmethod
     def sequential(self) -> bool:
-        """Whether rows can only be read from the start of the file on."""
+        """Whether rows can only be read sequentially from the start of the file."""
 
     @abstractmethod
     def rows(self, first: int, count: int) -> Any:
-        """Structured array (n,) of rows from ``first`` on, fewer than ``count`` where the file ends."""
+        """Return a structured array of ``count`` rows from row ``first``; fewer at the end of the file."""
 
     @abstractmethod
     def close(self) -> None:
-        """Leave the file alone until the next reading."""
+        """Close the file until rows are read again."""
 
     def whole(self) -> Any:
-        """All rows. Raises BadInputError where there are fewer than the header promises."""
+        """Return all rows. Raises BadInputError if there are fewer than the header declares."""
         rows = self.rows(0, self.info.count)
         self.close()
         refuse_count(self.path, self.info.count, len(rows))
@@ -82,14 +84,14 @@ class PointTable(ABC):
 
 
 class TableSurvey(SurveyBase):
-    """A survey in a table. Such formats know neither CRS nor units: metres, unless ``--crs`` says otherwise."""
+    """A survey in a table. These formats have neither CRS nor units: metres are assumed, unless ``--crs`` is given."""
 
     def __init__(self, table: PointTable, options: ReadOptions) -> None:
         self._table, head = table, table.info
         names = head.find(CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()
-        place, notes = georeference(place_of(table.path, first), CrsStatement(), options.crs, options.z_unit)
+        place, notes = georeference(Place(table.path, first), CrsStatement(), options.crs, options.z_unit)
         if not head.is_text:
             notes += precision_note(first, [head.types[name] for name in self._columns])
         notes += head.notes
@@ -109,23 +111,23 @@ class TableSurvey(SurveyBase):
         )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut anywhere."""
-        return cut_rows(self._table.info.count, points, self._table.info.row_bytes)
+        """Split between any two rows."""
+        return split_rows(self._table.info.count, points, self._table.info.row_bytes)
 
     def fetch(self, chunk: Chunk) -> Any:
-        """Rows of a piece: a structured array with at least the columns that are needed."""
+        """Return the rows of a chunk: a structured array with at least the needed columns."""
         return self._table.rows(chunk.first, chunk.points)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Points of a piece that count, in metres."""
+        """Convert the rows of a chunk to points in metres."""
         raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
-        return batch_of_points(raw, Watch(chunk.first, None, self._table.nan_is_no_return))
+        return convert_table_points(raw, PointChecks(chunk.first, None, self._table.nan_is_no_return))
 
     def _first(self) -> tuple[float, float, float] | None:
-        """Give the first point that is one, looking at the first rows alone."""
+        """Return the first point with finite coordinates among the first ``searched`` rows; None if there is none."""
         rows = self._table.rows(0, min(self._table.searched, self._table.info.count))
         self._table.close()
-        with np.errstate(invalid="ignore"):  # NaN of any kind are beams without return
+        with np.errstate(invalid="ignore"):  # NaN: beams without return
             table: NDArray[np.float64] = np.column_stack([np.asarray(rows[name], np.float64) for name in self._columns])
         good = np.isfinite(table).all(axis=1)
         if not good.any():

@@ -1,4 +1,4 @@
-"""What every reader takes and gives: options, what a header says, pieces of points."""
+"""The interface of survey readers: options, header information, chunks of points."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,118 +12,115 @@ from bumpytiles import Bounds
 __all__ = ["CHUNK_POINTS", "Chunk", "ChunkPoints", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
 CHUNK_POINTS = 500_000
-"""Points of a piece: enough to keep a decoder busy, few enough to be held by the dozen."""
+"""Default points of a chunk: enough to keep the decoder busy, few enough to hold dozens of chunks in memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What the user says about the files; it wins over what the files say."""
+    """Settings of the user that override what the files state."""
 
     crs: str | None = None
-    """Anything PROJ understands, such as ``EPSG:32614``; None: believe the file."""
+    """Any CRS that PROJ understands, such as ``EPSG:32614``; None: that of the file."""
     z_unit: ZUnit | None = None
-    """Unit of the heights; None: believe the file."""
+    """Unit of heights; None: that of the file."""
     trust_points: bool = False
-    """Ignore the extent that a header claims; the points' own counts."""
+    """Ignore the extent in the header and use that of the points."""
     memory: int = 1 << 30
-    """What unpacking a file may take that cannot be read in pieces (compressed PCD), bytes."""
+    """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyInfo:
-    """What is known of a file before its points are read."""
+    """What is known about a file before its points are read."""
 
     path: Location
-    """A path, or the text of a URL."""
+    """A path, or a URL as a str."""
     format: str
-    """Such as ``LAS 1.2, point format 3``."""
+    """For example ``LAS 1.2, point format 3``."""
     size_bytes: int
     point_count: int
-    """Promised by the header."""
+    """As declared in the header."""
     georeference: Georeference
     bounds: Bounds | None
-    """What the header claims, m; None where the format has no such header, or it is not to be believed."""
+    """Bounds in the header, m; None if the format has none, or they are to be ignored."""
     has_classes: bool | None
-    """Whether points carry a class; None: the format has the field, only the points tell whether it is used."""
+    """Whether points have a class; None: the format has the field, but it is unknown whether it is used."""
     notes: tuple[str, ...]
-    """What a user should know, one sentence each."""
+    """Notes for the user, one sentence each."""
     version: Version | None = None
-    """Which version of the file is read, see `bumpymap.readers.source.version_of`; None where nobody watches it."""
+    """Version of the file that is read, see `bumpymap.readers.source.version_of`; None if changes are not detected."""
     sequential: bool = False
-    """Whether the points can only be decoded from the start of the file on."""
+    """Whether the points can only be decoded sequentially from the start of the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A part of a file that can be read by itself: points ``first`` to ``first + points`` in reading order."""
+    """A part of a file that can be read on its own: points ``first`` to ``first + points`` in reading order."""
 
     index: int
     """0, 1, 2, ... in reading order."""
     first: int
-    """Points before it in reading order."""
+    """Number of points before it in reading order."""
     points: int
-    """As the header or the table of the file promises."""
+    """Number of points, as declared in the header or the chunk table."""
     bounds: Bounds | None = None
-    """m; no point lies more than 1 m (``tally.OUTSIDE``) outside, or ``judge`` raises; None: only the file's own bounds
+    """Extent in m. `verify` raises if a point lies more than 1 m outside it. None if only the bounds of the whole file
     are known."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkPoints:
-    """The points of a piece."""
+    """The points of a chunk."""
 
     cloud: PointCloud
-    """Those that count, in metres; none where ``tally.bad``."""
-    tally: PointStats
-    """Of all of them."""
+    """Points in metres, without dropped ones; empty if ``stats.bad``."""
+    stats: PointStats
+    """Statistics of all points of the chunk, dropped ones included."""
 
 
 class SurveyReader(Protocol):
-    """One point cloud file, read in pieces: ``fetch``, then ``convert`` each, ``judge`` the sum of their tallies."""
+    """A point cloud file that is read in chunks: ``fetch`` and ``convert`` each, then ``verify`` their merged stats."""
 
     @property
     def info(self) -> SurveyInfo:
-        """What the header says."""
+        """Contents of the header."""
 
     @property
     def dropped(self) -> dict[str, int]:
-        """How many points did not count, by reason; complete once ``chunks`` is used up."""
+        """Number of dropped points, by reason; complete when ``clouds`` is exhausted."""
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Cut the file into pieces of about so many points; the same number gives the same pieces on any machine.
+        """Split the file into chunks of about ``points`` points; the result is the same on every machine.
 
-        Where the file is an octree (COPC), pieces go through space in order, so that places are complete early.
+        The chunks of an octree (COPC) are in spatial order, so that areas are complete early.
         """
 
     def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode a piece. From one thread at a time, in any order; in order is fastest.
+        """Read and decode a chunk. Call it from one thread at a time; any order is allowed, reading order is fastest.
 
         Raises
         ------
         BadInputError
-            The piece is damaged.
+            The chunk is damaged.
         """
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Turn what ``fetch`` gave into metres and keep the points that count. From any thread.
+        """Convert the result of ``fetch`` to points in metres and drop some. Thread-safe; overwrites ``fetched``."""
 
-        ``fetched`` is used up.
-        """
-
-    def judge(self, tally: PointStats) -> None:
-        """Hold the points of all pieces to what the header said.
+    def verify(self, stats: PointStats) -> None:
+        """Check the merged statistics of all chunks against the header.
 
         Raises
         ------
         BadInputError
-            The header and the points disagree, or points are nowhere.
+            The header and the points disagree, or points are not on Earth.
         """
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
-        """Give the points that count, in metres, in reading order, at most ``points`` at a time.
+        """Yield the points, in metres, in reading order, at most ``points`` at a time.
 
         Raises
         ------
         BadInputError
-            As ``fetch`` and ``judge`` do; what concerns all points is known, and raised, at the end.
+            As ``fetch`` and ``verify``; the errors of ``verify`` are raised at the end.
         """

@@ -1,4 +1,4 @@
-"""Rows of a table that can only be read in order, in constant memory; to go back is to start again."""
+"""Sequential access to the rows of a table, in constant memory; going back means reading from the start again."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -17,16 +17,16 @@ _BLOCK = 100_000
 
 @dataclass(slots=True)
 class SerialRows(ABC):
-    """Rows read in order; a kind of table adds how they are found."""
+    """Sequential reader of rows; subclasses parse them."""
 
     file: OpenFile
     data_at: int
-    """Byte where the data starts."""
+    """Offset of the data, bytes."""
     _stream: Any = field(init=False, default=None)
     _next: int = field(init=False, default=0)
 
     def read(self, first: int, count: int) -> NDArray[np.void]:
-        """Rows from ``first`` on; fewer than ``count`` where the file ends."""
+        """Return ``count`` rows from row ``first``; fewer at the end of the file."""
         with decoding(self.file.path, f"the points from {first:,} on"):
             if self._stream is None or first < self._next:
                 self.close()
@@ -37,7 +37,7 @@ class SerialRows(ABC):
             return self._advance(count)
 
     def close(self) -> None:
-        """Leave the file alone until the next ``read``."""
+        """Close the file until the next ``read``."""
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -49,8 +49,8 @@ class SerialRows(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Set ``_stream`` to the start of the rows."""
+        """Open ``_stream`` at the start of the rows."""
 
     @abstractmethod
     def _load(self, count: int) -> NDArray[np.void]:
-        """Read the next rows; fewer where the file ends."""
+        """Read the next rows; fewer at the end of the file."""

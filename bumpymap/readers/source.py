@@ -1,7 +1,7 @@
-"""Where a survey lies: a file of this machine, or an fsspec URL such as ``s3://bucket/site.laz``.
+"""Read byte ranges of local files and of fsspec URLs such as ``s3://bucket/site.laz``.
 
-Readers ask for byte ranges and nothing else, so that a file on a server is never fetched whole. fsspec is imported for
-URLs alone.
+Readers request byte ranges only, so a file on a server is never downloaded as a whole. fsspec is imported only if a URL
+is read.
 """
 
 import hashlib
@@ -18,69 +18,68 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, Place, UsageError
-from bumpymap.readers._decoder_child import Source
+from bumpymap.core import BadInputError, BumpymapError, UsageError
+from bumpymap.readers._decoder_child import CallbackFile
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
     "Location",
     "OpenFile",
     "Version",
-    "changed",
-    "held_to",
+    "file_changed",
     "identity",
     "is_folder",
     "is_url",
     "list_folder",
     "open_source",
-    "place_of",
+    "pinned_version",
     "read_into",
     "read_range",
-    "require_same",
+    "require_unchanged",
     "size_of",
     "version_of",
 ]
 
 Location = Path | str
-"""A path, or the text of a URL."""
+"""A path, or a URL as a str."""
 Version = dict[str, Any]
-"""What tells a file from its own earlier version without reading it: ``size`` in bytes; ``mtime_ns`` of a local file,
-``version`` as the server of a URL gives it (empty where it gives none), both as text."""
+"""Distinguishes versions of a file without reading it: ``size`` in bytes, and ``mtime_ns`` of a local file or the
+``version`` that the server of a URL reports (empty if none), both as str."""
 
 _HEAD_BYTES = 65_536
-"""So many bytes at each end of a file tell it from another."""
+"""Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
-"""Bytes that a header is read in, from a server."""
+"""Bytes of each request while a header is read from a server."""
 _LARGEST_PAGE = 1 << 24
-"""Bytes of a page that lists files."""
+"""Largest page that is read as a list of files, bytes."""
 _VERSIONS = (
     "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
 )  # fmt: skip
-"""Names under which servers tell one version of a file from the next."""
-_HELD: ContextVar[tuple[Location, Version] | None] = ContextVar("_HELD", default=None)
-"""See `held_to`."""
+"""Keys under which servers report the version of a file."""
+_PINNED: ContextVar[tuple[Location, Version] | None] = ContextVar("_PINNED", default=None)
+"""See `pinned_version`."""
 
 
 def is_url(location: object) -> bool:
-    """Whether this is the text of a URL."""
+    """Return whether this is a URL."""
     return isinstance(location, str) and "://" in location
 
 
 def open_source(location: Location) -> BinaryIO:
-    """Open for reading and seeking.
+    """Open a file or URL for reading and seeking.
 
     Raises
     ------
     BadInputError
-        It is not there, is no regular file (a pipe would be waited for), or may not be read.
+        It does not exist, is not a regular file (reading a pipe might never end), or cannot be read.
     UsageError
-        What the URL needs is not installed.
+        A package that the URL's protocol needs is not installed.
     """
     stream: BinaryIO
     with _reading(location):
         if isinstance(location, str):
             size = size_of(location)
-            stream = io.BufferedReader(Source(partial(_read_remote, location), size), _BLOCK)
+            stream = io.BufferedReader(CallbackFile(partial(_read_remote, location), size), _BLOCK)
         else:
             _refuse_special(location)
             stream = location.open("rb")
@@ -88,20 +87,20 @@ def open_source(location: Location) -> BinaryIO:
 
 
 class OpenFile:
-    """The bytes of a file for its readers: anew by path or URL each time, or from a stream that is open already.
+    """Access to the bytes of a file: opened by path or URL for each access, or through a stream that is already open.
 
     Parameters
     ----------
     path : Path or str
     stream : binary file, optional
-        The file, opened. One reader at a time then.
+        The open file. It can then be read by one reader at a time.
     """
 
     def __init__(self, path: Location, stream: BinaryIO | None = None) -> None:
         self.path, self._stream = path, stream
 
     def open(self) -> BinaryIO:
-        """Give a stream at the start of the file, to be closed after use. Raises as `open_source`."""
+        """Return a new stream at the start of the file, which the caller closes. Raises the errors of `open_source`."""
         if self._stream is None:
             return open_source(self.path)
         stream = os.fdopen(os.dup(self._stream.fileno()), "rb")
@@ -109,7 +108,7 @@ class OpenFile:
         return stream
 
     def read(self, start: int, size: int) -> NDArray[np.uint8]:
-        """Read ``size`` bytes from ``start`` on; fewer where the file ends."""
+        """Read ``size`` bytes from offset ``start``; fewer at the end of the file."""
         if self._stream is None:
             return read_range(self.path, start, size)
         data = np.empty(size, np.uint8)
@@ -119,13 +118,13 @@ class OpenFile:
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
-    """Read ``size`` bytes from ``start`` on; fewer where the file ends."""
+    """Read ``size`` bytes from offset ``start``; fewer at the end of the file."""
     data = np.empty(size, np.uint8)
     return data[: read_into(location, start, data)]
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Fill an array with the bytes from ``start`` on; gives how many there were."""
+    """Read bytes from offset ``start`` into an array; return how many there were."""
     with _reading(location):
         if isinstance(location, str):
             return _from_server(location, start, data)
@@ -135,78 +134,78 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
 
 
 def size_of(location: Location) -> int:
-    """Bytes of a file."""
+    """Return the size of a file in bytes."""
     size: int = version_of(location)["size"]
     return size
 
 
 def version_of(location: Location) -> Version:
-    """Ask how long a file is and when it was written, at this moment."""
+    """Return the current version of a file."""
     with _reading(location):
         if not isinstance(location, str):
-            # Opened, not only looked up: a network file system then asks its server.
+            # Opening makes a network file system ask its server, which stat alone may not do.
             descriptor = os.open(location, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
             try:
                 found = os.fstat(descriptor)
             finally:
                 os.close(descriptor)
             return {"size": found.st_size, "mtime_ns": str(found.st_mtime_ns)}
-        said = _said_of(location)
+        said = _server_info(location)
     if said.get("size") is None:
         raise BadInputError(f"the server of {location} does not report the size of the file. Download the file first")
     return {"size": int(said["size"]), "version": _version_text(said)}
 
 
 @contextmanager
-def held_to(location: Location, version: Version) -> Iterator[None]:
-    """Hold what is read of a file in the body, in this thread, to one version of it.
+def pinned_version(location: Location, version: Version) -> Iterator[None]:
+    """Require that what the body reads of a file, in this thread, is of one version.
 
-    Every answer of a web server is held to it. Where anything else in the body finds the file bad, and it is of another
-    version by then, the message says so instead: two halves of two files look damaged.
+    Every response of a web server is checked. If the body raises BadInputError for another reason and the file has
+    changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
 
     Raises
     ------
     BadInputError
-        See `require_same`.
+        The file has changed; see `require_unchanged`.
     """
-    token = _HELD.set((location, version))
+    token = _PINNED.set((location, version))
     try:
         yield
     except StalledServerError:
-        raise  # it would not answer the next question either
+        raise  # it would not respond to the next request either
     except BadInputError as error:
-        require_same(location, version, error)
+        require_unchanged(location, version, error)
         raise
     finally:
-        _HELD.reset(token)
+        _PINNED.reset(token)
 
 
-def require_same(location: Location, version: Version, cause: Exception | None = None) -> None:
-    """Make sure that a file is still of a version.
+def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
+    """Raise BadInputError unless a file is still of a version.
 
-    A change that leaves size and time as they were goes unnoticed: one within a tick of the file system's clock (some
-    milliseconds; 2 s on FAT), or one after which somebody sets the time back.
+    A change that keeps size and time is not detected: one within the time resolution of the file system (some
+    milliseconds; 2 s on FAT), or one after which the time is set back.
 
     Raises
     ------
     BadInputError
-        It was changed, or is gone.
+        The file was changed or removed.
     """
     try:
         now = version_of(location)
     except BadInputError as error:
         if is_url(location):
-            raise cause or error from error  # a server that does not answer says nothing about the file
-        raise changed(location, f"it is gone ({error})") from cause or error
+            raise cause or error from error  # no response: the file may be unchanged
+        raise file_changed(location, f"it was removed ({error})") from cause or error
     if now != version:
-        raise changed(location, _difference(version, now)) from cause
+        raise file_changed(location, _difference(version, now)) from cause
 
 
-def changed(location: Location, how: str) -> BadInputError:
-    """Give what to raise where a file does not stay the same while it is read."""
+def file_changed(location: Location, how: str) -> BadInputError:
+    """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
     return BadInputError(
-        f"{location} changed while it was read: {how}. What was read may be a mixture, so nothing was made of it. Run "
-        "again once nothing writes to it any more, or on a copy"
+        f"{location} changed while it was read: {how}. What was read may be a mixture of both versions and was "
+        "discarded. Run again once no program writes to it any more, or on a copy"
     )
 
 
@@ -214,32 +213,32 @@ def _difference(before: Version, now: Version) -> str:
     if before["size"] != now["size"]:
         return f"it had {before['size']:,} bytes and has {now['size']:,}"
     if "mtime_ns" in before:
-        return "it has as many bytes as before, and was written again"
-    return f"the server gives it as {now['version'] or 'of no version'}, and gave it as {before['version']}"
+        return "it has the same size, but was written again"
+    return f"the server reports version {now['version'] or '(none)'} after {before['version']}"
 
 
 def identity(location: Location) -> dict[str, Any]:
-    """Tell a file from another, and from its own earlier version. Of one that is being read, see `require_same`.
+    """Return what identifies a file and its version. For a file that is being read, see `require_unchanged`.
 
     Returns
     -------
     dict
-        That of `version_of` (``size`` in bytes; ``mtime_ns`` of a local file, ``version`` as the server of a URL gives
-        it, both as text), and ``digest``, SHA-256 of the first and the last 64 KiB.
+        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
+        ``digest``: SHA-256 of the first and the last 64 KiB.
     """
     version = version_of(location)
     size = version["size"]
-    with held_to(location, version):
+    with pinned_version(location, version):
         ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
     return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def is_folder(url: str) -> bool:
-    """Whether a URL names a folder."""
+    """Return whether a URL is a folder."""
     with _reading(url):
         files, name = _remote(url)
         if is_web(url):
-            # fsspec would read whatever is there as a list of links.
+            # fsspec would parse any file as a list of links.
             page = web_info(files, name)
             if "html" not in page.get("content-type", "") or not 0 < (page["size"] or 1) <= _LARGEST_PAGE:
                 return False
@@ -247,24 +246,19 @@ def is_folder(url: str) -> bool:
 
 
 def list_folder(url: str) -> list[str]:
-    """URLs of all files below a URL, hidden ones left out."""
+    """Return the URLs of all files below a URL, except hidden ones."""
     with _reading(url):
         files, folder = _remote(url)
         found: list[str] = files.find(folder)
-        shown = [name for name in found if "/." not in f"/{name.removeprefix(folder).lstrip('/')}"]
-        return [files.unstrip_protocol(name) for name in shown]
-
-
-def place_of(location: Location, middle: tuple[float, float, float] | None = None) -> Place:
-    """Say whose coordinates a message is about."""
-    return Place(location, middle)
+        visible = [name for name in found if "/." not in f"/{name.removeprefix(folder).lstrip('/')}"]
+        return [files.unstrip_protocol(name) for name in visible]
 
 
 def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
     files, name = _remote(url)
     if is_web(url):
         got, said = read_web(files, name, start, data)
-        _require_held(url, said)
+        _require_pinned(url, said)
         return got
     found = files.cat_file(name, start=start, end=start + data.size)
     if len(found) > data.size:
@@ -273,20 +267,20 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
     return len(found)
 
 
-def _require_held(url: str, said: Mapping[str, Any]) -> None:
-    """Hold an answer of a web server to the version that is being read; servers may leave out what they said before."""
-    held = _HELD.get()
-    if held is None or held[0] != url:
+def _require_pinned(url: str, said: Mapping[str, Any]) -> None:
+    """Check a response of a web server against the version that is being read; servers may omit some headers."""
+    pinned = _PINNED.get()
+    if pinned is None or pinned[0] != url:
         return
-    before = held[1]
+    before = pinned[1]
     now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
     key, _, value = before["version"].partition(" ")
     if now["size"] != before["size"] or (key and said.get(key, value) != value):
-        raise changed(url, _difference(before, now))
+        raise file_changed(url, _difference(before, now))
 
 
-def _said_of(url: str) -> Mapping[str, Any]:
-    """Ask a server what it says of a file at this moment."""
+def _server_info(url: str) -> Mapping[str, Any]:
+    """Request the current metadata of a file from its server."""
     files, name = _remote(url)
     if is_web(url):
         return web_info(files, name)
@@ -304,7 +298,7 @@ def _read_remote(url: str, start: int, buffer: memoryview) -> int:
 
 
 def _fill(stream: Any, data: NDArray[np.uint8]) -> int:
-    """Read until the array is full or the file ends: one call gives at most 2 GB."""
+    """Read until the array is full or the file ends: one call returns at most 2 GB."""
     filled = 0
     while filled < data.size:
         got = stream.readinto(memoryview(data.data)[filled:])
@@ -321,7 +315,7 @@ def _refuse_special(path: Path) -> None:
 
 
 def _remote(url: str) -> tuple[Any, str]:
-    """File system and name behind a URL."""
+    """Return the fsspec file system and path of a URL."""
     try:
         from fsspec.core import url_to_fs  # type: ignore[import-untyped, unused-ignore]
     except ImportError as error:
@@ -341,7 +335,7 @@ def _remote(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _reading(location: Location) -> Iterator[None]:
-    """Turn what a file system or a server throws into a BadInputError; each has its own exceptions."""
+    """Turn the exceptions of file systems and servers, which differ, into BadInputError."""
     try:
         yield
     except (BumpymapError, MemoryError):

@@ -1,7 +1,7 @@
-"""What the points of a survey are like: how many, where, how dense, and which tiles they cannot fill.
+"""Summarize the points of a survey: number, extent, density, and how many tiles cannot be rated.
 
-Reads them all once. Counts are kept of every tile, the pixels that hold a point of a sample of the tiles: which ones is
-told by a hash of their place, and halved whenever the sample grows too large.
+All points are read once. Points are counted in every tile. Which pixels hold a point is only recorded for a sample of
+the tiles, chosen by a hash of their indices; the sample is halved whenever it grows too large.
 """
 
 from collections.abc import Callable
@@ -19,73 +19,73 @@ __all__ = ["PointSummary", "PointSummaryBuilder"]
 
 _MERGE_AT = 4_000_000
 _MOST_PIXELS = 500_000
-"""Pixels of the sample: more than 2,000 tiles of 15 x 15."""
-_BATCH_PIXELS = 4_000_000
-_WRAP = (1 << 23) - 1
-"""Tiles are told apart within so many of them, 25,000 km of 3 m."""
+"""Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
+_GROUP_PIXELS = 4_000_000
+_INDEX_MASK = (1 << 23) - 1
+"""Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, slots=True)
 class PointSummary:
-    """Points that count, and the tiles they fall into."""
+    """Statistics of the points (without dropped ones) and of the tiles that hold them."""
 
     points: int
     bounds: Bounds
-    """Of the points that count, m."""
+    """Extent of the points, m."""
     z_min: float
     z_max: float
-    """m."""
+    """Lowest and highest point, m."""
     tiles: int
     """Tiles that hold a point."""
     density: float
-    """Points per square metre, in the median tile."""
+    """Points per square metre in the median tile."""
     points_per_tile: float
-    """Median."""
+    """Median over all tiles that hold a point."""
     ground_points_per_tile: float
-    """Points of class 2 (ground), median over all tiles."""
+    """Points of class 2 (ground), median over the same tiles."""
     ground_share: float
-    """Share of the points that are of class 2 (ground), 0..1."""
+    """Share of the points that have class 2 (ground), 0..1."""
     ground_tiles: int
-    """Tiles that hold such a point."""
+    """Tiles that hold a point of class 2."""
     unknown: dict[Reason, float]
-    """Tiles that cannot be judged where all points are measured, by reason; too many holes: estimated from a sample."""
+    """Number of tiles that cannot be rated from all points, by reason; too many holes is estimated from a sample."""
     ground_unknown: dict[Reason, float]
-    """The same where points of class 2 are measured alone."""
+    """The same if only points of class 2 are measured."""
 
 
 class PointSummaryBuilder:
-    """Counts points by tile; memory follows the tiles, not the points.
+    """Counts points by tile; memory grows with the number of tiles, not of points.
 
     Parameters
     ----------
     grid : Grid
     settings : FeatureSettings
-        When a tile cannot be judged.
+        Decides when a tile cannot be rated.
     """
 
     def __init__(self, grid: Grid, settings: FeatureSettings) -> None:
         self._grid, self._settings = grid, settings
-        self.every, self.ground = _Counts(), _Counts()
-        self.every_pixels, self.ground_pixels = _PixelSample(grid), _PixelSample(grid)
+        self.all_points, self.ground = _Counts(), _Counts()
+        self.all_pixels, self.ground_pixels = _PixelSample(grid), _PixelSample(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def read(self, reader: SurveyReader, advance: Callable[[int], None] = lambda _: None) -> Self:
-        """Count all points of a file; ``advance`` is told after each piece how many it held.
+        """Count all points of a file; ``advance`` is called after each chunk with its number of points.
 
         Raises
         ------
         BadInputError
-            As ``reader.chunks`` does.
+            As ``reader.clouds``.
         """
         for cloud in reader.clouds():
             axes = (cloud.easting, cloud.northing, cloud.upward)
             self.low = np.minimum(self.low, [axis.min() for axis in axes])
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
             keys, ground = _keys(cloud, self._grid), cloud.is_ground
-            self.every.add(keys)
+            self.all_points.add(keys)
             self.ground.add(keys[ground])
-            self.every_pixels.add_points(keys, cloud.easting, cloud.northing)
+            self.all_pixels.add_points(keys, cloud.easting, cloud.northing)
             if ground.any():
                 self.ground_pixels.add_points(keys[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
@@ -93,15 +93,15 @@ class PointSummaryBuilder:
 
     def merge(self, other: "PointSummaryBuilder") -> None:
         """Add the points of another file, on the same grid."""
-        for mine, theirs in ((self.every, other.every), (self.ground, other.ground)):
+        for mine, theirs in ((self.all_points, other.all_points), (self.ground, other.ground)):
             mine.merge(theirs)
-        for sample, its in ((self.every_pixels, other.every_pixels), (self.ground_pixels, other.ground_pixels)):
+        for sample, its in ((self.all_pixels, other.all_pixels), (self.ground_pixels, other.ground_pixels)):
             sample.merge(its)
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
 
     def summary(self) -> PointSummary | None:
-        """Sum up; None where no point counts."""
-        keys, counts = self.every.total()
+        """Return the summary; None if there are no points."""
+        keys, counts = self.all_points.total()
         if counts.size == 0:
             return None
         ground_keys, ground_counts = self.ground.total()
@@ -118,7 +118,7 @@ class PointSummaryBuilder:
             ground_points_per_tile=float(np.median(np.pad(ground_counts, (0, without)))),
             ground_share=int(ground_counts.sum()) / points,
             ground_tiles=ground_counts.size,
-            unknown=self._unknown(keys, counts, self.every_pixels),
+            unknown=self._unknown(keys, counts, self.all_pixels),
             ground_unknown={Reason.NO_GROUND: float(without)}
             | self._unknown(ground_keys, ground_counts, self.ground_pixels),
         )
@@ -126,7 +126,7 @@ class PointSummaryBuilder:
     def _unknown(
         self, keys: NDArray[np.int64], counts: NDArray[np.int64], pixels: "_PixelSample"
     ) -> dict[Reason, float]:
-        """Count tiles without enough points; of the others, estimate how many have holes."""
+        """Count tiles with too few points; estimate how many of the others have too many holes."""
         enough = counts >= self._settings.min_points
         share = pixels.share_with_holes(keys[enough], self._settings)
         return {
@@ -136,7 +136,7 @@ class PointSummaryBuilder:
 
 
 class _Counts:
-    """Counts by key, merged now and then so that memory follows the tiles and not the points."""
+    """Counts by key, merged from time to time so that memory grows with the number of keys only."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
@@ -149,7 +149,7 @@ class _Counts:
         self._append(*other.total())
 
     def total(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Give the keys in order, and how often each came."""
+        """Return the sorted keys and their counts."""
         if not self._parts:
             return np.zeros(0, np.int64), np.zeros(0, np.int64)
         values = np.concatenate([part[0] for part in self._parts])
@@ -166,12 +166,12 @@ class _Counts:
 
 
 class _PixelSample:
-    """The pixels that hold a point, of one tile in ``step``: a power of two that grows with the survey."""
+    """The pixels that hold a point, in one of ``step`` tiles; ``step`` is a power of two that grows with the survey."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._parts: list[NDArray[np.int64]] = []
-        """Places of pixels: column and row of the tile in 23 bits each, the pixel within it in 16."""
+        """Codes of pixels: column and row of the tile in 23 bits each, then the pixel index in 16 bits."""
         self._waiting = 0
         self.step = 1
 
@@ -184,16 +184,16 @@ class _PixelSample:
 
     def merge(self, other: "_PixelSample") -> None:
         self.step = max(self.step, other.step)
-        self._add(other.whole())
+        self._add(other.merged())
 
     def _add(self, places: NDArray[np.int64]) -> None:
         self._parts.append(places)
         self._waiting += places.size
         if self._waiting > 3 * _MOST_PIXELS:
-            self._parts, self._waiting = [self.whole()], 0
+            self._parts, self._waiting = [self.merged()], 0
 
-    def whole(self) -> NDArray[np.int64]:
-        """Put the parts together, and make the sample smaller until few enough pixels are in it."""
+    def merged(self) -> NDArray[np.int64]:
+        """Merge the parts, and reduce the sample until it has few enough pixels."""
         places = _distinct(np.concatenate([np.zeros(0, np.int64), *self._parts]))
         places = places[_sampled(places >> 16, self.step)]
         while places.size > _MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
@@ -202,19 +202,19 @@ class _PixelSample:
         return places
 
     def _pixel(self, axis: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Column or row of the pixel within its tile."""
+        """Return the column or row of the pixel within its tile."""
         offset = (axis / self._grid.tile_size - self._grid.index(axis)) * self._grid.pixels
         return np.clip(offset.astype(np.int64), 0, self._grid.pixels - 1)
 
     def share_with_holes(self, keys: NDArray[np.int64], settings: FeatureSettings) -> float:
-        """Share of these tiles, as far as they are in the sample, with too little coverage or too wide a hole."""
+        """Return the share of these tiles, of those in the sample, with too little coverage or too wide a hole."""
         px, size = self._grid.pixels, self._grid.pixels**2
-        places = self.whole()
+        places = self.merged()
         tiles = np.intersect1d(_distinct(places >> 16), _codes(keys), assume_unique=True)
         depth = max(1, round(settings.max_hole / self._grid.pixel_size))
-        bad, batch = 0, max(1, _BATCH_PIXELS // size)
-        for first in range(0, tiles.size, batch):
-            part = tiles[first : first + batch]
+        bad, group = 0, max(1, _GROUP_PIXELS // size)
+        for first in range(0, tiles.size, group):
+            part = tiles[first : first + group]
             mine = places[np.isin(places >> 16, part)]
             known = np.zeros((part.size, size), np.bool_)
             known[np.searchsorted(part, mine >> 16), mine & 0xFFFF] = True
@@ -224,7 +224,7 @@ class _PixelSample:
 
 
 def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
-    """Tell of which tiles (n, pixels, pixels) every pixel has a known one within ``depth`` pixels, corners too."""
+    """Return in which tiles (n, pixels, pixels) each pixel has a known one within ``depth`` pixels (Chebyshev)."""
     for axis in (1, 2):
         lines = np.moveaxis(known, axis, 1)
         near = lines.copy()
@@ -236,26 +236,26 @@ def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
 
 
 def _keys(cloud: PointCloud, grid: Grid) -> NDArray[np.int64]:
-    """One number a tile: column and row in 32 bits each; tiles of 1.5 m and more fit wherever readers allow a point."""
+    """Return tile keys: column and row in 32 bits each, enough for all allowed coordinates and tiles from 1.5 m."""
     keys: NDArray[np.int64] = (grid.index(cloud.easting) << 32) + grid.index(cloud.northing)
     return keys
 
 
 def _codes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Column and row of the tiles of these keys, in 23 bits each."""
+    """Return 46-bit codes of tile keys: column and row in 23 bits each."""
     rows = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
-    codes: NDArray[np.int64] = (((keys - rows) >> 32 & _WRAP) << 23) | (rows & _WRAP)
+    codes: NDArray[np.int64] = (((keys - rows) >> 32 & _INDEX_MASK) << 23) | (rows & _INDEX_MASK)
     return codes
 
 
 def _distinct(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """As ``np.unique``, whose hashing is ten times slower where most values differ."""
+    """Return the sorted unique values; ``np.unique`` hashes, which is ten times slower if most values differ."""
     ordered = np.sort(values)
     return ordered[np.diff(ordered, prepend=-1) > 0]
 
 
 def _sampled(codes: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
-    """Tell which tiles are in a sample of one in ``step``: a hash of their place, not their place itself."""
+    """Return which tiles are in a sample of one in ``step``, by a hash of their codes."""
     mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
     chosen: NDArray[np.bool_] = (mixed & np.uint64(step - 1)) == 0
     return chosen

@@ -1,4 +1,4 @@
-"""Rows of a text table, read in order."""
+"""Read the rows of a text table sequentially."""
 
 import io
 import warnings
@@ -18,16 +18,16 @@ __all__ = ["TextRows"]
 
 @dataclass(slots=True)
 class TextRows(SerialRows):
-    """Lines of numbers separated by blanks; empty lines do not count."""
+    """Lines of numbers separated by whitespace; empty lines are skipped."""
 
     skipped: int
-    """Lines that come before the rows."""
+    """Lines before the first row."""
     dtype: np.dtype[np.void]
-    """What is read."""
+    """Type of a row; only these columns are read."""
     columns: list[int]
-    """Places of its fields in a line, lists left out."""
+    """Index of each of its fields in a line, without lists."""
     lists: tuple[bool, ...] = ()
-    """Of each entry of a line whether it is a list, a number that says how long it is before it; none: no lists."""
+    """Whether each entry of a line is a list, which starts with its length; empty: there are no lists."""
     _lines: Any = field(init=False, default=None)
 
     def _open(self) -> None:
@@ -39,7 +39,7 @@ class TextRows(SerialRows):
 
     def _load(self, count: int) -> NDArray[np.void]:
         with warnings.catch_warnings():
-            # "no data": the count of points tells, at the end.
+            # "no data": the point count is checked at the end.
             warnings.simplefilter("ignore", UserWarning)
             rows: NDArray[np.void] = np.loadtxt(
                 self._lines, dtype=self.dtype, comments=None, usecols=self.columns, max_rows=count, ndmin=1
@@ -48,11 +48,11 @@ class TextRows(SerialRows):
 
     def _without_lists(self) -> Iterator[str]:
         for line in self._stream:
-            yield " ".join(_numbers_alone(line.split(), self.lists))
+            yield " ".join(_scalars(line.split(), self.lists))
 
 
-def _numbers_alone(words: list[str], lists: tuple[bool, ...]) -> list[str]:
-    """Words of a line that are in no list."""
+def _scalars(words: list[str], lists: tuple[bool, ...]) -> list[str]:
+    """Return the words of a line that are not in a list."""
     kept, at = [], 0
     for is_list in lists if words else ():
         word = words[at] if at < len(words) else ""
@@ -62,7 +62,7 @@ def _numbers_alone(words: list[str], lists: tuple[bool, ...]) -> list[str]:
         elif word.isdecimal():
             at += int(word)
         else:
-            raise ValueError(f"a row of {len(words)} words has {word[:20]!r} where the length of a list is due")
+            raise ValueError(f"a row of {len(words)} words has {word[:20]!r} instead of the length of a list")
     if at != len(words):
-        raise ValueError(f"a row has {len(words)} words where its lists make it {at}")
+        raise ValueError(f"a row has {len(words)} words but its lists require {at}")
     return kept

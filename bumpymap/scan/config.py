@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from bumpymap.core import BOTH, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
+from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
 from bumpymap.readers import Robot
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
@@ -55,7 +55,7 @@ class ScanConfig:
                 f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
             )
         if self.resume and self.overwrite:
-            raise UsageError(BOTH)
+            raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
         if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
             raise UsageError(

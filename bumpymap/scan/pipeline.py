@@ -27,14 +27,14 @@ from bumpymap.core import (
     Stopwatch,
     UsageError,
     atomic,
-    in_utf8,
+    check_interrupted,
     locked,
     move_together,
-    no_empty_folder,
     parse_crs,
-    refuse_broken_off,
-    take_away,
-    what_is_kept,
+    remove_empty_on_error,
+    remove_path,
+    utf8_path,
+    what_to_keep,
 )
 from bumpymap.layers import (
     ACCUMULATED_NAME,
@@ -125,7 +125,7 @@ def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun
     BumpymapError
         Anything a user can cause; no file is left half-written.
     """
-    with no_empty_folder(config.out), locked(config.out):
+    with remove_empty_on_error(config.out), locked(config.out):
         return _scan(config, progress or SilentProgress())
 
 
@@ -166,7 +166,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
 def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
     clock = Stopwatch()
     with clock.stage("prepare"):
-        unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
+        unfinished = check_interrupted(config.out, resume=config.resume, overwrite=config.overwrite)
         is_there = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
         method = choose_method(config)
         crs = _world(config)
@@ -209,10 +209,10 @@ def _scan_frames(
             resume=config.resume,
             finished=has_finished_parts,
             advice=advice,
-            judge=lambda _: Kept.ALL,
+            decide=lambda _: Kept.ALL,
         ) as run,
         output_errors(config.out),
-        in_utf8(_staged(run.path, frames)) as staged,
+        utf8_path(_staged(run.path, frames)) as staged,
     ):
         with clock.stage("scan"), _opened(config, frames, crs, staged) as sinks:
             progress.start("scanning frames", len(frames))
@@ -254,11 +254,11 @@ def _staged(folder: Path, frames: list[Frame]) -> Path:
     (staged / FRAME_FOLDER).mkdir(parents=True, exist_ok=True)
     for left in staged.iterdir():
         if left.name != FRAME_FOLDER:
-            take_away(left)
+            remove_path(left)
     finished = {frame.name for number, frame in enumerate(frames) if part_path(folder, number).exists()}
     for left in (staged / FRAME_FOLDER).iterdir():
         if left.stem not in finished:
-            take_away(left)
+            remove_path(left)
     return staged
 
 
@@ -401,7 +401,7 @@ def _map(drive: MapConfig, gathered: dict[str, int], progress: Progress) -> MapR
         return map_surveys(drive, progress)
     except BaseException as end:
         note = "The products of the frames are complete; the map of the drive is missing."
-        end.__notes__ = [note + (" Pass `resume=True` to make it." if what_is_kept(end) is not Kept.NOTHING else "")]
+        end.__notes__ = [note + (" Pass `resume=True` to make it." if what_to_keep(end) is not Kept.NOTHING else "")]
         raise
 
 

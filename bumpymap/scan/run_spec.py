@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, ScanMethod, as_done, differences, flat_settings, same_content
+from bumpymap.core import OutputError, ScanMethod, differences, flat_settings, same_content, spec_of_manifest
 from bumpymap.layers import (
     ACCUMULATED_NAME,
     FRAME_FOLDER,
@@ -70,7 +70,9 @@ def done_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequenc
         method = record["method"]
         inputs = [*record["frames"], *record["side_files"]]
         no_say = _NO_SAY - {"skip_bad"} if record["skipped"] else _NO_SAY
-        before = as_done({**record, "inputs": inputs}, no_say, {"method": f"{method['name']}, {method['basis']}"})
+        before = spec_of_manifest(
+            {**record, "inputs": inputs}, no_say, {"method": f"{method['name']}, {method['basis']}"}
+        )
         now = {**run_spec, "settings": flat_settings(config, no_say)}
         refuse_replacing(config.out, differences(before, now, same_content))
         own = {str(frame.path): frame for frame in frames}

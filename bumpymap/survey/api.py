@@ -17,9 +17,9 @@ from bumpymap.core import (
     Rating,
     UsageError,
     ZUnit,
+    path_fault,
     refuse_clashes,
     settings_of_call,
-    why_no_path,
 )
 from bumpymap.layers import Layers, temporary_folder
 from bumpymap.survey.pipeline import map_surveys
@@ -136,6 +136,6 @@ def _place(name: str, place: PathLike) -> str:
     if not isinstance(place, str | os.PathLike):
         raise UsageError(f"{name} is {place!r}; it must be a path")
     text = os.fspath(place)
-    if reason := why_no_path(text) or ("" if text else "the path is empty; the current folder is called ."):
+    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
         raise UsageError(f"{name}: {reason}")
     return text

@@ -21,14 +21,14 @@ from bumpymap.core import (
     Progress,
     SilentProgress,
     Stopwatch,
-    as_done,
+    check_interrupted,
     common_georeference,
     differences,
     flat_settings,
     locked,
-    no_empty_folder,
-    refuse_broken_off,
+    remove_empty_on_error,
     same_content,
+    spec_of_manifest,
     tile_columns,
 )
 from bumpymap.layers import (
@@ -148,7 +148,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
         Anything a user can cause; no file is left half-written.
     """
     try:
-        with no_empty_folder(config.out), locked(config.out):
+        with remove_empty_on_error(config.out), locked(config.out):
             return _map(config, progress or SilentProgress())
     finally:
         close_filter()
@@ -211,7 +211,7 @@ def _read_options(config: MapConfig) -> ReadOptions:
 
 def _check_out(config: MapConfig) -> bool:
     """Make sure that the products can be written; True where a run has ended there and shall stay."""
-    unfinished = refuse_broken_off(config.out, resume=config.resume, overwrite=config.overwrite)
+    unfinished = check_interrupted(config.out, resume=config.resume, overwrite=config.overwrite)
     if not (unfinished or config.overwrite) and is_complete(config.out):
         return True
     # A run that is gone on with may replace what it could replace when it began: its own layers, if it was killed
@@ -226,7 +226,9 @@ def _done_before(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
     with verified_record(config.out, names) as record:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         no_say = _NO_SAY if skipped else {*_NO_SAY, "skip_bad"}
-        before = as_done(record, no_say, {"model": record["model"], "calibration": record["calibration"]["id"]})
+        before = spec_of_manifest(
+            record, no_say, {"model": record["model"], "calibration": record["calibration"]["id"]}
+        )
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
     now = {**run_spec, "settings": flat_settings(config, no_say)}

@@ -133,7 +133,7 @@ class Killer:
             return f"measuring, {packs}"
         if points or tiles:
             return f"reading or measuring, {packs}"
-        return "reading or measuring, nothing on disk" if (work / "asked.json").exists() else "starting"
+        return "reading or measuring, nothing on disk" if (work / "run_spec.json").exists() else "starting"
 
     def _files(self) -> dict[str, str]:
         """Checksums of everything in --out, by name; of run.json without times and without how the run was called."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.cli._ending import end_of
-from bumpymap.core.errors import BadInputError, OutputError, wanting
+from bumpymap.core.errors import BadInputError, OutputError, missing_resource
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -107,7 +107,7 @@ def chained(outer, inner):
     ],
 )
 def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys):
-    assert wanting(error) == what
+    assert missing_resource(error) == what
 
     def fail():
         raise error

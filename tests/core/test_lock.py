@@ -105,7 +105,7 @@ def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch)
 
     monkeypatch.setattr(lock.fcntl, "flock", no_locks)
     out = tmp_path / "out"
-    with locked(out), pytest.raises(OutputError, match=rf"pid {os.getpid()}.*take .*{LOCK} away"), locked(out):
+    with locked(out), pytest.raises(OutputError, match=rf"pid {os.getpid()}.*remove .*{LOCK}"), locked(out):
         pass
     with locked(out):
         pass

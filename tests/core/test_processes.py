@@ -12,7 +12,7 @@ import pytest
 
 from bumpymap.core import processes
 from bumpymap.core.errors import UsageError
-from bumpymap.core.processes import Child, ChildDiedError, ChildError, take_memory
+from bumpymap.core.processes import Child, ChildDiedError, ChildError, allocate_shared
 from bumpymap.lab.simulate.pool import run_in_processes
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
@@ -32,16 +32,16 @@ def said_by(code, **options):
 
 
 def test_a_child_is_a_process_of_its_own_that_answers(child):
-    assert child.ask("getpid") == child.process.pid != os.getpid()
-    assert child.ask("getppid") == os.getpid()
+    assert child.call("getpid") == child.process.pid != os.getpid()
+    assert child.call("getppid") == os.getpid()
 
 
 def test_what_a_function_raises_is_told_and_the_child_goes_on(child):
     with pytest.raises(ChildError, match="No such file"):
-        child.ask("listdir", "/none")
+        child.call("listdir", "/none")
     with pytest.raises(ChildError, match="no attribute"):
-        child.ask("none")
-    assert child.runs
+        child.call("none")
+    assert child.is_alive
 
 
 @pytest.mark.parametrize(
@@ -50,33 +50,33 @@ def test_what_a_function_raises_is_told_and_the_child_goes_on(child):
 )
 def test_a_child_that_dies_is_told(child, question, message, name):
     with pytest.raises(ChildDiedError, match=message) as error:
-        child.ask(*question)
+        child.call(*question)
     assert error.value.signal == name
-    assert not child.runs
+    assert not child.is_alive
     with pytest.raises(ChildDiedError, match=message):
-        child.ask("getpid")
+        child.call("getpid")
 
 
 def test_a_request_ofends_with_its_processor_time():
     child = Child("to test", "builtins", [])
     with pytest.raises(ChildDiedError) as error:
-        child.ask("sum", range(10**12), seconds=0.05)
+        child.call("sum", range(10**12), seconds=0.05)
     assert error.value.signal == "SIGPROF"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_are_for_the_parent(child, number):
-    child.ask("getpid")
+    child.call("getpid")
     child.process.send_signal(number)
-    assert child.ask("getpid") == child.process.pid
+    assert child.call("getpid") == child.process.pid
 
 
 def test_memory_is_seen_by_both(tmp_path):
     (tmp_path / "fill.py").write_text("def fill(value, memory): memory[:] = bytes([value]) * len(memory)\n")
     child = Child("to test", "fill", [str(tmp_path)])
     for size, value in ((5, 7), (10 << 20, 9), (0, 1)):  # the second makes the memory grow
-        memory = take_memory(size)
-        child.ask("fill", value, shared=(memory,))
+        memory = allocate_shared(size)
+        child.call("fill", value, shared=(memory,))
         assert memory.data.size == size
         assert (memory.data == value).all()
     child.close()
@@ -92,14 +92,14 @@ def test_a_process_that_cannot_be_started_is_told(monkeypatch):
 
 
 def test_a_fork_leaves_the_children_to_the_old_process(child):
-    pid = child.ask("getpid")
+    pid = child.call("getpid")
     forked = os.fork()
     if forked == 0:
-        left = not child.runs
+        left = not child.is_alive
         child.close()
         os._exit(0 if left else 1)
     assert os.waitpid(forked, 0)[1] == 0
-    assert child.ask("getpid") == pid
+    assert child.call("getpid") == pid
 
 
 def test_a_script_without_a_guard_is_not_run_again(tmp_path):

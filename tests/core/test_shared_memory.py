@@ -18,7 +18,7 @@ def test_arrays_keep_their_content_until_they_are_dropped(steps):
             if held:
                 held.pop(step[0] % len(held))
             continue
-        part = memory.take(step)
+        part = memory.allocate(step)
         part.data[:] = number % 251
         # A view of a view: the part itself is gone.
         held.append((part.data[:].reshape(-1)[: step // 2], number % 251))
@@ -29,7 +29,7 @@ def test_arrays_keep_their_content_until_they_are_dropped(steps):
 def test_place_is_used_again():
     memory = SharedMemory()
     for _ in range(100):
-        part = memory.take(1 << 20)
+        part = memory.allocate(1 << 20)
         part.data[:] = 1
         del part
     assert memory.size == 1 << 22
@@ -37,9 +37,9 @@ def test_place_is_used_again():
 
 def test_memory_that_grows_is_seen_through_arrays_of_before():
     memory = SharedMemory()
-    small = memory.take(6)
+    small = memory.allocate(6)
     small.data[:] = np.frombuffer(b"before", np.uint8)
-    large = memory.take(10 << 20)
+    large = memory.allocate(10 << 20)
     large.data[:] = 7
     assert small.data.tobytes() == b"before"
     assert small.start != large.start
@@ -49,13 +49,13 @@ def test_memory_that_grows_is_seen_through_arrays_of_before():
 
 def test_trimming_takes_nothing_from_anyone():
     memory = SharedMemory()
-    held = memory.take(4)
+    held = memory.allocate(4)
     held.data[:] = 7
     memory.trim()
     assert held.data.tolist() == [7] * 4
     del held
     memory.trim()
     assert memory.size == 0
-    again = memory.take(5)
+    again = memory.allocate(5)
     again.data[:] = 8
     assert again.data.tolist() == [8] * 5

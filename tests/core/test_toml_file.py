@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core import toml_file
 from bumpymap.core.errors import UsageError
-from bumpymap.core.toml_file import read_toml, shown, shown_names
+from bumpymap.core.toml_file import read_toml, short_names, short_repr
 
 
 def read(tmp_path, content):
@@ -74,9 +74,9 @@ def test_the_bound_refuses_nothing_that_has_few_dots(text):
 
 
 def test_values_and_names_are_shown_short():
-    assert len(shown("x" * 10_000)) < 100
-    assert len(shown([[["x" * 1000] * 1000] * 10] * 10)) < 10_000
-    assert shown(0.5) == "0.5"
-    assert shown_names(["a", "b\n\x1b"]) == r"a, b\n\x1b"
-    assert len(shown_names(["x" * 1000] * 1000)) < 1000
-    assert shown_names(list("abcdefghij")).endswith("g, h, 2 more")
+    assert len(short_repr("x" * 10_000)) < 100
+    assert len(short_repr([[["x" * 1000] * 1000] * 10] * 10)) < 10_000
+    assert short_repr(0.5) == "0.5"
+    assert short_names(["a", "b\n\x1b"]) == r"a, b\n\x1b"
+    assert len(short_names(["x" * 1000] * 1000)) < 1000
+    assert short_names(list("abcdefghij")).endswith("g, h, 2 more")

@@ -76,10 +76,10 @@ def _in_pieces(reader) -> tuple[int, str]:
     try:
         for chunk in reversed(reader.chunks(_SMALL)):
             batches[chunk.index] = reader.convert(chunk, reader.fetch(chunk))
-        tally = PointStats()
+        stats = PointStats()
         for index in sorted(batches):
-            tally = tally.merge(batches[index].tally)
-        reader.judge(tally)
+            stats = stats.merge(batches[index].stats)
+        reader.verify(stats)
     except BumpymapError as error:
         return 0, str(error)
     return sum(batch.cloud.easting.size for batch in batches.values()), ""

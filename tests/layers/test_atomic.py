@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import pytest
 
 from bumpymap.core.errors import OutputError
-from bumpymap.core.files import atomic, together
+from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
 from bumpymap.layers import (
     GeoJsonCoordinates,
@@ -145,7 +145,7 @@ def test_files_appear_together_and_the_last_one_last(tmp_path, monkeypatch):
     moved = []
     replace = os.replace
     monkeypatch.setattr("os.replace", lambda source, target: (moved.append(target), replace(source, target)))
-    with together(tmp_path, "run.json") as staged:
+    with write_together(tmp_path, "run.json") as staged:
         write_all(staged, NEW)
         assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
     assert content(tmp_path) == {"notes.txt": "mine", **NEW}
@@ -170,7 +170,7 @@ def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, erro
 
         state = {"armed": True}
         monkeypatch.setattr("os.replace", move)
-        with together(tmp_path, "run.json") as staged:
+        with write_together(tmp_path, "run.json") as staged:
             write_all(staged, NEW)
 
     for number in range(moves):
@@ -186,12 +186,15 @@ def test_failure_while_writing_leaves_the_folder_as_it_was(tmp_path):
     write_all(tmp_path, OLD)
 
     def write_half():
-        with together(tmp_path, "run.json") as staged:
+        with write_together(tmp_path, "run.json") as staged:
             write_all(staged, {"a.tif": "half"})
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         write_half()
     assert content(tmp_path) == OLD
-    with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"), together(tmp_path / "no", "run.json"):
+    with (
+        pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"),
+        write_together(tmp_path / "no", "run.json"),
+    ):
         pass

@@ -97,8 +97,8 @@ def test_folder_is_created_and_left_empty(tmp_path):
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     code = (
         "import os, pathlib, sys\n"
-        "from bumpymap.core.files import together\n"
-        "with together(pathlib.Path(sys.argv[1]), 'run.json') as staged:\n"
+        "from bumpymap.core.files import write_together\n"
+        "with write_together(pathlib.Path(sys.argv[1]), 'run.json') as staged:\n"
         "    (staged / 'heightmap.tif').write_text('half'); (staged / 'old').mkdir(); os._exit(1)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

@@ -12,7 +12,7 @@ from pypcd4 import Encoding, PointCloud
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 from bumpymap.readers import PointStats, ReadOptions, las_points, open_survey, reopen_survey
-from bumpymap.readers.batch import RecordLayout, Watch, batch_of_records
+from bumpymap.readers.conversion import PointChecks, RecordLayout, convert_las_points
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
@@ -46,7 +46,7 @@ def oracle(path, unit=1.0):
 def merged(found):
     total = PointStats()
     for batch in found:
-        total = total.merge(batch.tally)
+        total = total.merge(batch.stats)
     return total
 
 
@@ -72,9 +72,9 @@ def test_pieces_are_what_laspy_reads(las, laz, batches, table, version, fmt, pac
     total = merged(found)
     assert total.dropped == dropped
     assert total.points == N
-    reader.judge(total)
+    reader.verify(total)
     chunks = reader.chunks(700)
-    assert [chunk.points for chunk in chunks] == [batch.tally.points for batch in found]
+    assert [chunk.points for chunk in chunks] == [batch.stats.points for batch in found]
     assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
     assert len(chunks) > 3
 
@@ -178,7 +178,7 @@ def test_coordinates_have_the_bits_that_numpy_gives(integers, scale, offset, uni
     records = np.zeros((len(words), 30), np.uint8)
     records[:, :12] = words.view(np.uint8)
     layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4)
-    batch = batch_of_records(records, layout, Georeference(None, unit, unit), Watch(0, None))
+    batch = convert_las_points(records, layout, Georeference(None, unit, unit), PointChecks(0, None))
     expected = np.round(words * np.float64(scale) + offset, 8) * unit
     cloud = batch.cloud
     assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected)
@@ -201,7 +201,7 @@ def test_las_loads_no_library_that_it_does_not_need(las, ending):
     code = (
         "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
         "reader = open_survey(Path(sys.argv[1])); chunk = reader.chunks()[0]\n"
-        "print(reader.convert(chunk, reader.fetch(chunk)).tally.points)\n"
+        "print(reader.convert(chunk, reader.fetch(chunk)).stats.points)\n"
         "print({'laspy', 'fsspec', 'pypcd4'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
@@ -212,8 +212,8 @@ def test_batches_of_bad_points_are_empty_and_say_so(las):
     reader = open_survey(las.patch(las.write(), 179, "<d", 500003.2))
     (chunk,) = reader.chunks()
     batch = reader.convert(chunk, reader.fetch(chunk))
-    assert batch.tally.bad
-    assert batch.tally.outside == 1
+    assert batch.stats.bad
+    assert batch.stats.outside == 1
     assert batch.cloud.easting.size == 0
     with pytest.raises(BadInputError, match="1 of 7 points are outside"):
-        reader.judge(batch.tally)
+        reader.verify(batch.stats)

@@ -225,6 +225,6 @@ def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree
         total = PointStats()
         for chunk in reader.chunks(size):
             batch = reader.convert(chunk, reader.fetch(chunk))
-            assert batch.cloud.easting.size == (0 if batch.tally.points_outside_node else chunk.points)
-            total = total.merge(batch.tally)
+            assert batch.cloud.easting.size == (0 if batch.stats.points_outside_node else chunk.points)
+            total = total.merge(batch.stats)
         assert total.points_outside_node == expected

@@ -140,7 +140,7 @@ def test_panics_say_nothing_but_their_answer(child, capfd):
     with pytest.raises(DecoderError):
         child.check(record)
     with pytest.raises(DecoderError):
-        child.chunks(b"", [(10, 10)], child.take(10), 100)
+        child.chunks(b"", [(10, 10)], child.allocate(10), 100)
     said = capfd.readouterr()
     assert (said.out, said.err) == ("", "")
     first = pid_of(child)

@@ -116,7 +116,7 @@ def test_a_file_cut_anywhere(tmp_path, encoding):
         (b"POINTS 4", b"POINTS 0", "holds no points"),
         (b"POINTS 4", b"POINTS -4", "header"),
         (b"COUNT 1 1 1", b"COUNT 1 1 0", "header"),
-        (b"COUNT 1 1 1", b"COUNT 1 1 9999999", "gives a point 10,000,001 values"),
+        (b"COUNT 1 1 1", b"COUNT 1 1 9999999", "declares 10,000,001 values per point"),
         (b"FIELDS x y z", b"FIELDS x y w", "have no z"),
         (b"SIZE 4 4 4", b"SIZE 4 4", "different length"),
         (b"DATA binary", b"DATA zipped", "header"),
@@ -146,7 +146,9 @@ def bomb(path, points, claimed=0):
 def test_a_compressed_file_that_memory_cannot_hold_is_refused(tmp_path, read):
     path = bomb(tmp_path / "a.pcd", 100_000)
     wanted = 2 * 1_600_000 + 3 * (path.stat().st_size - 200)
-    with pytest.raises(BadInputError, match=r"unpacked whole, which takes 3 MB; 3 MB are given.*DATA binary.*`memory`"):
+    with pytest.raises(
+        BadInputError, match=r"unpacked as a whole, which needs 3 MB; 3 MB are available.*DATA binary.*`memory`"
+    ):
         open_survey(path, ReadOptions(memory=wanted - 1000))
     points, _ = read(open_survey(path, ReadOptions(memory=wanted + 10_000)))
     assert len(points) == 100_000
@@ -179,4 +181,4 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert "is compressed, so it must be unpacked whole, which takes 2,148 MB" in done.stdout
+    assert "is compressed, so it must be unpacked as a whole, which needs 2,148 MB" in done.stdout

@@ -7,8 +7,8 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats
-from bumpymap.readers.batch import RawPoints, Watch, batch_of_points
-from bumpymap.readers.point_stats import NOWHERE, OUTSIDE, judge
+from bumpymap.readers.conversion import PointChecks, RawPoints, convert_table_points
+from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, verify
 from bumpytiles import Bounds
 
 BOX = Bounds(0.0, 0.0, 100.0, 50.0)
@@ -20,7 +20,7 @@ rows = st.lists(st.tuples(numbers, numbers, numbers, st.sampled_from([0, 1, 2, 7
 def batch(points, *, first=0, file=BOX, no_return=False):
     table = np.array(points, float).reshape(-1, 4)
     x, y, z, class_id = (np.ascontiguousarray(column) for column in table.T.copy())
-    return batch_of_points(RawPoints(x, y, z, class_id), Watch(first, file, no_return))
+    return convert_table_points(RawPoints(x, y, z, class_id), PointChecks(first, file, no_return))
 
 
 def beyond(x, y, box):
@@ -34,20 +34,20 @@ def test_the_kernel_sees_what_numpy_sees(points, no_return, boxed, first):
     table = np.array(points, float).reshape(-1, 4)
     x, y, z, class_id = table.T
     found = batch(points, first=first, no_return=no_return, file=BOX if boxed else None)
-    tally = found.tally
+    stats = found.stats
     empty = np.isnan(table[:, :3]).any(axis=1) & no_return
     bad = ~np.isfinite(table[:, :3]).all(axis=1) & ~empty
     noise = np.isin(class_id, (7, 18)) & ~empty
     outside = beyond(x, y, BOX) & boxed
-    assert tally.points == len(table)
-    assert tally.dropped == {"withheld": 0, "noise": int(noise.sum()), "not_a_number": int(empty.sum())}
-    assert (tally.outside, tally.not_finite) == (outside.sum(), bad.sum())
-    assert tally.first_not_finite == (first + int(bad.argmax()) if bad.any() else -1)
+    assert stats.points == len(table)
+    assert stats.dropped == {"withheld": 0, "noise": int(noise.sum()), "not_a_number": int(empty.sum())}
+    assert (stats.outside, stats.not_finite) == (outside.sum(), bad.sum())
+    assert stats.first_not_finite == (first + int(bad.argmax()) if bad.any() else -1)
     sides = (x, -np.inf), (y, -np.inf), (-x, -np.inf), (-y, -np.inf), (np.abs(z), 0.0)
     east, north, west, south, highest = (np.fmax.reduce(values, initial=start) for values, start in sides)
-    assert (tally.west, tally.south, tally.east, tally.north) == (-west, -south, east, north)
-    assert tally.highest == highest
-    keep = ~(empty | noise) & (not tally.bad)
+    assert (stats.west, stats.south, stats.east, stats.north) == (-west, -south, east, north)
+    assert stats.highest == highest
+    keep = ~(empty | noise) & (not stats.bad)
     cloud = found.cloud
     assert np.array_equal(
         np.column_stack([cloud.easting, cloud.northing, cloud.upward]), table[keep, :3], equal_nan=True
@@ -60,8 +60,8 @@ def test_the_kernel_sees_what_numpy_sees(points, no_return, boxed, first):
 def test_tallies_of_parts_add_up_however_they_are_grouped(points, data):
     cut = sorted(data.draw(st.lists(st.integers(0, len(points)), max_size=4)))
     edges = list(zip([0, *cut], [*cut, len(points)], strict=True))
-    parts = [batch(points[low:high], first=low).tally for low, high in edges]
-    whole = batch(points).tally
+    parts = [batch(points[low:high], first=low).stats for low, high in edges]
+    whole = batch(points).stats
     left, right = PointStats(), PointStats()
     for part in parts:
         left = left.merge(part)
@@ -77,10 +77,10 @@ def test_tallies_of_parts_add_up_however_they_are_grouped(points, data):
 @settings(deadline=None)
 @given(rows)
 def test_tallies_travel_and_are_stored(points):
-    tally = batch(points, first=3).tally
-    stored = json.loads(json.dumps(tally.to_record(), allow_nan=False))
-    assert pickle.loads(pickle.dumps(tally)) == tally  # noqa: S301 (our own bytes)
-    assert PointStats.from_record(stored) == tally
+    stats = batch(points, first=3).stats
+    stored = json.loads(json.dumps(stats.to_record(), allow_nan=False))
+    assert pickle.loads(pickle.dumps(stats)) == stats  # noqa: S301 (our own bytes)
+    assert PointStats.from_record(stored) == stats
 
 
 GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)
@@ -91,17 +91,17 @@ GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)
     [
         ({"points": 4}, "declares 5 points but holds 4"),
         ({"not_finite": 2, "first_not_finite": 3}, r"2 points .* not a number or infinite; the first is point 3"),
-        ({"east": NOWHERE * 2}, "not a location on Earth"),
-        ({"south": -NOWHERE * 2}, "not a location on Earth"),
-        ({"highest": NOWHERE * 2}, "heights of up to 6e"),
+        ({"east": EARTH_LIMIT * 2}, "not a location on Earth"),
+        ({"south": -EARTH_LIMIT * 2}, "not a location on Earth"),
+        ({"highest": EARTH_LIMIT * 2}, "heights of up to 6e"),
         ({"outside": 2, "east": 120.0}, r"2 of 5 points are outside.*`trust_points=True`"),
         ({"points_outside_node": 3}, r"3 of 5 points .* octree.*`trust_points=True`"),
     ],
 )
 def test_the_verdict(changes, says, tmp_path):
-    judge(GOOD, tmp_path, 5, BOX)
+    verify(GOOD, tmp_path, 5, BOX)
     record = GOOD.to_record() | changes
     with pytest.raises(BadInputError, match=says) as caught:
-        judge(PointStats.from_record(record), tmp_path, 5, BOX)
+        verify(PointStats.from_record(record), tmp_path, 5, BOX)
     assert str(tmp_path) in str(caught.value)
     assert PointStats.from_record(record).bad == ("points" not in changes)

@@ -157,7 +157,7 @@ def test_a_change_behind_the_last_range_is_told_at_the_end(las, server):
     chunks = open_survey(f"{address}/{path.name}").clouds()
     next(chunks)
     handler.headers_beside = {"ETag": '"2"'}
-    with pytest.raises(BadInputError, match="the server gives it as etag"):
+    with pytest.raises(BadInputError, match="the server reports version etag"):
         next(chunks)
 
 

@@ -9,7 +9,7 @@ from bumpytiles import Grid
 THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
 
 
-def tally(path, settings=THREE, grid=None):
+def stats(path, settings=THREE, grid=None):
     return PointSummaryBuilder(grid or Grid(), settings).read(open_survey(path))
 
 
@@ -39,13 +39,13 @@ def test_holes_are_what_the_rule_says(las):
     path = las.write(points=np.column_stack([ground, np.zeros(27)]), offset=(0, 0, 0))
     for max_hole, min_coverage, holes in ((1.0, 0.0, 1), (2.0, 0.0, 0), (1.0, 0.2, 2), (0.1, 0.0, 1)):
         settings = FeatureSettings(min_points=3, min_coverage=min_coverage, max_hole=max_hole)
-        assert tally(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
+        assert stats(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
 
 
 def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     rng = np.random.default_rng(4)
     path = las.write("a.laz", np.round(rng.uniform(-50, 50, (5000, 3)), 3), offset=(0, 0, 0))
-    whole = tally(path, FeatureSettings(min_points=4)).summary()
+    whole = stats(path, FeatureSettings(min_points=4)).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "_MERGE_AT", 10)
     monkeypatch.setattr(module, "_BATCH_PIXELS", 1000)
@@ -60,20 +60,20 @@ def test_two_files_are_summed_up_as_one(las):
     points = np.round(rng.uniform(-20, 20, (4000, 3)), 3)
     settings = FeatureSettings(min_points=10)
     parts = [las.write(f"{n}.laz", part, offset=(0, 0, 0)) for n, part in enumerate((points[:1500], points[1500:]))]
-    first = tally(parts[0], settings)
-    first.merge(tally(parts[1], settings))
-    assert first.summary() == tally(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
+    first = stats(parts[0], settings)
+    first.merge(stats(parts[1], settings))
+    assert first.summary() == stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
 
 
 def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     rng = np.random.default_rng(6)
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
     settings = FeatureSettings(min_points=10)
-    whole = tally(path, settings).summary()
+    whole = stats(path, settings).summary()
     monkeypatch.setattr(module, "_MOST_PIXELS", 5000)
-    sampled = tally(path, settings)
+    sampled = stats(path, settings)
     summary = sampled.summary()
-    assert sampled.every_pixels.step >= 8
+    assert sampled.all_pixels.step >= 8
     share, exact = (s.unknown[Reason.TOO_MANY_HOLES] / s.tiles for s in (summary, whole))
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)
@@ -82,4 +82,4 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
 
 def test_no_point_that_counts(las):
     path = las.write(classes=np.full(7, 18, np.uint8))
-    assert tally(path).summary() is None
+    assert stats(path).summary() is None

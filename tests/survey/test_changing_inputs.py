@@ -169,7 +169,7 @@ def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
     """Copies on two machines may differ in the time of their writing; what one machine reads must not."""
     reader = open_survey(survey)
     (chunk,) = reader.chunks()
-    stats = reader.convert(chunk, reader.fetch(chunk)).tally
+    stats = reader.convert(chunk, reader.fetch(chunk)).stats
     one, two = ({"size": 7, "mtime_ns": text} for text in "12")
 
     def add(*seen):

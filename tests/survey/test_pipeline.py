@@ -228,7 +228,7 @@ def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(survey, la
     work, staged = out / ".bumpymap-run", out / ".bumpymap-layers-0"
     for folder in (work, staged):
         folder.mkdir()
-        (folder / "asked.json").write_text("{}")
+        (folder / "run_spec.json").write_text("{}")
     with locked(out):
         before = inodes(out)
         refused = run("map", survey, "--out", out, option)
@@ -265,14 +265,14 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
 def test_a_work_folder_that_is_a_link_is_left_alone(survey, tmp_path, option):
     out, mine = tmp_path / "out", tmp_path / "mine"
     mine.mkdir()
-    (mine / "asked.json").write_text("{}")
+    (mine / "run_spec.json").write_text("{}")
     (mine / ".profile").write_text("mine")
     out.mkdir()
     (out / ".bumpymap-run").symlink_to(mine)
     refused = run("map", survey, "--out", out, *([option] if option else []))
     assert refused.exit_code == 3
     assert ".bumpymap-run is a link" in refused.output
-    assert sorted(path.name for path in mine.iterdir()) == [".profile", "asked.json"]
+    assert sorted(path.name for path in mine.iterdir()) == [".profile", "run_spec.json"]
 
 
 def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):

@@ -1,4 +1,4 @@
-"""Surveys that are not in a projected CRS: what to tell the user, with the command that reprojects the file."""
+"""Refuse surveys that are not in a projected CRS, with the command that reprojects the file."""
 
 import shlex
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ SAY_CRS = "Say which CRS the coordinates are in with `crs`, such as `crs='EPSG:3
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Whose coordinates a message is about, and where their middle lies in the file's units."""
+    """A file and the centre of its extent in the file's units (None if unknown), for messages."""
 
     path: Path | str
     middle: tuple[float, float, float] | None = None
 
 
 def describe_crs(crs: CRS) -> str:
-    """Give name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``; of a compound CRS ``(EPSG:32614+5703)``."""
+    """Return name and code, such as ``WGS 84 / UTM zone 14N (EPSG:32614)``; or ``(EPSG:32614+5703)`` if compound."""
     parts = crs.sub_crs_list if crs.is_compound and crs.to_epsg() is None else [crs]
     codes = [part.to_epsg() for part in parts]
     code = "" if None in codes else "+".join(map(str, codes))
@@ -31,19 +31,19 @@ def describe_crs(crs: CRS) -> str:
 
 
 def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
-    """Let projected and local (engineering) CRS pass, refuse all others.
+    """Raise BadInputError unless the CRS is a projected or a local (engineering) one.
 
     Parameters
     ----------
     place : Place
     crs : pyproj.CRS
     from_user : bool
-        The CRS came from ``--crs``, so the command that reprojects must say it too.
+        Whether the CRS came from ``--crs``, so that the command that reprojects must name it too.
 
     Raises
     ------
     BadInputError
-        Degrees or Earth-centred coordinates, with the command that reprojects the file; heights alone.
+        The CRS is geographic or geocentric (the message shows the command that reprojects the file), or vertical only.
     """
     base = crs.sub_crs_list[0] if crs.is_compound else crs
     if base.is_projected or base.type_name == "Engineering CRS":
@@ -68,7 +68,7 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
 
 
 def _longitude_latitude(place: Place, crs: CRS) -> tuple[float, float] | None:
-    """Middle of the file, degrees; None where it is not known or is not a location on Earth."""
+    """Return the centre of the file, degrees; None if it is unknown or not a location on Earth."""
     if place.middle is None:
         return None
     longitude, latitude, height = place.middle
@@ -79,7 +79,7 @@ def _longitude_latitude(place: Place, crs: CRS) -> tuple[float, float] | None:
 
 
 def utm_epsg(longitude: float, latitude: float) -> int:
-    """EPSG code of the WGS 84 / UTM zone of a place, of the polar stereographic CRS beyond 84 N and 80 S.
+    """Return the EPSG code of the WGS 84 / UTM zone of a location, or of polar stereographic beyond 84 N or 80 S.
 
     Examples
     --------
@@ -95,15 +95,15 @@ def utm_epsg(longitude: float, latitude: float) -> int:
 
 
 def reproject_command(path: Path | str, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
-    """Spell the command that makes a file in metres, keeping millimetres, from one in degrees.
+    """Return the PDAL command that reprojects a file from degrees to metres, with a resolution of 1 mm.
 
     Parameters
     ----------
     path : Path or str
     longitude_latitude : (float, float) or None
-        Where the file lies, degrees; None leaves the UTM zone to the user.
+        Location of the file, degrees; None: the user must fill in the UTM zone.
     source : str or None
-        CRS of the file, where the file itself does not carry it.
+        CRS of the file, if the file itself does not state it.
     """
     target = "EPSG:326ZZ" if longitude_latitude is None else f"EPSG:{utm_epsg(*longitude_latitude)}"
     words = ["pdal", "translate", shlex.quote(str(path)), shlex.quote(f"{Path(path).name.split('.')[0]}_metres.laz")]

@@ -1,8 +1,8 @@
-"""Settle the CRS and units of a file, and of the files of a run.
+"""Determine the CRS and units of a file, and of the files of a run.
 
-A file's own statement is a ``CrsStatement``. ``--crs`` wins over it; ``--z-unit`` wins over every unit of height. The
-result keeps the vertical part too, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused
-with the command that reprojects the file.
+A ``CrsStatement`` holds what a file states. ``--crs`` overrides it; ``--z-unit`` overrides every unit of height. The
+result keeps the vertical CRS, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused with
+a message that shows the command to reproject the file.
 """
 
 import logging
@@ -16,7 +16,7 @@ from pyproj import CRS, Proj, get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.core.crs.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
-from bumpymap.core.crs.vertical import in_metres, same_zero, vertical_of, with_vertical
+from bumpymap.core.crs.vertical import in_metres, same_datum, vertical_of, with_vertical
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 
@@ -41,21 +41,21 @@ _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
 _Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
 _SCALE_TOLERANCE = 0.01
 _LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
-"""Metres; the units of EPSG lie well inside, from the millimetre to the nautical mile."""
+"""Allowed range of units, m; those of EPSG lie well inside, from the millimetre to the nautical mile."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrsStatement:
-    """What a file says of its CRS and units."""
+    """CRS and units that a file states."""
 
     crs: CRS | None = None
-    """As written, the vertical part too; None where it says nothing that can be worked out."""
+    """As stated, with its vertical part; None if the file states none, or one that cannot be parsed."""
     metres_per_unit: float | None = None
-    """Horizontal unit where it is stated apart from the CRS."""
+    """Horizontal unit, if it is stated separately from the CRS."""
     metres_per_unit_z: float | None = None
-    """Unit of height where it is stated apart from the CRS."""
+    """Unit of height, if it is stated separately from the CRS."""
     trouble: str = ""
-    """Why the statement cannot be believed; empty where it can."""
+    """Why the statement is not usable; empty if it is."""
     notes: tuple[str, ...] = ()
 
 
@@ -67,7 +67,7 @@ class _HasGeoreference(Protocol):
 
 
 def parse_crs(text: str) -> CRS:
-    """Read what the user gave as ``--crs``. Raises UsageError where PROJ does not know it."""
+    """Parse the value of ``--crs``. Raises UsageError if PROJ does not know it."""
     try:
         return CRS.from_user_input(text)
     except CRSError as error:
@@ -77,7 +77,7 @@ def parse_crs(text: str) -> CRS:
 
 
 def statement_from_wkt(text: str) -> CrsStatement:
-    """Read a WKT record; what PROJ cannot parse becomes ``trouble``."""
+    """Parse a WKT record; if PROJ cannot, the reason is in ``trouble``."""
     try:
         return CrsStatement(CRS.from_wkt(text))
     except CRSError:
@@ -86,7 +86,7 @@ def statement_from_wkt(text: str) -> CrsStatement:
 
 
 def crs_from_epsg(code: int) -> CRS | None:
-    """Look a code up; None where PROJ does not know it."""
+    """Return the CRS of an EPSG code; None if PROJ does not know it."""
     try:
         return CRS.from_epsg(code)
     except CRSError:
@@ -94,7 +94,7 @@ def crs_from_epsg(code: int) -> CRS | None:
 
 
 def linear_unit(code: int) -> float | None:
-    """Metres in a unit of length by its EPSG code, such as 9003; None where there is no such unit."""
+    """Return the metres in a unit of length by its EPSG code, such as 9003; None if there is no such unit."""
     for unit in get_units_map(auth_name="EPSG", category="linear").values():
         if unit.code == str(code):
             return _exact(unit.conv_factor)
@@ -102,20 +102,20 @@ def linear_unit(code: int) -> float | None:
 
 
 def unit_name(metres_per_unit: float) -> str:
-    """Name a unit for people."""
+    """Return the name of a unit for messages."""
     return _UNITS.get(metres_per_unit, f"unit of {metres_per_unit:g} m")
 
 
 def georeference(
     place: Place, statement: CrsStatement, user_crs: str | None, z_unit: str | None
 ) -> tuple[Georeference, tuple[str, ...]]:
-    """Settle CRS and units of one file.
+    """Determine CRS and units of one file.
 
     Parameters
     ----------
     place : Place
     statement : CrsStatement
-        What the file says.
+        What the file states.
     user_crs : str or None
         ``--crs``.
     z_unit : {"m", "ft", "us-ft"} or None
@@ -124,17 +124,17 @@ def georeference(
     Returns
     -------
     Georeference
-        ``crs`` is the horizontal CRS, or a compound one with the vertical CRS that is stated beside it; None where
-        nothing is known or the CRS is a local one.
+        ``crs`` is the horizontal CRS, or a compound CRS if a vertical one is stated too; None if it is unknown or a
+        local (engineering) CRS.
     tuple of str
-        What the user should know.
+        Notes for the user.
 
     Raises
     ------
     BadInputError
-        The file's statement cannot be believed and ``user_crs`` is None, or the CRS is not a projected one.
+        The file's statement is not usable and ``user_crs`` is None, or the CRS is not projected.
     UsageError
-        ``user_crs`` is no CRS.
+        ``user_crs`` is not a CRS.
     """
     user = None if user_crs is None else parse_crs(user_crs)
     if user is None and statement.trouble:
@@ -162,7 +162,7 @@ def georeference(
 
 
 def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
-    """Vertical part of ``--crs``; that of the file where ``--crs`` has none and does not contradict the file."""
+    """Return the vertical part of ``--crs``, or that of the file if ``--crs`` has none and agrees with the file."""
     vertical = None if user is None else vertical_of(user)
     if own is None or vertical is not None:
         return vertical
@@ -172,7 +172,7 @@ def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
 
 
 def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
-    """Refuse a projected CRS whose unit is no length: PROJ takes whatever a text says."""
+    """Refuse a projected CRS with an implausible unit: PROJ accepts any number in a text."""
     factors = [axis.unit_conversion_factor for axis in crs.axis_info]
     wrong = next((factor for factor in factors if not _LEAST_UNIT <= factor <= _LARGEST_UNIT), None)
     if wrong is None:
@@ -199,7 +199,7 @@ def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
 
 
 def same_crs(first: CRS, second: CRS) -> bool:
-    """Whether two horizontal CRS are one, however they are spelled."""
+    """Return whether two horizontal CRS are the same, even if they are written differently."""
     if first == second or first.equals(second, ignore_axis_order=True):
         return True
     stated, matched = _code(first), first.to_epsg()
@@ -207,13 +207,13 @@ def same_crs(first: CRS, second: CRS) -> bool:
 
 
 def _code(crs: CRS) -> str:
-    """Return the code that a CRS itself states, not one that PROJ finds like it; empty where it states none."""
+    """Return the code that a CRS itself states, not one that PROJ finds by comparison; empty if it states none."""
     stated = crs.to_json_dict().get("id", {})
     return f"{stated['authority']}:{stated['code']}" if stated else ""
 
 
 def _exact(factor: float) -> float:
-    """Snap a unit that was written with few digits, so that one unit gives one set of bits."""
+    """Snap a unit that was written with few digits to the known one, so that results are bit-identical."""
     return next((known for known in _UNITS if math.isclose(factor, known, rel_tol=1e-9)), factor)
 
 
@@ -222,7 +222,7 @@ def _unit(crs: CRS | None) -> float | None:
 
 
 def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:
-    """Find the unit of height that the file states; it stands under ``--crs`` unless that denies its other unit."""
+    """Return the unit of height that the file states; ignored if ``--crs`` contradicts the file's horizontal unit."""
     own = statement.metres_per_unit or _unit(statement.crs)
     denied = own is not None and not math.isclose(own, unit, rel_tol=1e-5)
     stated = None if statement.metres_per_unit_z is None else _exact(statement.metres_per_unit_z)
@@ -236,11 +236,11 @@ def _vertical_unit(crs: CRS | None) -> float | None:
 
 
 def horizontal_of(crs: CRS) -> CRS | None:
-    """Easting and northing alone; None for a local (engineering) CRS."""
+    """Return the horizontal part of a CRS; None for a local (engineering) CRS."""
     if crs.is_compound:
         return horizontal_of(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None and _code(crs.source_crs):
-        # A TOWGS84 clause around a CRS with a code: PROJ knows better ways to WGS 84.
+        # A TOWGS84 clause around a CRS with a code: PROJ knows better transformations to WGS 84.
         return horizontal_of(crs.source_crs)
     if not crs.is_projected:
         return None
@@ -248,7 +248,7 @@ def horizontal_of(crs: CRS) -> CRS | None:
 
 
 def scale_note(crs: CRS, middle: tuple[float, float, float]) -> list[str]:
-    """Say so where a metre of the CRS is not a metre on the ground (Web Mercator: 1.4 m at 45 degrees)."""
+    """Return a note if a metre of the CRS is not a metre on the ground (Web Mercator: 1.4 m at 45 degrees)."""
     try:
         proj = Proj(crs)
         longitude, latitude = proj(middle[0], middle[1], inverse=True, errcheck=True)
@@ -265,16 +265,16 @@ def scale_note(crs: CRS, middle: tuple[float, float, float]) -> list[str]:
 
 
 def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
-    """Georeference that all files of a run share.
+    """Return the georeference that all files of a run share.
 
-    Units may differ from file to file, since each is converted by its own; the first file's (by path) are returned.
-    Where only some state a vertical CRS, none is returned, with a warning.
+    Units may differ between files, since each file is converted with its own; those of the first file (by path) are
+    returned. If only some files state a vertical CRS, the result has none, and a warning is logged.
 
     Raises
     ------
     BadInputError
-        Files have different CRS, or only some have one, or their heights count from different zeros; lists which has
-        what.
+        Files have different CRS, or only some have one, or their heights refer to different vertical datums; the
+        message lists the files.
     """
     ordered = sorted(infos, key=lambda info: str(info.path))
     if not ordered:
@@ -294,10 +294,10 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
 
 
 def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> CRS | None:
-    """CRS of files whose horizontal ones agree: with a vertical part where all of them have that."""
+    """Return the CRS of files whose horizontal CRS agree; it has a vertical part if all of them have one."""
     vertical = [None if crs is None else vertical_of(crs) for crs in held]
     stated = [crs for crs in vertical if crs is not None]
-    if not all(same_zero(stated[0], crs) for crs in stated):
+    if not all(same_datum(stated[0], crs) for crs in stated):
         raise BadInputError(
             "the heights of the files are not in one vertical CRS:",
             *_listed(ordered, held),
@@ -313,7 +313,7 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
             describe_crs(stated[0]),
         )
         return None if held[0] is None else horizontal_of(held[0])
-    # Files in metres and in feet from one zero: all heights are metres by now.
+    # Files in metres and in feet of one datum: all heights have been converted to metres.
     metric = (crs for crs, own in zip(held, vertical, strict=True) if own is not None and in_metres(own))
     return next(metric, held[0])
 

@@ -1,33 +1,33 @@
-"""The vertical part of a CRS: from which zero heights count.
+"""The vertical part of a CRS.
 
-Heights are metres everywhere in bumpymap, whatever the unit of a vertical CRS is. So the layers carry one that is in
-metres and leave out any other; of files, the zero alone must agree.
+bumpymap converts all heights to metres. The layers therefore carry a vertical CRS only if its unit is the metre, and
+the files of a run need to agree in the vertical datum only.
 """
 
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 
-__all__ = ["in_metres", "same_zero", "vertical_of", "with_vertical"]
+__all__ = ["in_metres", "same_datum", "vertical_of", "with_vertical"]
 
 
 def vertical_of(crs: CRS) -> CRS | None:
-    """Vertical part of a compound CRS; None where there is none, or one of depths."""
+    """Return the vertical part of a compound CRS; None if there is none, or if it counts depths."""
     if not crs.is_compound:
         return None
     vertical = crs.sub_crs_list[-1]
     if vertical.is_bound and vertical.source_crs is not None:
-        vertical = vertical.source_crs  # a grid that leads to the ellipsoid does not change the zero
+        vertical = vertical.source_crs  # a grid to the ellipsoid does not change the datum
     axes = vertical.axis_info
     return vertical if vertical.is_vertical and len(axes) == 1 and axes[0].direction == "up" else None
 
 
 def in_metres(vertical: CRS) -> bool:
-    """Whether heights of a vertical CRS are in metres."""
+    """Return whether the unit of a vertical CRS is the metre."""
     return bool(vertical.axis_info[0].unit_conversion_factor == 1.0)
 
 
-def same_zero(first: CRS, second: CRS) -> bool:
-    """Whether heights of two vertical CRS count from one zero, in whatever units."""
+def same_datum(first: CRS, second: CRS) -> bool:
+    """Return whether two vertical CRS have the same datum; their units may differ."""
     if first == second:
         return True
     one, other = first.datum, second.datum
@@ -35,7 +35,7 @@ def same_zero(first: CRS, second: CRS) -> bool:
 
 
 def with_vertical(horizontal: CRS, vertical: CRS, stated: CRS | None = None) -> CRS:
-    """Join two CRS; ``stated`` itself where it is the two of them, so that its own name and code stay."""
+    """Join two CRS; return ``stated`` if it is made of these two, to keep its name and code."""
     if stated is not None and stated.is_compound and stated.sub_crs_list == [horizontal, vertical]:
         return stated
     joined = CompoundCRS(f"{horizontal.name} + {vertical.name}", [horizontal, vertical])
@@ -43,5 +43,5 @@ def with_vertical(horizontal: CRS, vertical: CRS, stated: CRS | None = None) -> 
 
 
 def _plain(name: str) -> str:
-    """Name of a datum without what writers spell in several ways."""
+    """Return the name of a datum in lower case, letters and digits only, since spellings vary."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())

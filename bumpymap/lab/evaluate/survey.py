@@ -20,7 +20,7 @@ from bumpymap.core import (
     UsageError,
     common_georeference,
     decide_ground,
-    take_away,
+    remove_path,
 )
 from bumpymap.patches import join_stacks, measure
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
@@ -146,7 +146,7 @@ def _scratch(folder: Path) -> Iterator[Path]:
     """Make an empty folder; what a killed run left in it is deleted."""
     scratch = folder / ".points"
     if lexists(scratch):
-        take_away(scratch)
+        remove_path(scratch)
     scratch.mkdir(mode=0o700)
     try:
         yield scratch
@@ -160,7 +160,7 @@ def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Pro
     for chunk in reader.chunks():
         batch = reader.convert(chunk, reader.fetch(chunk))
         cloud = batch.cloud
-        tally = tally.merge(batch.tally)
+        tally = tally.merge(batch.stats)
         buckets.add_chunk(
             group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), number
         )
@@ -168,7 +168,7 @@ def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Pro
             buckets.spill()
         progress.advance(chunk.points)
         number += 1
-    reader.judge(tally)
+    reader.verify(tally)
     return number
 
 

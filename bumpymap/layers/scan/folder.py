@@ -10,7 +10,7 @@ import lazrs
 import pyarrow as pa
 from rasterio.errors import RasterioError
 
-from bumpymap.core import OutputError, take_away
+from bumpymap.core import OutputError, remove_path
 from bumpymap.layers.folder import PRODUCT_NAMES, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
@@ -91,7 +91,7 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
             with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()
         else:
-            take_away(folder / name)
+            remove_path(folder / name)
 
 
 @contextmanager

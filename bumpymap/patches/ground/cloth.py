@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Child, ChildDiedError, CsfSettings, UsageError, folder_of, free_memory, take_memory
+from bumpymap.core import Child, ChildDiedError, CsfSettings, UsageError, allocate_shared, module_folder, trim_shared
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 __all__ = ["close_filter", "filter_version", "mark_ground", "require_filter"]
@@ -81,7 +81,7 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     side = points.grid.tile_size * BLOCK_TILES
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))
     count = len(points.upward)
-    coordinates, marks = take_memory(24 * count), take_memory(count)
+    coordinates, marks = allocate_shared(24 * count), allocate_shared(count)
     # Relative to the block's corner: the filter loses precision with coordinates of millions of metres.
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
     np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
@@ -90,7 +90,7 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     except IndexError:
         child = _start()
     try:
-        child.ask(
+        child.call(
             "mark_ground",
             settings.cloth_resolution,
             settings.class_threshold,
@@ -115,12 +115,12 @@ def close_filter() -> None:
     """Stop the child processes of the filter; the next block starts a new one."""
     while _idle:
         _idle.pop().close()
-    free_memory()
+    trim_shared()
 
 
 def _start() -> Child:
     # Only these folders, not all of site-packages: .pth files there run code at every start.
-    folders = [folder_of("CSF"), folder_of("numpy"), str(Path(__file__).parent)]
+    folders = [module_folder("CSF"), module_folder("numpy"), str(Path(__file__).parent)]
     return Child("for the cloth simulation filter", "_cloth_child", folders, _ONE_THREAD)
 
 

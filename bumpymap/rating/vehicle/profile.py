@@ -6,7 +6,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
 
-from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, shown
+from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, short_repr
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
 from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
@@ -285,7 +285,7 @@ def _gyration(profile: Vehicle, table: str) -> str:
     if low <= min(moments) and max(moments) <= high:
         return ""
     return (
-        f"{table}.inertia_kgm2 is {shown(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
+        f"{table}.inertia_kgm2 is {short_repr(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
         f"{size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg m2; a solid box of mass m, length l, "
         "width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, m (l2 + w2) / 12"
     )

@@ -1,4 +1,4 @@
-"""Scans of a moving robot's LiDAR and its poses: files in, frames out."""
+"""Readers of LiDAR scans of a moving robot, and of its poses."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""From what the user typed to frames in time order."""
+"""Find the frames that the user named, in time order."""
 
 import os
 import re
@@ -11,29 +11,28 @@ from bumpymap.readers.frames.kitti import POINT_FOLDERS
 __all__ = ["SUFFIXES", "find_frames", "natural_key"]
 
 SUFFIXES = (".ply", ".pcd", ".bin")
-"""Endings that a folder is searched for, in any case."""
+"""File suffixes that a folder is searched for, in any case."""
 _NUMBER = re.compile(r"(\d+)")
 
 
 def find_frames(paths: Sequence[Path]) -> list[Path]:
-    """List the scans that the paths name, in time order.
+    """Return the scan files at the given paths, in time order.
 
     Parameters
     ----------
     paths : sequence of Path
-        Files are taken whatever their ending. A folder gives its own scans; one without gives those of its folder
-        ``velodyne`` or ``os1_cloud_node_kitti_bin``, as the data sets lay out a sequence. Hidden files do not count.
+        Files (with any suffix) and folders. If a folder holds no scans itself, its subfolder ``velodyne`` or
+        ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data sets. Hidden files are ignored.
 
     Returns
     -------
     list of Path
-        In the natural order of their paths (``2.bin`` before ``10.bin``), whatever order they were named in; each
-        once.
+        In natural order of their paths (``2.bin`` before ``10.bin``), whatever the order of ``paths``; each once.
 
     Raises
     ------
     BadInputError
-        A path that is not there, a folder without scans, or one with scans of several kinds.
+        A path does not exist, or a folder holds no scans or scans of several formats.
     """
     if not paths:
         raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
@@ -48,7 +47,7 @@ def find_frames(paths: Sequence[Path]) -> list[Path]:
 
 
 def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
-    """Sort key: numbers in names count as numbers; folders before what is in them."""
+    """Return a sort key that compares numbers in names as numbers, and puts a folder before its contents."""
     return tuple(
         tuple((0, int(part)) if part.isdigit() else (1, part) for part in _NUMBER.split(name) if part)
         for name in path.parts
@@ -66,8 +65,8 @@ def _files_of(path: Path) -> list[Path]:
         kinds = sorted({file.suffix.lower() for file in files})
         if len(kinds) > 1:
             raise BadInputError(
-                f"the folder {folder} holds scans of several kinds ({', '.join(kinds)}): the same frames twice? Name "
-                f"the files of one kind, such as: {folder}/*{kinds[0]}"
+                f"the folder {folder} holds scans of several formats ({', '.join(kinds)}): the same frames twice? Name "
+                f"the files of one format, such as: {folder}/*{kinds[0]}"
             )
         if files:
             return files

@@ -1,7 +1,7 @@
-"""KITTI-style scans: ``.bin`` holds float32 x, y, z, intensity, a ``.label`` file uint32 with the semantic id below.
+"""Read KITTI-style scans: ``.bin`` files of float32 x, y, z, intensity, with ``.label`` files of uint32.
 
-The label file of ``DIR/NAME.bin`` lies beside it, or in the folder that the data sets put beside ``DIR``: ``labels``
-(SemanticKITTI) or ``os1_cloud_node_semantickitti_label_id`` (RELLIS-3D).
+The lower 16 bits of a label are the semantic id. The label file of ``DIR/NAME.bin`` is in the same folder, or in a
+folder beside ``DIR``: ``labels`` (SemanticKITTI) or ``os1_cloud_node_semantickitti_label_id`` (RELLIS-3D).
 """
 
 from pathlib import Path
@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import refuse_count
 from bumpymap.readers.frames.raw import RawScan
-from bumpymap.readers.source import held_to, read_range, require_same, size_of, version_of
+from bumpymap.readers.source import pinned_version, read_range, require_unchanged, size_of, version_of
 
 __all__ = ["LABEL_FOLDERS", "POINT_FOLDERS", "label_file", "read_kitti"]
 
 POINT_FOLDERS = ("velodyne", "os1_cloud_node_kitti_bin")
 """Folders of ``.bin`` files inside a sequence."""
 LABEL_FOLDERS = ("labels", "os1_cloud_node_semantickitti_label_id")
-"""Folders of ``.label`` files, beside those."""
+"""Folders of ``.label`` files, beside the folders of points."""
 _POINT_BYTES, _LABEL_BYTES = 16, 4
 _FARTHEST_M = 1e4
-"""No LiDAR on a robot sees as far: bytes that say so are no points."""
+"""Beyond the range of any LiDAR on a robot: larger coordinates mean that the file holds something else."""
 
 
 def read_kitti(path: Path) -> RawScan:
-    """Read a ``.bin`` file, and its labels where there are some.
+    """Read a ``.bin`` file, and its labels if there are any.
 
     Raises
     ------
     BadInputError
-        Empty, truncated, no points at all, or a label file of another length.
+        The file is empty, truncated or not a scan, or the label file does not match it.
     """
     size = size_of(path)
     if size == 0:
@@ -39,7 +39,7 @@ def read_kitti(path: Path) -> RawScan:
     if size % _POINT_BYTES:
         raise BadInputError(
             f"{path} has {size:,} bytes; points of x, y, z and intensity take {_POINT_BYTES} each, so it is truncated "
-            "or no KITTI-style scan. Copy it again, or convert it to PLY"
+            "or not a KITTI-style scan. Copy it again, or convert it to PLY"
         )
     table = _whole(path, size).view("<f4").reshape(-1, 4)
     _refuse_nonsense(path, table)
@@ -54,7 +54,7 @@ def _whole(path: Path, size: int) -> NDArray[np.uint8]:
 
 
 def label_file(path: Path) -> Path | None:
-    """Find the label file of a ``.bin`` file; None where there is none."""
+    """Return the label file of a ``.bin`` file; None if there is none."""
     name = f"{path.stem}.label"
     near = [path.parent / name, *(path.parent.parent / folder / name for folder in LABEL_FOLDERS)]
     return next((file for file in near if file.is_file()), None)
@@ -68,19 +68,19 @@ def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
             f"{labels} has {size:,} bytes; {path} has {count:,} points, whose labels take {_LABEL_BYTES * count:,}. "
             "They do not belong together: copy both again, or remove the label file"
         )
-    with held_to(labels, version):
+    with pinned_version(labels, version):
         ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
-    require_same(labels, version)
+    require_unchanged(labels, version)
     return ids
 
 
 def _refuse_nonsense(path: Path, table: NDArray[np.float32]) -> None:
-    """Any bytes are numbers. Those of another kind of file are not mostly places that a LiDAR can see."""
+    """Refuse a file of another kind: read as float32, most of its bytes are not plausible coordinates."""
     xyz = table[:, :3]
     with np.errstate(invalid="ignore"):
-        sane = np.isnan(xyz) | (np.abs(xyz) < _FARTHEST_M) & ((xyz == 0.0) | (np.abs(xyz) > 1e-12))
-    if sane.all(axis=1).mean() < 0.5:
+        plausible = np.isnan(xyz) | (np.abs(xyz) < _FARTHEST_M) & ((xyz == 0.0) | (np.abs(xyz) > 1e-12))
+    if plausible.all(axis=1).mean() < 0.5:
         raise BadInputError(
-            f"{path} holds no float32 x, y, z, intensity: most of its coordinates are not within "
+            f"{path} does not hold float32 x, y, z, intensity: most of its coordinates are not within "
             f"{_FARTHEST_M:,.0f} m. Is it another kind of file?"
         )

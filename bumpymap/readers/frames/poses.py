@@ -1,9 +1,9 @@
-"""Where the sensor was at each frame.
+"""Read the pose of the sensor at each frame.
 
-KITTI's ``poses.txt`` has twelve numbers a line, the upper three rows of the matrix that takes the sensor's frame to the
-world's. A CSV file has a header, and a line for each frame, with one of these sets of columns in any order (others,
-such as a time, are not looked at): ``x y z qx qy qz qw`` (m, and a quaternion) or ``T00 T01 .. T23`` (the same matrix).
-The poses must be those of the LiDAR, not of a camera or of the robot's foot.
+KITTI's ``poses.txt`` has twelve numbers per line: the upper three rows of the matrix that transforms points from the
+sensor frame to the world frame. A CSV file has a header and one line per frame, with one of these sets of columns in
+any order (others, such as a time stamp, are ignored): ``x y z qx qy qz qw`` (metres and a quaternion) or
+``T00 T01 .. T23`` (the same matrix). The poses must be those of the LiDAR, not of a camera or of the robot's base.
 """
 
 import csv
@@ -20,7 +20,7 @@ __all__ = ["read_poses"]
 _PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MATRIX = tuple(f"t{row}{column}" for row in range(3) for column in range(4))
 _ROUNDING = 0.02
-"""How far a rotation may be from one: files give three decimals at worst."""
+"""Tolerance of rotation matrices and quaternions: some files have only three decimals."""
 
 
 def read_poses(path: Path, count: int) -> NDArray[np.float64]:
@@ -29,12 +29,12 @@ def read_poses(path: Path, count: int) -> NDArray[np.float64]:
     Returns
     -------
     (count, 4, 4) float64
-        Takes points of the sensor's frame to the world's, m.
+        Transforms from the sensor frame to the world frame, m.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, holds another number of poses, or something that is no pose.
+        The file cannot be read, holds another number of poses, or invalid poses.
     """
     with open_source(path) as stream:
         text = stream.read().decode("utf-8-sig", "replace")
@@ -46,8 +46,8 @@ def read_poses(path: Path, count: int) -> NDArray[np.float64]:
     poses = _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, words, 12))
     if len(poses) != count:
         raise BadInputError(
-            f"{path} holds {len(poses):,} poses, but the frames are {count:,}; one for each is wanted, in the order of "
-            "time. Is it of another drive, or are frames missing?"
+            f"{path} holds {len(poses):,} poses, but there are {count:,} frames; there must be one pose per frame, "
+            "in order of time. Does the file belong to another drive, or are frames missing?"
         )
     _make_rigid(path, poses)
     return poses
@@ -66,11 +66,11 @@ def _from_csv(path: Path, lines: list[str]) -> NDArray[np.float64]:
 
 
 def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:
-    """Turn text into a table; a word that is no number (a time, a name) becomes NaN, which no pose may hold."""
+    """Convert text to a table; a word that is not a number (a time, a name) becomes NaN, which no pose may contain."""
     table = np.empty((len(rows), width))
     for number, row in enumerate(rows):
         if len(row) != width:
-            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are wanted")
+            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are required")
         for column, word in enumerate(row):
             try:
                 table[number, column] = float(word)
@@ -99,11 +99,11 @@ def _from_quaternions(path: Path, table: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
-    """Refuse what is no pose; take the rounding of the file's digits out of the rotations."""
+    """Refuse invalid poses; replace each rotation, rounded in the file, by the nearest exact one."""
     _refuse_first(path, ~np.isfinite(np.abs(poses).max(axis=(1, 2))), "something that is not a finite number")
     turn = poses[:, :3, :3]
     error = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    _refuse_first(path, (error > _ROUNDING) | (np.linalg.det(turn) < 0.0), "a matrix that is no rotation")
+    _refuse_first(path, (error > _ROUNDING) | (np.linalg.det(turn) < 0.0), "a matrix that is not a rotation")
     left, _, right = np.linalg.svd(turn)
     poses[:, :3, :3] = left @ right
 

@@ -1,4 +1,4 @@
-"""What a file of a scan holds, before anything is dropped."""
+"""The record of all returns in a scan file, before any are dropped."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ __all__ = ["RawScan"]
 
 @dataclass(frozen=True, slots=True)
 class RawScan:
-    """Every return of a file, in its order."""
+    """All returns of a scan file, in order."""
 
     points: NDArray[np.float32]
-    """(n, 3) m; (0, 0, 0) where a beam had no return, anything where a driver wrote it."""
+    """(n, 3) m; (0, 0, 0) for a beam without return; may hold NaN, infinity or any other value."""
     intensity: NDArray[np.float32] | None
     """(n,)"""
     label: NDArray[np.uint16] | None

@@ -1,4 +1,4 @@
-"""One file of a scan in, its points out: what is no point of the scene is dropped and counted."""
+"""Read the points of a scan file; returns that are not points of the scene are dropped and counted."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Dropped, Scan, UsageError
 from bumpymap.readers.frames.raw import RawScan
-from bumpymap.readers.source import held_to, require_same, version_of
+from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["Robot", "read_scan", "scene_points"]
 
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """What the sensor sees of the robot that carries it, in the sensor's frame."""
+    """The region, in the sensor frame, in which returns are from the robot that carries the sensor."""
 
     radius_m: float = 0.5
-    """Returns nearer than this, horizontally, are on the robot; 0: none are. The default is the robot's deck: from
-    the height of a roof or a mast no beam meets the ground as near."""
+    """Returns closer than this, horizontally, are on the robot; 0: none are. The default covers the robot's deck: from
+    a roof or a mast, no beam hits the ground as close."""
     box_m: tuple[float, float, float, float] | None = None
     """Rear, front, right and left end (x from, x to, y from, y to) of a longer robot, m; at any height."""
 
@@ -39,23 +39,23 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
     ----------
     path : Path
     robot : Robot, optional
-        Returns on it are dropped.
+        Returns on the robot are dropped.
 
     Returns
     -------
     Scan
-        Possibly without points; ``dropped`` says why.
+        May have no points; ``dropped`` counts the reasons.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, is empty, truncated or of another kind, is changed meanwhile, or its labels do not
-        belong to it.
+        The file cannot be read, is empty, truncated or of another format, changes while it is read, or its labels do
+        not match.
     """
     version = version_of(path)
-    with held_to(path, version):
+    with pinned_version(path, version):
         raw = _read(path)
-    require_same(path, version)
+    require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
 
@@ -70,15 +70,15 @@ def _read(path: Path) -> RawScan:
 
 
 def scene_points(points: NDArray[np.float32], robot: Robot) -> NDArray[np.bool_]:
-    """Tell which returns (n, 3) are points of the scene, (n,): finite, not at (0, 0, 0), not on the robot."""
-    finite, nothing, on_robot = _judged(points, robot)
+    """Return which returns (n, 3) are points of the scene, (n,): finite, not (0, 0, 0), not on the robot."""
+    finite, nothing, on_robot = _return_kinds(points, robot)
     return finite & ~nothing & ~on_robot
 
 
-def _judged(
+def _return_kinds(
     points: NDArray[np.float32], robot: Robot
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which returns are finite, which hit nothing, and which of the others hit the robot."""
+    """Return which returns are finite, which are (0, 0, 0), and which of the others are on the robot."""
     finite = np.asarray(np.isfinite(points).all(axis=1))
     nothing = np.asarray((points == 0.0).all(axis=1))
     x, y = points[:, 0], points[:, 1]
@@ -91,7 +91,7 @@ def _judged(
 
 
 def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
-    finite, nothing, on_robot = _judged(raw.points, robot)
+    finite, nothing, on_robot = _return_kinds(raw.points, robot)
     kept = finite & ~nothing & ~on_robot
     return Scan(
         np.ascontiguousarray(raw.points[kept], np.float32),

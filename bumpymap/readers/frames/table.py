@@ -1,4 +1,4 @@
-"""PLY and PCD scans: from the columns that the readers give to points, intensity and semantic ids."""
+"""Read PLY and PCD scans: points, intensity and semantic ids."""
 
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,9 @@ _MOST_ID = 65_535
 
 
 def read_table(path: Path) -> RawScan:
-    """Read a PLY or PCD scan; a column ``label`` gives the semantic ids."""
+    """Read a PLY or PCD scan; a column ``label`` holds the semantic ids."""
     columns = read_columns(path, _WANTED)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped and counted
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite points are dropped and counted later
         points = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=1)
         intensity = columns["intensity"].astype(np.float32) if "intensity" in columns else None
     return RawScan(points, intensity, _semantic(path, columns["label"]) if "label" in columns else None)

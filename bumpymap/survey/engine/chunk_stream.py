@@ -123,7 +123,7 @@ class ChunkStream:
         batch = source.reader.convert(chunk, fetched)
         cloud = batch.cloud
         points = group_points(self._grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground)
-        return ReadChunk(source, chunk, points, batch.tally, bool(points.points["flag"].any()))
+        return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()))
 
     def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:
         """Give what is ready, in order, until at most ``most`` chunks are under way."""

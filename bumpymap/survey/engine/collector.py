@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bumpymap.core import BadInputError
-from bumpymap.readers import PointStats, SurveyReader, Version, changed
+from bumpymap.readers import PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.catalogue import BlockCatalogue
 from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
@@ -150,9 +150,9 @@ class ResultCollector:
             # Copies on several machines may differ in the time of their writing.
             if part.seen is not None and seen.setdefault(*part.seen) != part.seen[1]:
                 where = f"workers on {part.seen[0]} saw several versions of it"
-                raise changed(self._readers[file].info.path, where)
+                raise file_changed(self._readers[file].info.path, where)
         if self._chunks[file]:
-            self._readers[file].judge(stats)
+            self._readers[file].verify(stats)
         return stats
 
     def _keep_sound(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bumpymap.core import UsageError, causes
+from bumpymap.core import UsageError, error_chain
 from bumpymap.survey.engine.tls import plain_note, read_tls_settings
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _with_reasons(workers: AbstractContextManager["Workers"]) -> Iterator["Worke
         try:
             found = stack.enter_context(workers)
         except (RuntimeError, OSError) as error:
-            if any(isinstance(cause, OSError) and cause.errno is not None for cause in causes(error)):
+            if any(isinstance(cause, OSError) and cause.errno is not None for cause in error_chain(error)):
                 raise  # the system says why
             raise UsageError(
                 f"the workers did not start ({error}); they may have been killed. Try again, or fewer `workers`"

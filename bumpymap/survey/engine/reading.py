@@ -135,7 +135,7 @@ class RangeReading:
             self._mark_read(source.range.file, read.chunk.index)
         if read.is_last and source.range.is_whole:
             try:
-                source.reader.judge(self._stats)
+                source.reader.verify(self._stats)
             except BadInputError as error:
                 yield from self._drop(BadFile(source, error))
                 return

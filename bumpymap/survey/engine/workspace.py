@@ -14,7 +14,7 @@ from tempfile import mkdtemp
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import Kept, RunFolder, atomic, is_own_folder, read_record, tidy, what_is_kept, writing_in
+from bumpymap.core import Kept, RunFolder, atomic, clean_folder, is_own_folder, read_record, what_to_keep, writing_to
 from bumpytiles import Pack, PackError
 
 __all__ = ["ADVICE", "Workspace"]
@@ -44,7 +44,7 @@ class Workspace:
     ) -> Iterator["Workspace"]:
         """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
 
-        All of it goes away where the body succeeds. Where it ends early, it is kept as `what_is_kept` says, if tiles
+        All of it goes away where the body succeeds. Where it ends early, it is kept as `what_to_keep` says, if tiles
         are finished or chunks are read.
 
         Raises
@@ -60,17 +60,17 @@ class Workspace:
             resume=resume,
             finished=lambda path: _holds_work(path, out),
             advice=advice,
-            spared=(_SCRATCH,),
+            keep=(_SCRATCH,),
         ) as run:
             _drop_damaged(run.path)
-            with writing_in(scratch or run.path, "`out` or `scratch`"):
+            with writing_to(scratch or run.path, "`out` or `scratch`"):
                 waiting = _waiting(run, out, scratch)
             try:
                 space = cls(run.path, waiting, run.run_spec)
                 space._make_folders()
                 yield space
             except BaseException as end:
-                if what_is_kept(end) is not Kept.ALL or not _holds_work(run.path, out):
+                if what_to_keep(end) is not Kept.ALL or not _holds_work(run.path, out):
                     shutil.rmtree(waiting, ignore_errors=True)
                 raise
             shutil.rmtree(waiting, ignore_errors=True)
@@ -151,7 +151,7 @@ def _waiting(run: RunFolder, out: Path, scratch: Path | None) -> Path:
     if scratch is None:
         waiting = inside
         waiting.mkdir(mode=0o700, exist_ok=True)
-    elif earlier is not None and run.goes_on and earlier.parent.resolve() == scratch.resolve():
+    elif earlier is not None and run.resumed and earlier.parent.resolve() == scratch.resolve():
         waiting = earlier
     else:
         scratch.mkdir(parents=True, exist_ok=True)
@@ -163,7 +163,7 @@ def _waiting(run: RunFolder, out: Path, scratch: Path | None) -> Path:
     for left in (inside, earlier):
         if left is not None and left != waiting:
             shutil.rmtree(left, ignore_errors=True)
-    tidy(waiting)
+    clean_folder(waiting)
     return waiting
 
 

@@ -49,7 +49,7 @@ def test_what_cannot_be_taken_is_refused(tmp_path):
         find_frames([tmp_path / "none"])
     with pytest.raises(BadInputError, match="holds no scans"):
         find_frames([fill(tmp_path / "texts", "a.txt")])
-    with pytest.raises(BadInputError, match="several kinds"):
+    with pytest.raises(BadInputError, match="several formats"):
         find_frames([fill(tmp_path / "mixed", "a.bin", "a.ply")])
     with pytest.raises(BadInputError, match="neither"):
         find_frames([Path("/dev/null")])

@@ -207,7 +207,7 @@ def test_something_else_is_refused(tmp_path):
         with pytest.raises(BadInputError, match="not a point cloud"):
             read_scan(tmp_path / name)
     (tmp_path / "a.bin").write_bytes(np.random.default_rng(1).bytes(16_000))
-    with pytest.raises(BadInputError, match="no float32"):
+    with pytest.raises(BadInputError, match="does not hold float32"):
         read_scan(tmp_path / "a.bin")
     (tmp_path / "a.las").write_bytes(b"LASF" + bytes(400))
     with pytest.raises(BadInputError, match="bumpymap map"):

@@ -59,7 +59,7 @@ def test_a_run_takes_no_more_disk_than_was_said(tmp_path_factory, seed, span, fi
         def looked_at(*arguments, **options):
             finish(*arguments, **options)
             taken["scratch"] = bytes_in(folder / "scratch")
-            taken["out"] = bytes_in(folder / "layers") - (folder / "layers/.bumpymap-run/asked.json").stat().st_size
+            taken["out"] = bytes_in(folder / "layers") - (folder / "layers/.bumpymap-run/run_spec.json").stat().st_size
 
         finish = run._finish
         patch.setattr(run, "_finish", looked_at)

@@ -12,7 +12,7 @@ from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
-from bumpymap.core.run_folder import Kept, what_is_kept
+from bumpymap.core.run_folder import Kept, what_to_keep
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.checkpoints import Checkpoints
@@ -229,10 +229,10 @@ def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, pl
     ],
 )
 def test_what_is_kept_depends_on_whether_the_same_would_happen_again(end, kept):
-    assert what_is_kept(end) is kept
+    assert what_to_keep(end) is kept
 
 
 def test_a_server_that_failed_may_answer_the_next_time():
     end = BadInputError("cannot read https://a/b.laz")
     end.__cause__ = TimeoutError()
-    assert what_is_kept(end) is Kept.ALL
+    assert what_to_keep(end) is Kept.ALL

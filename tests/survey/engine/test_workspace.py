@@ -8,7 +8,7 @@ import pytest
 
 from bumpymap.core import run_folder
 from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.core.run_folder import RunFolder, broken_off, work_folder
+from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.survey.engine.workspace import Workspace
 
 ASKED = {"inputs": {"a.laz": 1}, "cut": {"chunk_points": 100}}
@@ -50,7 +50,7 @@ def test_a_kill_during_the_clearing_leaves_nothing_to_go_on_with(tmp_path, monke
     out = tmp_path / "out"
     with monkeypatch.context() as patch, Workspace.opened(out, None, ASKED, resume=False) as space:
         (space.folder / "tiles-all-000000.pack").write_bytes(b"tiles")
-        patch.setattr("bumpymap.core.run_folder.take_away", lambda *_, **__: None)
+        patch.setattr("bumpymap.core.run_folder.remove_path", lambda *_, **__: None)
     assert not work_folder(out).exists()
     (left,) = out.iterdir()
     assert (left / "tiles-all-000000.pack").exists()
@@ -63,7 +63,13 @@ def test_a_kill_during_the_clearing_leaves_nothing_to_go_on_with(tmp_path, monke
 def precious(folder):
     """Somebody else's folder, with files that have the names of a run's."""
     (folder / "cluster-tiles").mkdir(parents=True)
-    for name in (".profile", "asked.json", "tiles-all-000000.pack", "points-00000000-00000001.pack", "cluster-tiles/a"):
+    for name in (
+        ".profile",
+        "run_spec.json",
+        "tiles-all-000000.pack",
+        "points-00000000-00000001.pack",
+        "cluster-tiles/a",
+    ):
         (folder / name).write_text("mine")
     return folder
 
@@ -87,7 +93,7 @@ def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path, resume):
     before = contents(mine)
     (tmp_path / "out").mkdir()
     work_folder(tmp_path / "out").symlink_to(mine)
-    assert not broken_off(tmp_path / "out")
+    assert not is_interrupted(tmp_path / "out")
     opened = Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, resume=resume)
     with pytest.raises(OutputError, match="is a link"), opened:
         pass
@@ -100,7 +106,7 @@ def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, resume
     before = contents(mine)
     work = work_folder(tmp_path / "out")
     (work / "points" / "deep").mkdir(parents=True)
-    (work / "asked.json").write_text(json.dumps(ASKED))
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
     for name in ("cluster-tiles", "points/cluster-points", "points/deep/a"):
         (work / name).symlink_to(mine)
     (work / ".tiles-all-000000.pack.part").symlink_to(mine / ".profile")
@@ -118,7 +124,7 @@ def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_fol
     before = contents(mine)
     work = work_folder(tmp_path / "out")
     work.mkdir(parents=True)
-    (work / "asked.json").write_text(json.dumps(ASKED))
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
     listdir = os.listdir
 
     def swapped(place):
@@ -128,7 +134,7 @@ def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_fol
 
     with monkeypatch.context() as patch:
         patch.setattr(run_folder.os, "listdir", swapped)
-        run_folder.tidy(work, everything=True)
+        run_folder.clean_folder(work, everything=True)
     assert contents(mine) == before
     assert list((tmp_path / "away").iterdir()) == []
     work.unlink()
@@ -145,7 +151,7 @@ def test_a_noted_scratch_folder_that_is_not_the_runs_is_left_alone(tmp_path, fit
     out, mine = tmp_path / "out", precious(tmp_path / "bumpymap-mine")
     work = work_folder(out)
     work.mkdir(parents=True)
-    (work / "asked.json").write_text(json.dumps(ASKED))
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
     place, word = mine, "a word"
     if fits != "nothing":
         owner = {"out": str(tmp_path / "other" if fits == "owner" else out), "word": word}

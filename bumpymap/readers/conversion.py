@@ -1,4 +1,4 @@
-"""What was fetched, made into batches: points that count, in metres, and the tally of all."""
+"""Convert raw records or table rows of a chunk to points in metres, drop unusable ones, and count all of them."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
 
-__all__ = ["NO_POINTS", "RawPoints", "RecordLayout", "Watch", "batch_of_points", "batch_of_records"]
+__all__ = ["NO_POINTS", "PointChecks", "RawPoints", "RecordLayout", "convert_las_points", "convert_table_points"]
 
 
 NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.bool_))
@@ -20,18 +20,18 @@ _ANYWHERE = np.array([-np.inf, -np.inf, np.inf, np.inf])
 
 @dataclass(frozen=True, slots=True)
 class RawPoints:
-    """Points as a table holds them, before any is left out; metres."""
+    """Points of a table in metres, before any are dropped."""
 
     easting: NDArray[np.float64]
     northing: NDArray[np.float64]
     upward: NDArray[np.float64]
     class_id: NDArray[np.number] | None = None
-    """LAS class codes, of any number type; None where the file has none."""
+    """LAS class codes, of any number type; None if the file has none."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """Where a LAS record keeps what is needed, and how its integers become coordinates."""
+    """Position of the needed fields in a LAS point record, and scale and offset of its coordinates."""
 
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
@@ -42,83 +42,83 @@ class RecordLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
-    """What the points of a piece are held to."""
+class PointChecks:
+    """How the points of a chunk are checked."""
 
     first: int
-    """Number of its first point in the file."""
+    """Index of the chunk's first point in the file."""
     file_bounds: Bounds | None
     nan_is_no_return: bool = False
-    """Whether a row with NaN coordinates is a beam without return, as in PCD, or a fault."""
+    """Whether a row with NaN coordinates is a beam without return, as in PCD, rather than an error."""
 
 
-def batch_of_records(
-    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, watch: Watch
+def convert_las_points(
+    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, checks: PointChecks
 ) -> ChunkPoints:
-    """Convert LAS records.
+    """Convert LAS point records.
 
     Parameters
     ----------
     records : uint8 (n, bytes of a point)
     layout : RecordLayout
     place : Georeference
-        Gives the units.
-    watch : Watch
+        Its units are used.
+    checks : PointChecks
     """
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
     places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
-    box = _sides(watch.file_bounds)
+    box = _limits(checks.file_bounds)
     scratch = (*np.empty((3, STRIP)), np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
     size = len(records)
     out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
-    extremes, counts = _start()
-    convert_records(records, numbers, places, box, watch.first, *scratch, *out, extremes, counts)
-    return _batch(out, size, extremes, counts)
+    extremes, counts = _empty_stats()
+    convert_records(records, numbers, places, box, checks.first, *scratch, *out, extremes, counts)
+    return _chunk_points(out, size, extremes, counts)
 
 
-def batch_of_points(raw: RawPoints, watch: Watch) -> ChunkPoints:
-    """Convert rows of a table; the coordinates of ``raw`` are used up."""
+def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
+    """Convert rows of a table; the coordinate arrays of ``raw`` are overwritten."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
     ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
-    box = _sides(watch.file_bounds)
-    extremes, counts = _start()
-    no_return = watch.nan_is_no_return
-    filter_points(*axes, _codes(raw), withheld, box, no_return, watch.first, *axes, ground, extremes, counts)
-    return _batch((*axes, ground), size, extremes, counts)
+    box = _limits(checks.file_bounds)
+    extremes, counts = _empty_stats()
+    no_return = checks.nan_is_no_return
+    filter_points(*axes, _codes(raw), withheld, box, no_return, checks.first, *axes, ground, extremes, counts)
+    return _chunk_points((*axes, ground), size, extremes, counts)
 
 
 _Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
 
 
-def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _empty_stats() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     empty = PointStats()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
     return extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0])
 
 
-def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
+def _limits(bounds: Bounds | None) -> NDArray[np.float64]:
     if bounds is None:
         return _ANYWHERE
     return np.array([bounds.west - OUTSIDE, bounds.south - OUTSIDE, bounds.east + OUTSIDE, bounds.north + OUTSIDE])
 
 
 def _codes(raw: RawPoints) -> NDArray[np.uint8]:
-    """Class codes of any number type as bytes; only ground and noise are told apart."""
+    """Return class codes as bytes; codes other than ground (2) and noise (7, 18) become 0."""
     codes = np.zeros(raw.easting.size, np.uint8)
     for code in (2, 7, 18) if raw.class_id is not None else ():
         codes[raw.class_id == code] = code
     return codes
 
 
-def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
+def _chunk_points(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
-    # What is astray in an octree is found elsewhere, see `count_astray`.
-    tally = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
-    kept = 0 if tally.bad else int(counts[KEPT])
+    # Points outside their octree node are counted by `count_points_outside_node`.
+    stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
+    kept = 0 if stats.bad else int(counts[KEPT])
     cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
     if kept < seen // 2:
-        # A view would keep the room of the points that were left out.
+        # A view would keep the memory of the dropped points.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return ChunkPoints(cloud, tally)
+    return ChunkPoints(cloud, stats)

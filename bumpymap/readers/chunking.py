@@ -1,4 +1,4 @@
-"""Cut a file into pieces."""
+"""Split a file into chunks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,41 +7,41 @@ from bumpymap.core import UsageError
 from bumpymap.readers.protocol import Chunk
 from bumpytiles import Bounds
 
-__all__ = ["chunk_points", "cut_chunks", "cut_rows"]
+__all__ = ["chunk_capacity", "group_laz_chunks", "split_rows"]
 
-_PIECE_BYTES = 1 << 26
-"""No piece is larger in memory, however long a point is, unless one chunk of the file is."""
+_MOST_BYTES = 1 << 26
+"""Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
 
 
-def chunk_points(points: int, point_size: int) -> int:
-    """Points that a piece may hold when a point takes so many bytes. Raises UsageError for less than one."""
+def chunk_capacity(points: int, point_size: int) -> int:
+    """Return how many points of ``point_size`` bytes a chunk may hold: at most ``points``, which must be 1 or more."""
     if points < 1:
-        raise UsageError(f"a piece of {points} points was asked for; it must hold at least 1")
-    return max(min(points, _PIECE_BYTES // point_size), 1)
+        raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
+    return max(min(points, _MOST_BYTES // point_size), 1)
 
 
-def cut_rows(total: int, points: int, point_size: int) -> list[Chunk]:
-    """Pieces of a file that can be cut anywhere."""
-    step = chunk_points(points, point_size)
+def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
+    """Return the chunks of a file that can be split between any two points."""
+    step = chunk_capacity(points, point_size)
     return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
-def cut_chunks(
+def group_laz_chunks(
     ends: NDArray[np.int64], points: int, point_size: int, boxes: NDArray[np.float64] | None = None
 ) -> list[Chunk]:
-    """Pieces of whole chunks that hold at most so many points, or one chunk.
+    """Return chunks made of whole LAZ chunks, with at most ``points`` points or a single LAZ chunk each.
 
     Parameters
     ----------
     ends : int64 (n,)
-        Points of the file up to the end of each chunk.
+        Number of points in the file up to the end of each LAZ chunk.
     points : int
     point_size : int
         Bytes of a point.
     boxes : float64 (n, 4), optional
-        West, south, east and north of each chunk, m; pieces get the box around those of theirs.
+        West, south, east and north of each LAZ chunk, m; the bounds of a chunk enclose those of its LAZ chunks.
     """
-    step = chunk_points(points, point_size)
+    step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []
     first, before = 0, 0
     while first < ends.size:
