@@ -1,4 +1,4 @@
-"""The scan network as ONNX. No operator's answer for one sector depends on its place in the batch."""
+"""The scan network as ONNX. No operator's result for a sector depends on its position in the batch."""
 
 from collections.abc import Mapping
 from typing import Any
