@@ -62,7 +62,7 @@ class CalibrationSettings:
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
             raise UsageError(f"tile size is {self.tile_size}; it must be a positive number of metres")
         if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
-            raise UsageError(f"z ranges are {self.z_range}; they must be positive and increasing")
+            raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise from one to the next")
 
     def quick(self) -> "CalibrationSettings":
         """Return a copy with a quarter of the drives: enough for a ride model, coarse for the table."""

@@ -63,7 +63,7 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(
-            f"cannot write {out}: {out.parent} is not a folder that you can write to. Choose another --out"
+            f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out"
         )
     with locked(out.parent, f".{out.name}.lock"):
         yield ModelFiles(out)
