@@ -58,12 +58,12 @@ def class_lines(classes: Mapping[str, ClassTable]) -> list[str]:
 def _rises(rating: str, found: ClassTable) -> str:
     missing = [str(row.class_id) for row in found.rows if not row.tiles]
     falls = [_COLUMN[name] for name, rises in found.rises.items() if not rises]
-    said = f"`{rating}`: " + (
+    summary = f"`{rating}`: " + (
         f"from class to class these do not rise everywhere: {', '.join(falls)}."
         if falls
         else "variance, residual and C_r rise from class to class, in median and mean."
     )
-    return f"- {said}" + (f" No tile is of class {', '.join(missing)}." if missing else "")
+    return f"- {summary}" + (f" No tile is of class {', '.join(missing)}." if missing else "")
 
 
 def driven_lines(found: Comparison) -> list[str]:

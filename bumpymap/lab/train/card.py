@@ -10,7 +10,7 @@ from bumpymap.rating import FEATURE_VERSION
 
 __all__ = ["model_card"]
 
-_ALTERATIONS = {
+_EFFECTS = {
     "none": "none",
     "brightness": f"brightness: gain, offset, power exp(-{ALL.brightness:g}) to exp({ALL.brightness:g})",
     "rotation": "rotation by any angle, flips",
@@ -35,8 +35,6 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     network = settings.network
     side = f"{network.pixels} x {network.pixels}"
     numbers = f"{parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
-    single = "\n".join(f"| {text} | {percent(evaluation.single[key].accuracy)} |" for key, text in _ALTERATIONS.items())
-    copies = percent(evaluation.augmented_copies.accuracy)
     return f"""# Texture network
 
 Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {_names()}.
@@ -58,7 +56,21 @@ random brightness, rotation, blur, noise and holes; one patch in {LIGHT_EVERY} g
 {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of 3 m, in one direction or crossing) to the
 `high_noise` patches: no form contains them, and a network trained without them calls the shortest ones `flat`.
 
-## Accuracy
+{_accuracy(evaluation)}
+## Reproduce
+
+    pip install 'bumpymap[learn]'
+    {settings.command} --out textures.onnx
+
+Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
+
+{_limits(settings.tile_size, side)}"""
+
+
+def _accuracy(evaluation: Evaluation) -> str:
+    single = "\n".join(f"| {text} | {percent(evaluation.single[key].accuracy)} |" for key, text in _EFFECTS.items())
+    copies = percent(evaluation.augmented_copies.accuracy)
+    return f"""## Accuracy
 
 On {evaluation.unseen.count:,} **patches from unseen seeds, fully augmented: {percent(evaluation.unseen.accuracy)}**
 
@@ -77,15 +89,11 @@ On unseen seeds with one effect at a time:
 
 Of {evaluation.short_waves.count:,} short regular waves from unseen seeds, fully augmented,
 {percent(evaluation.short_waves.accuracy)} are classified as `high_noise`, the right answer.
+"""
 
-## Reproduce
 
-    pip install 'bumpymap[learn]'
-    {settings.command} --out textures.onnx
-
-Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
-
-## Limits
+def _limits(tile_size: float, side: str) -> str:
+    return f"""## Limits
 
 - The accuracy is measured on *synthetic* ground. Real ground does not exactly match any form: the network
   returns the form that a tile resembles most, and its probabilities show how clearly.
@@ -93,7 +101,7 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
   The z range distinguishes them. Tiles with at most 1 mm of relief are classed as flat without the network.
 - Many filled holes smooth a patch; if coverage is low, rough ground may be classified as `low_noise`.
 - A single isolated step (a kerb, a ledge) is none of the four forms.
-- It works only for tiles of {settings.tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
+- It works only for tiles of {tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
 """
 
 

@@ -62,9 +62,7 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
         The folder cannot be written, or another training holds the lock.
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise OutputError(
-            f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out"
-        )
+        raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
     with locked(out.parent, f".{out.name}.lock"):
         yield ModelFiles(out)
 

@@ -71,7 +71,24 @@ Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.le
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
 {settings.turns} more times after a random rotation.
 
-## Accuracy
+{_accuracy(evaluation)}
+## Reproduce
+
+    pip install 'bumpymap[learn,o3d]'
+    {made.command} --out scan.onnx
+
+Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
+
+## Limits
+
+{limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
+  frequent label counts as true; many of the errors are such sectors.
+- Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
+"""
+
+
+def _accuracy(evaluation: ScanEvaluation) -> str:
+    return f"""## Accuracy
 
 On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans:
 {percent(evaluation.every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
@@ -89,19 +106,6 @@ By label, number of sectors classified as 0, 1, 2:
 | label | class | 0 | 1 | 2 |
 |---|---|---|---|---|
 {_labels(evaluation)}
-
-## Reproduce
-
-    pip install 'bumpymap[learn,o3d]'
-    {made.command} --out scan.onnx
-
-Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
-
-## Limits
-
-{limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
-  frequent label counts as true; many of the errors are such sectors.
-- Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
 """
 
 
@@ -124,6 +128,6 @@ def _classes() -> str:
 
 def _labels(evaluation: ScanEvaluation) -> str:
     return "\n".join(
-        f"| {LABEL_NAMES[label]} | {CLASS_OF_LABEL[label]} | " + " | ".join(map(str, said)) + " |"
-        for label, said in sorted(evaluation.labels.items(), key=lambda item: (CLASS_OF_LABEL[item[0]], item[0]))
+        f"| {LABEL_NAMES[label]} | {CLASS_OF_LABEL[label]} | " + " | ".join(map(str, counts)) + " |"
+        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (CLASS_OF_LABEL[item[0]], item[0]))
     )

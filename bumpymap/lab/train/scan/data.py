@@ -150,8 +150,8 @@ def _save(file: Path, sectors: Sectors) -> None:
     if file.parent.is_symlink():
         raise OutputError(f"{file.parent} is a link and was not touched. Remove it, or choose another --out")
     file.parent.mkdir(parents=True, exist_ok=True)
-    with atomic(file) as beside:
-        np.savez(beside, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
+    with atomic(file) as temporary:
+        np.savez(temporary, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
 
 
 def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
@@ -192,7 +192,7 @@ def folder_sectors(
         if scan.label is None:
             raise BadInputError(
                 f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
-                "beside its folder"
+                "next to its folder"
             )
         angles = np.random.default_rng([seed, done, 3]).uniform(0, 2 * np.pi, turns)
         parts.append(labelled_sectors(scan, angles.tolist()))

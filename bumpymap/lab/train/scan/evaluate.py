@@ -31,11 +31,11 @@ class ScanEvaluation:
 def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
     """Score a trained network on the sectors of ``scans`` unseen scans."""
     probability = predict(net, torch.from_numpy(unseen.patches), torch.from_numpy(unseen.measures))
-    said = probability.argmax(axis=1)
+    predicted = probability.argmax(axis=1)
     gate = unseen.traversable
     labels = {
-        int(label): tuple(np.bincount(said[unseen.label == label], minlength=CLASSES).tolist())
+        int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
         for label in np.unique(unseen.label)
     }
-    every = count_answers(unseen.class_id, said, CLASSES)
-    return ScanEvaluation(every, count_answers(unseen.class_id[gate], said[gate], CLASSES), labels, scans)
+    every = count_answers(unseen.class_id, predicted, CLASSES)
+    return ScanEvaluation(every, count_answers(unseen.class_id[gate], predicted[gate], CLASSES), labels, scans)

@@ -22,7 +22,7 @@ class ScanNetSettings:
     """Channels after each inverted residual; where they increase, the resolution is halved."""
     expansion: int = 4
     """Expansion factor inside an inverted residual."""
-    beside: int = 16
+    measure_channels: int = 16
     """Channels of the layer that takes the measures."""
     hidden: int = 48
     """Channels of the last hidden layer."""
@@ -65,8 +65,8 @@ class ScanNet(nn.Module):
         self.blocks = nn.ModuleList(
             InvertedResidual(a, b, 2 if b > a else 1, settings.expansion) for a, b in pairwise(widths)
         )
-        self.beside = convolution(len(MEASURES), settings.beside, 1)
-        self.hidden = convolution(widths[-1] + settings.beside, settings.hidden, 1)
+        self.measures = convolution(len(MEASURES), settings.measure_channels, 1)
+        self.hidden = convolution(widths[-1] + settings.measure_channels, settings.hidden, 1)
         self.head = nn.Conv2d(settings.hidden, CLASSES, 1)
 
     def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
@@ -75,8 +75,8 @@ class ScanNet(nn.Module):
         for block in self.blocks:
             x = block(x)  # (n, 16, 8, 8), then (n, 24, 4, 4) three times
         x = x.mean(dim=(2, 3), keepdim=True)  # (n, 24, 1, 1)
-        beside = nn.functional.relu6(self.beside(measures[:, :, None, None]))  # (n, 16, 1, 1)
-        x = nn.functional.relu6(self.hidden(torch.cat((x, beside), dim=1)))  # (n, 48, 1, 1)
+        joined = nn.functional.relu6(self.measures(measures[:, :, None, None]))  # (n, 16, 1, 1)
+        x = nn.functional.relu6(self.hidden(torch.cat((x, joined), dim=1)))  # (n, 48, 1, 1)
         logits: torch.Tensor = self.head(x).flatten(1)  # (n, 3)
         return logits
 
