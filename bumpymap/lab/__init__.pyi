@@ -123,6 +123,7 @@ from .worlds.scans.labels import (
 )
 from .worlds.scans.lidar import (
     load_open3d as load_open3d,
+    simulate_scan as simulate_scan,
 )
 from .worlds.scans.scene import (
     make_scene as make_scene,
