@@ -74,7 +74,7 @@ class PatchTrial:
             settings.seed,
             settings.effort,
             settings.drive,
-            progress=Steps(trial.progress, settings.min_starts),
+            Steps(trial.progress, settings.min_starts),
             workers=trial.workers,
             journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
             discard_other=trial.overwrite,

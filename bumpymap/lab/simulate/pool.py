@@ -7,13 +7,13 @@ the number of workers nor an interruption changes a bit of the results.
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from multiprocessing.connection import wait
-from typing import Any, Protocol, TypedDict, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from bumpymap.core import BumpymapError, Child, ChildDiedError, shielded
 from bumpymap.lab.simulate.journal import Journal, Key
 from bumpymap.lab.simulate.patch import PatchDrives
 
-__all__ = ["Job", "JobOptions", "Progress", "attempt", "drive_jobs", "run_in_processes"]
+__all__ = ["Job", "Progress", "attempt", "drive_jobs", "run_in_processes"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished drives and the number of all drives."""
@@ -34,15 +34,6 @@ class Job(Protocol):
 JobType = TypeVar("JobType", bound=Job)
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-
-
-class JobOptions(TypedDict, total=False):
-    """Keyword arguments of `drive_jobs` that `drive_patches` passes on."""
-
-    progress: Progress | None
-    workers: int
-    journal: Journal | None
-    discard_other: bool
 
 
 def drive_jobs(

@@ -5,16 +5,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.journal import Key
+from bumpymap.lab.simulate.journal import Journal, Key
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
-from bumpymap.lab.simulate.pool import JobOptions, drive_jobs
+from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.rating import Vehicle
 
 __all__ = ["drive_patches"]
@@ -45,7 +44,11 @@ def drive_patches(
     seed: int,
     effort: Effort | None = None,
     settings: DriveSettings | None = None,
-    **options: Unpack[JobOptions],
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: Journal | None = None,
+    discard_other: bool = False,
 ) -> dict[Key, PatchDrives]:
     """Drive over many patches, each until its mean C_r reaches the target error.
 
@@ -61,10 +64,9 @@ def drive_patches(
     seed : int
     effort, settings : optional
         As in `drive_patch`.
-    options
-        ``progress``, ``workers``, ``journal`` and ``discard_other`` as in `drive_jobs`; progress counts
-        ``effort.least`` drives per patch. The journal's settings must contain everything that affects the numbers,
-        including the survey.
+    progress, workers, journal, discard_other
+        As in `drive_jobs`; progress counts ``effort.least`` drives per patch. The journal's settings must contain
+        everything that affects the numbers, including the survey.
 
     Returns
     -------
@@ -74,7 +76,9 @@ def drive_patches(
     require_dart()
     common = _Common(profile, tile_size, seed, effort or Effort(), settings)
     jobs = [_PatchJob(key, heights, common.effort.least) for key, heights in patches.items()]
-    return drive_jobs(partial(_drive, common), jobs, **options)
+    return drive_jobs(
+        partial(_drive, common), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
+    )
 
 
 def _drive(common: _Common, job: _PatchJob) -> PatchDrives:
