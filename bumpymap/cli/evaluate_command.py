@@ -179,9 +179,9 @@ def _evaluate_scans(
         ScanEvaluateSettings,
         evaluate_scans,
         load_open3d,
-        made_up,
         read_frames,
-        require_plain,
+        require_libraries,
+        simulated_scans,
         write_scan_report,
     )
     from bumpymap.readers import find_frames
@@ -190,13 +190,13 @@ def _evaluate_scans(
     settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
     stripes = load_stripes(given["stripes"])
-    require_plain(simulates=not places)
+    require_libraries(simulates=not places)
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     with locked(out), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
-        scans = read_frames(frames) if frames else made_up(settings)
+        scans = read_frames(frames) if frames else simulated_scans(settings)
         findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, progress)
         files = write_scan_report(findings, out)
     if not shown.summary(out, files):

@@ -17,7 +17,7 @@ from bumpymap.cli._text import say, say_json
 from bumpymap.core import OutputError, Progress, UsageError
 
 if TYPE_CHECKING:
-    from bumpymap.lab import EpochReport, MadeModel
+    from bumpymap.lab import EpochReport, TrainedModel
 
 __all__ = ["command"]
 
@@ -112,7 +112,7 @@ def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
 
 def _train_textures(
     options: dict[str, Any], out: Path, progress: CommandProgress
-) -> "tuple[list[str], MadeModel[Any]]":
+) -> "tuple[list[str], TrainedModel[Any]]":
     from bumpymap.lab import NetworkSettings, TrainSettings, make_model
 
     network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
@@ -120,7 +120,7 @@ def _train_textures(
     scores = made.evaluation
     lines = [
         f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
-        f"accuracy on altered copies (as in the paper): {100 * scores.altered_copies.accuracy:.2f} %",
+        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.accuracy:.2f} %",
         f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
         f"use it with: bumpymap map SURVEY --out DIR --model {made.model}",
     ]
@@ -129,7 +129,7 @@ def _train_textures(
 
 def _train_scans(
     options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
-) -> "tuple[list[str], MadeModel[Any]]":
+) -> "tuple[list[str], TrainedModel[Any]]":
     from bumpymap.lab import ScanTrainSettings, load_open3d, make_scan_model
 
     if folder is None:
@@ -138,7 +138,7 @@ def _train_scans(
         _log.warning("--scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
     scores = made.evaluation
-    even = 100 * scores.every.even_accuracy
+    even = 100 * scores.every.balanced_accuracy
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
         f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",

@@ -1,4 +1,4 @@
-"""Workshops that no job imports: simulation, made-up ground, training, evaluation."""
+"""Development tools that no job imports: simulation, synthetic ground, training, evaluation."""
 
 import lazy_loader
 

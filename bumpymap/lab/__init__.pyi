@@ -21,14 +21,14 @@ from .evaluate.scan.report import (
 )
 from .evaluate.scan.run import (
     evaluate_scans as evaluate_scans,
-    made_up as made_up,
     read_frames as read_frames,
+    simulated_scans as simulated_scans,
 )
 from .evaluate.scan.settings import (
     ScanEvaluateSettings as ScanEvaluateSettings,
 )
 from .evaluate.scan.timing import (
-    require_plain as require_plain,
+    require_libraries as require_libraries,
 )
 from .evaluate.settings import (
     EvaluateSettings as EvaluateSettings,
@@ -80,7 +80,7 @@ from .train.model import (
     NetworkSettings as NetworkSettings,
 )
 from .train.output import (
-    MadeModel as MadeModel,
+    TrainedModel as TrainedModel,
 )
 from .train.scan.make import (
     make_scan_model as make_scan_model,
@@ -123,6 +123,7 @@ from .worlds.scans.labels import (
 )
 from .worlds.scans.lidar import (
     load_open3d as load_open3d,
+    simulate_scan as simulate_scan,
 )
 from .worlds.scans.scene import (
     make_scene as make_scene,

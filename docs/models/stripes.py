@@ -9,7 +9,7 @@ import numpy as np
 
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, Scan, SectorStack
-from bumpymap.lab import SENSORS, Label, make_scene, simulate
+from bumpymap.lab import SENSORS, Label, make_scene, simulate_scan
 from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes
 
 SEED, TURNS, IN_A_ROW = 5150, 2, 7
@@ -19,7 +19,7 @@ OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.jso
 
 def look(index: int, name: str) -> SectorStack:
     """Cut the scan of one scene into sectors."""
-    seen = simulate(make_scene(SEED, index), SENSORS[name], index)
+    seen = simulate_scan(make_scene(SEED, index), SENSORS[name], index)
     there = (seen.points != 0).any(axis=1)
     return polar_sectors(Scan(seen.points[there], label=seen.label[there].astype(np.uint16)))
 

@@ -1,7 +1,7 @@
-"""Rough ground, made up: the LAS records of numbered points, any of them in any order.
+"""Synthetic rough ground: LAS records of numbered points, in any order.
 
-Everything about a point follows from its number and the seed: place, height, colour, time. A survey in swaths and the
-same survey shuffled therefore hold the same points, and 200 million of them need no memory.
+The position, height, colour and time of a point are functions of its number and the seed. A survey in swaths and the
+same survey shuffled therefore contain the same points, and 200 million of them need no memory.
 """
 
 import math
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 __all__ = ["SCALE", "SWATH", "fill_records", "scramble"]
 
 SCALE = 1e-3
-"""Grid of the coordinates, m."""
+"""Resolution of the coordinates, m."""
 _SPACING = 1.0 / math.sqrt(220.0)
-"""Mean distance of neighbouring points: 220 points/m2, m."""
+"""Mean distance between neighbouring points, m: 220 points/m2."""
 SWATH = 1024
 """Points across a swath."""
 
@@ -32,7 +32,7 @@ def _compiled(function: Callable[..., Any]) -> Any:
 
 @_compiled
 def _mix(value: np.uint64) -> np.uint64:
-    """64 well-mixed bits of a number (the finaliser of splitmix64)."""
+    """Hash a number to 64 bits (the finaliser of splitmix64)."""
     value += np.uint64(0x9E3779B97F4A7C15)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -41,7 +41,7 @@ def _mix(value: np.uint64) -> np.uint64:
 
 @_compiled
 def _share(bits: np.uint64, first: int) -> float:
-    """Uniform number 0..1 made of 16 of the bits."""
+    """Return a uniform number 0..1 from 16 of the bits."""
     return float((bits >> np.uint64(first)) & np.uint64(0xFFFF)) / 65536.0
 
 
@@ -52,7 +52,7 @@ def _corner(col: int, row: int, salt: int) -> np.uint64:
 
 @_compiled
 def _noise(x: float, y: float, salt: int) -> float:
-    """Value noise: random heights -1..1 at whole x and y, smooth between them (x, y not negative)."""
+    """Return value noise: random heights -1..1 at integer x and y, smooth between them (x, y not negative)."""
     col, row = int(x), int(y)
     u, v = x - col, y - row
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
@@ -63,7 +63,7 @@ def _noise(x: float, y: float, salt: int) -> float:
 
 @_compiled
 def _stone(x: float, y: float, salt: int) -> float:
-    """Height above the ground of the stone in the lattice cell at (x, y); 0 beside it, m."""
+    """Return the height of the stone in the lattice cell at (x, y), m; 0 outside the stone."""
     col, row = int(x / _STONE_CELL), int(y / _STONE_CELL)
     bits = _corner(col, row, salt)
     if _share(bits, 0) > 0.25:
@@ -77,13 +77,13 @@ def _stone(x: float, y: float, salt: int) -> float:
 
 @_compiled
 def _height(x: float, y: float, seed: int) -> float:
-    """Ground at a place, m: hills, then ever shorter and lower waves, strong here and faint there, and stones."""
+    """Return the height of the ground, m: hills, shorter and lower waves of varying strength, and stones."""
     share = 0.5 + 0.5 * _noise(x / 45.0, y / 45.0, seed)
     rough = 0.02 + 5.0 * share * share
     total, amplitude, step = 0.0, 4.0, _LONGEST
     for octave in range(_OCTAVES):
         wave = amplitude * _noise(x / step, y / step, seed + 1 + octave)
-        total += wave if octave < 3 else rough * wave  # hills stay: a road over a hill is smooth
+        total += wave if octave < 3 else rough * wave  # hills do not depend on the roughness
         amplitude *= 0.45
         step *= 0.45
     return total + _stone(x, y, seed + 100)
@@ -91,10 +91,10 @@ def _height(x: float, y: float, seed: int) -> float:
 
 @_compiled
 def scramble(first: int, count: int, half_bits: int, total: int, seed: int) -> NDArray[np.int64]:
-    """Numbers below ``total`` at the places ``first`` to ``first + count`` of a random order of all of them.
+    """Return the numbers below ``total`` at positions ``first`` to ``first + count`` of a random permutation.
 
-    A four-round Feistel network permutes the numbers of ``2 * half_bits`` bits; those not below ``total`` drop out.
-    All places from 0 to ``4 ** half_bits`` give every number once.
+    A four-round Feistel network permutes the numbers of ``2 * half_bits`` bits; those not below ``total`` are dropped.
+    The positions from 0 to ``4 ** half_bits`` contain every number once.
     """
     mask = np.uint64((1 << half_bits) - 1)
     found = np.empty(count, np.int64)
@@ -117,13 +117,13 @@ def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray
     Parameters
     ----------
     numbers : (n,) int64
-        Which points; number 0 is the first of the first swath.
+        Numbers of the points; number 0 is the first point of the first swath.
     lines : int
         Scan lines of a swath, south to north; a line has ``SWATH`` points.
     seed : int
-        Of the site.
+        Seed of the site.
     out : (n,) records
-        Filled; coordinates count from the site's south-west corner.
+        Output; coordinates are relative to the site's south-west corner.
     """
     for i in range(len(numbers)):
         number = numbers[i]
@@ -132,7 +132,7 @@ def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray
         bits, more = _mix(np.uint64(number) ^ np.uint64(seed << 48)), _mix(np.uint64(number) + np.uint64(1 << 60))
         x = (swath * SWATH + across + _share(bits, 0)) * _SPACING
         y = (line + _share(bits, 16)) * _SPACING
-        # Three uniform numbers of spread 0.03 m: nearly normal, 15 mm of noise.
+        # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
         shake = 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
         z = _height(x, y, seed) + shake
         shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
@@ -147,7 +147,7 @@ def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray
         record.scan_angle = round((across - SWATH / 2) * 5000.0 / SWATH)
         record.point_source_id = 1 + swath
         record.gps_time = 3.994e8 + number * 4.2e-6 + swath * 30.0
-        # Cameras give 8 bits; software writes them as the upper ones of 16.
+        # Cameras record 8 bits; software writes them as the upper 8 of 16 bits.
         grain = _mix(more)
         record.red = np.uint16(40.0 + 200.0 * shade + 6.0 * _share(grain, 0)) << 8
         record.green = np.uint16(50.0 + 180.0 * shade + 6.0 * _share(grain, 16)) << 8

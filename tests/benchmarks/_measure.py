@@ -1,7 +1,7 @@
-"""Run a command and say what it took: wall time, processor time, peak memory.
+"""Run a command and measure wall time, CPU time and peak memory.
 
-Linux counts the memory of the process that starts a command into the command's own peak, so nothing heavy may be
-imported here or in ``run.py``.
+Linux includes the memory of the parent process in the peak of a new process, so nothing heavy may be imported here or
+in ``run.py``.
 """
 
 import os
@@ -14,51 +14,51 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-__all__ = ["Sample", "run_timed", "warm"]
+__all__ = ["Sample", "run_timed", "warm_page_cache"]
 
 _MIB = 1 << 20
-_EVERY = 0.05
-"""Time between two looks at the memory of a command and its helpers, s."""
+_POLL_SECONDS = 0.05
+"""Interval between two samples of the memory of a command and its child processes, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One run of one command, with all that it started."""
+    """Measurements of one run of one command, with its child processes."""
 
     wall: float
     """s."""
     cpu: float
-    """User and system, s."""
+    """User and system time, s."""
     peak: float
-    """Largest memory of the command and its helpers together, what they share counted once, bytes."""
-    alone: float
-    """Largest resident memory of a single process, bytes; exact, where ``peak`` is sampled."""
+    """Peak memory of the command and its child processes, with shared memory counted once, bytes; sampled."""
+    largest_process: float
+    """Peak resident memory of a single process, bytes; exact."""
     exit_code: int
     output: str
     """Its standard output."""
-    complaint: str
+    stderr_tail: str
     """End of its standard error."""
 
     def record(self) -> dict[str, Any]:
-        """Return what is kept of it in the results."""
+        """Return the entry for the results file."""
         kept: dict[str, Any] = {
             "wall_s": self.wall,
             "cpu_s": self.cpu,
             "peak_bytes": self.peak,
-            "alone_bytes": self.alone,
+            "alone_bytes": self.largest_process,
         }
-        return kept if self.exit_code == 0 else {**kept, "exit_code": self.exit_code, "complaint": self.complaint}
+        return kept if self.exit_code == 0 else {**kept, "exit_code": self.exit_code, "complaint": self.stderr_tail}
 
 
 def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> Sample:
-    """Run a whole command from start to end; ``env`` is added to the environment."""
-    os.sync()  # what the command before has written must not be paid by this one
+    """Run a command to its end; ``env`` is added to the environment."""
+    os.sync()  # so that writes of an earlier command do not slow this one down
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         started = time.perf_counter()
         process = subprocess.Popen(
             command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**os.environ, **(env or {})}
         )
-        with _Watch(process.pid) as watch:
+        with _MemoryMonitor(process.pid) as monitor:
             _, status, usage = os.wait4(process.pid, 0)
             wall = time.perf_counter() - started
         process.returncode = os.waitstatus_to_exitcode(status)
@@ -67,26 +67,26 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> S
         return Sample(
             wall=wall,
             cpu=usage.ru_utime + usage.ru_stime,
-            peak=max(watch.peak, usage.ru_maxrss * 1024.0),
-            alone=usage.ru_maxrss * 1024.0,
+            peak=max(monitor.peak, usage.ru_maxrss * 1024.0),
+            largest_process=usage.ru_maxrss * 1024.0,
             exit_code=process.returncode,
             output=out.read().decode(errors="replace"),
-            complaint=err.read().decode(errors="replace")[-800:],
+            stderr_tail=err.read().decode(errors="replace")[-800:],
         )
 
 
-class _Watch:
-    """Looks at a process and all below it again and again, and remembers the largest sum of their shares of memory.
+class _MemoryMonitor:
+    """Poll the memory of a process and its descendants and keep the peak of the sum of their PSS.
 
-    A share (PSS) divides pages that several processes map among them. The system walks all pages of a process for it,
-    so it is asked only where the plain sizes, which are cheap and never smaller, could make a new record.
+    PSS (proportional set size) divides shared pages among the processes that map them. Reading it is slow, as the
+    kernel walks all pages, so it is read only if the sum of resident sizes, which is never smaller, exceeds the peak.
     """
 
     def __init__(self, pid: int) -> None:
         self.peak = 0.0
         self._pid = pid
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look_on, daemon=True)
+        self._thread = threading.Thread(target=self._poll, daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -96,15 +96,15 @@ class _Watch:
         self._ended.set()
         self._thread.join()
 
-    def _look_on(self) -> None:
-        while not self._ended.wait(_EVERY):
+    def _poll(self) -> None:
+        while not self._ended.wait(_POLL_SECONDS):
             tree = list(_tree(self._pid))
             if sum(map(_resident, tree)) > self.peak:
                 self.peak = max(self.peak, sum(map(_share, tree)))
 
 
 def _tree(pid: int) -> Iterator[int]:
-    """Give a process and all that it and its children started, as far as they live."""
+    """Yield a process and all its living descendants."""
     yield pid
     for path in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in _read(path).split():
@@ -112,13 +112,13 @@ def _tree(pid: int) -> Iterator[int]:
 
 
 def _resident(pid: int) -> float:
-    """Resident size of a process, bytes."""
+    """Return the resident size of a process, bytes."""
     words = _read(Path(f"/proc/{pid}/statm")).split()
     return float(words[1]) * os.sysconf("SC_PAGE_SIZE") if words else 0.0
 
 
 def _share(pid: int) -> float:
-    """Share of a process in the memory that it maps (PSS), bytes."""
+    """Return the proportional set size (PSS) of a process, bytes."""
     for line in _read(Path(f"/proc/{pid}/smaps_rollup")).splitlines():
         if line.startswith("Pss:"):
             return float(line.split()[1]) * 1024.0
@@ -126,15 +126,15 @@ def _share(pid: int) -> float:
 
 
 def _read(path: Path) -> str:
-    """Read a file of /proc; nothing where its process has ended."""
+    """Read a file of /proc; return an empty string if the process has ended."""
     try:
         return path.read_text(encoding="utf-8")
     except OSError:
         return ""
 
 
-def warm(path: Path) -> None:
-    """Read a file through, so that every side finds it in the system's memory."""
+def warm_page_cache(path: Path) -> None:
+    """Read a whole file, so that all programs find it in the page cache."""
     buffer = bytearray(8 * _MIB)
     with path.open("rb", buffering=0) as stream:
         while stream.readinto(buffer):

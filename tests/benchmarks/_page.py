@@ -1,4 +1,4 @@
-"""Turn the results of a run into Markdown: what was to be reached and what was, then every side's figures."""
+"""Format the results of a run as Markdown: targets and measured values, then the figures of every program."""
 
 import importlib.metadata
 import os
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["keep", "machine", "tables"]
+__all__ = ["insert_tables", "machine", "tables"]
 
 Results = dict[str, Any]
 """``machine``, ``surveys``, ``titles``, ``samples`` (case -> side -> records), ``patch``, ``same_bits``."""
@@ -20,11 +20,11 @@ _SIDES = {
     "pdal": "PDAL `writers.gdal`",
     "pdal_bin": "PDAL `writers.gdal`, `binmode`",
 }
-_WAYS = {"open3d": "open3d", "sklearn": "scikit-learn", "both": "both, one after the other"}
+_METHODS = {"open3d": "open3d", "sklearn": "scikit-learn", "both": "both, one after the other"}
 
 
 def machine() -> dict[str, Any]:
-    """Facts of this machine and of the versions in use; no name of it."""
+    """Describe this machine (without its name) and the versions in use."""
     versions = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -53,8 +53,8 @@ def tables(results: Results) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def keep(page: Path, text: str, section: str = "figures") -> None:
-    """Put the tables between the marks of a section of a page."""
+def insert_tables(page: Path, text: str, section: str = "figures") -> None:
+    """Replace the text between the begin and end marks of a section of a page."""
     begin, end = f"<!-- {section}: begin -->", f"<!-- {section}: end -->"
     before, rest = page.read_text(encoding="utf-8").split(begin)
     after = rest.split(end)[1]
@@ -64,7 +64,11 @@ def keep(page: Path, text: str, section: str = "figures") -> None:
 def _machine_text(results: Results) -> str:
     facts = results["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
-    trial = "" if results["scale"] == 1.0 else f" A trial with {results['scale']:g} of the points: it shows no speed."
+    trial = (
+        ""
+        if results["scale"] == 1.0
+        else f" A trial with {results['scale']:g} of the points; its times are not representative."
+    )
     return (
         f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gb']} GB, {facts['system']}. {versions}. "
         f"Medians of {results['rounds']} round(s).{trial}"
@@ -72,7 +76,7 @@ def _machine_text(results: Results) -> str:
 
 
 def _median(results: Results, case: str, side: str, what: str) -> float | None:
-    """Median of one side; None where it was not run or did not come through."""
+    """Return the median of one program; None if it was not run or failed."""
     records = results["samples"].get(case, {}).get(side, [])
     if not records or any("exit_code" in record for record in records):
         return None
@@ -96,7 +100,7 @@ def _goals(results: Results) -> str:
 def _goal(
     label: str, values: tuple[float | None, ...], combine: Callable[..., float], unit: str, limit: tuple[str, float]
 ) -> tuple[str, str, str, str]:
-    """One row; an empty text where a value is missing."""
+    """Return a row of the table of targets; its measured value is empty if a figure is missing."""
     word, bound = limit
     goal = f"{word} {bound:g}{unit}"
     if any(value is None for value in values):
@@ -149,7 +153,7 @@ def _start(results: Results) -> list[tuple[str, str, str, str]]:
     return [
         _goal("`bumpymap --help`", (help_text,), float, " s", ("at most", 0.3)),
         _goal(
-            "first run (kernels are compiled), longer than the second by",
+            "first run (kernels are compiled), time added to the second",
             (first, second),
             lambda once, again: once - again,
             " s",
@@ -162,9 +166,9 @@ def _patch_goals(results: Results) -> list[tuple[str, str, str, str]]:
     rows = []
     for title, records in results["patch"].items():
         ours = statistics.median(record["ours_ms"] for record in records)
-        for way in records[0]["ways_ms"]:
-            theirs = statistics.median(record["ways_ms"][way] for record in records)
-            label = f"a patch of {title}: the paper's method with {_WAYS[way]}, time relative to ours"
+        for way in records[0]["methods_ms"]:
+            theirs = statistics.median(record["methods_ms"][way] for record in records)
+            label = f"a patch of {title}: the paper's method with {_METHODS[way]}, time relative to ours"
             rows.append(_goal(label, (theirs, ours), _ratio, "", ("at least", 100.0)))
     return rows
 
@@ -218,5 +222,13 @@ def _patches(results: Results) -> str:
         ours = statistics.median(record["ours_ms"] for record in records)
         shown = ("" if None in values else f"{statistics.median(values):.3f}" for values in theirs)
         rows.append((title, f"{records[0]['points_per_tile']:,}", f"{ours:.3f}", *shown))
-    head = ("patches of", "points a patch", "ours, all steps [ms]", "heightmap", "variance", "open3d", "scikit-learn")
+    head = (
+        "patches of",
+        "points per patch",
+        "bumpymap, all steps [ms]",
+        "heightmap",
+        "variance",
+        "open3d",
+        "scikit-learn",
+    )
     return _table((*head, "class"), rows)

@@ -1,10 +1,10 @@
-"""Kill runs at random instants, let each go on with --resume, and compare every file with an uninterrupted run's.
+"""Kill runs at random times, resume each with --resume, and compare every file with that of an uninterrupted run.
 
 python tests/benchmarks/kill.py SURVEY... --data FOLDER [--kills 20] [--seed 1] [--map-options "--memory 256MB"]
 
-SIGKILL cannot be caught: whatever a run has on disk at that instant is what --resume finds. Instants are drawn evenly
-over the time that a whole run takes; some of the runs that go on are killed once more. Exit code 1 where any file
-differs or anything is left behind.
+SIGKILL cannot be caught, so --resume finds the files on disk as they were at that time. Times are drawn uniformly over
+the duration of a whole run; some of the resumed runs are killed once more. The exit code is 1 if any file differs or
+anything is left behind.
 """
 
 import argparse
@@ -21,54 +21,54 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from _page import keep
+from _page import insert_tables
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "benchmarks.md"
 _WHOLE_RUNS = 3
-_TWICE = 0.3
+_KILLED_TWICE = 0.3
 """Share of the runs that are killed once more after --resume."""
 _WORK, _STAGED = ".bumpymap-run", ".bumpymap-layers-*"
 _OF_THE_CALL = ("out", "scratch", "resume", "overwrite")
-"""Settings that say how a run was called; run.json holds them, and they may differ."""
+"""Settings in run.json that depend on how a run was called and may differ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One run that was killed, and what became of it."""
+    """One run that was killed, and its outcome after resuming."""
 
     instant: float
-    """Of the first kill, s after the start."""
+    """Time of the first kill, s after the start."""
     stages: list[str]
     """What the run was doing at each kill."""
     resumed: float
-    """Time of the last --resume, s."""
+    """Duration of the last resumed run, s."""
     faults: list[str]
-    """Empty where every file is the same and nothing is left behind."""
+    """Empty if every file is the same and nothing is left behind."""
 
 
-class Killer:
-    """The command under test, its folders, and what it writes when nobody kills it."""
+class KillTest:
+    """The command under test, its folders, and the files of an uninterrupted run."""
 
     def __init__(self, surveys: list[Path], data: Path, options: list[str]) -> None:
         self._out, self._scratch = data / "layers", data / "scratch"
         bumpymap = str(Path(sys.executable).with_name("bumpymap"))
         self._command = [bumpymap, "map", *map(str, surveys), "--out", str(self._out)]
         self._command += ["--scratch", str(self._scratch), "--quiet", *options]
-        self._wanted: dict[str, str] = {}
+        self._expected: dict[str, str] = {}
         self._orphans: list[Path] = []
 
     def whole(self) -> float:
-        """Run without a kill and remember the files; gives the time, s."""
+        """Run without a kill and store the checksums of the files; return the duration, s."""
         self._clear()
         seconds = self._finish()
         found = self._files()
-        if self._wanted and found != self._wanted:
-            sys.exit(f"two uninterrupted runs differ: {_differences(self._wanted, found)}")
-        self._wanted = found
+        if self._expected and found != self._expected:
+            sys.exit(f"two uninterrupted runs differ: {_differences(self._expected, found)}")
+        self._expected = found
         return seconds
 
     def trial(self, instant: float, again: float | None) -> Trial | None:
-        """Kill a run at one instant, and the one that goes on at another; None where it ended before."""
+        """Kill a run, and optionally the resumed run; return None if the run ended before the kill."""
         self._clear()
         stages = [self._killed(instant)]
         if not stages[0]:
@@ -80,12 +80,12 @@ class Killer:
                 stages.append(stage)
             else:
                 resumed = time.perf_counter() - begin
-        # A run that has ended has nothing to go on with; its layers are compared as they are.
+        # A run that has ended cannot be resumed; its layers are compared as they are.
         if not (self._out / "run.json").exists() or (self._out / _WORK).exists():
             resumed = self._finish("--resume")
-        faults = _differences(self._wanted, self._files())
+        faults = _differences(self._expected, self._files())
         faults += [f"{left.name} is left in --scratch" for left in self._scratch.glob("*")]
-        faults += [f"process {helper.name} lives on" for helper in self._orphans if helper.exists()]
+        faults += [f"process {helper.name} still runs" for helper in self._orphans if helper.exists()]
         return Trial(instant, stages, resumed, faults)
 
     def _clear(self) -> None:
@@ -102,7 +102,7 @@ class Killer:
         return time.perf_counter() - begin
 
     def _killed(self, instant: float, *more: str) -> str:
-        """Run, kill after so many seconds; gives what it was doing, nothing where it had ended."""
+        """Run and kill after ``instant`` seconds; return the stage, or an empty string if the run had ended."""
         process = subprocess.Popen([*self._command, *more], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             process.wait(instant)
@@ -115,7 +115,7 @@ class Killer:
         return ""
 
     def _stage(self) -> str:
-        """Say what a killed run was doing, by what is on disk."""
+        """Describe the stage of a killed run by the files on disk."""
         work = self._out / _WORK
         staged = [file for folder in self._out.glob(_STAGED) for file in folder.iterdir()]
         points, tiles = (
@@ -136,7 +136,7 @@ class Killer:
         return "reading or measuring, nothing on disk" if (work / "run_spec.json").exists() else "starting"
 
     def _files(self) -> dict[str, str]:
-        """Checksums of everything in --out, by name; of run.json without times and without how the run was called."""
+        """Return the checksum of each file in --out, by name; times and call settings of run.json are ignored."""
         found = {}
         for path in sorted(self._out.rglob("*")):
             content = path.read_bytes() if path.is_file() else b""
@@ -157,23 +157,23 @@ def _children(pid: int) -> list[Path]:
 
 def _differences(wanted: dict[str, str], found: dict[str, str]) -> list[str]:
     names = sorted({*wanted, *found})
-    said = {True: "{} is missing", False: "{} differs"}
+    fault = {True: "{} is missing", False: "{} differs"}
     return [
-        f"{name} is left in --out" if name not in wanted else said[name not in found].format(name)
+        f"{name} is left in --out" if name not in wanted else fault[name not in found].format(name)
         for name in names
         if wanted.get(name) != found.get(name)
     ]
 
 
-def run(killer: Killer, kills: int, seed: int) -> tuple[float, list[Trial]]:
-    """Make the trials; gives the time of a whole run, s, and them."""
-    whole = statistics.median(killer.whole() for _ in range(_WHOLE_RUNS))
+def run(kill_test: KillTest, kills: int, seed: int) -> tuple[float, list[Trial]]:
+    """Run the trials; return the duration of a whole run, s, and the trials."""
+    whole = statistics.median(kill_test.whole() for _ in range(_WHOLE_RUNS))
     sys.stderr.write(f"a whole run takes {whole:.2f} s\n")
     draw = random.Random(seed)
     trials: list[Trial] = []
     while len(trials) < kills:
-        instant, twice, again = draw.uniform(0, whole), draw.random() < _TWICE, draw.uniform(0, whole)
-        trial = killer.trial(instant, again if twice else None)
+        instant, twice, again = draw.uniform(0, whole), draw.random() < _KILLED_TWICE, draw.uniform(0, whole)
+        trial = kill_test.trial(instant, again if twice else None)
         if trial is None:
             continue
         trials.append(trial)
@@ -183,12 +183,12 @@ def run(killer: Killer, kills: int, seed: int) -> tuple[float, list[Trial]]:
 
 
 def table(title: str, whole: float, trials: list[Trial]) -> str:
-    """Return the Markdown of the trials."""
+    """Return a Markdown table of the trials."""
     same = sum(not trial.faults for trial in trials)
     lines = [
         f"**{title}**: {same} of {len(trials)} identical. An uninterrupted run takes {whole:.1f} s.",
         "",
-        "| killed at [s] | what it was doing | resumed run [s] | files |",
+        "| killed at [s] | stage | resumed run [s] | files |",
         "|---|---|---|---|",
     ]
     for trial in sorted(trials, key=lambda trial: trial.instant):
@@ -198,7 +198,7 @@ def table(title: str, whole: float, trials: list[Trial]) -> str:
 
 
 def summary(kept: dict[str, Any]) -> str:
-    """Return the Markdown of all surveys that were tried, one row each."""
+    """Return a Markdown table of all tested surveys, one row each."""
     lines = [
         (
             "| survey | killed while starting / reading or measuring / writing layers / done | killed twice "
@@ -218,7 +218,7 @@ def summary(kept: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Run the trials of one survey; print all surveys that were tried with this --data, as tables."""
+    """Run the trials of one survey; print tables of all surveys tested with this --data."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("surveys", type=Path, nargs="+", metavar="SURVEY")
     parser.add_argument("--data", type=Path, required=True, help="folder for layers, scratch and results")
@@ -228,7 +228,7 @@ def main() -> None:
     parser.add_argument("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")
     parser.add_argument("--page", action="store_true", help=f"put a summary into {PAGE.name}")
     given = parser.parse_args()
-    whole, trials = run(Killer(given.surveys, given.data, shlex.split(given.map_options)), given.kills, given.seed)
+    whole, trials = run(KillTest(given.surveys, given.data, shlex.split(given.map_options)), given.kills, given.seed)
     results = given.data / "kills.json"
     kept = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
     kept[given.title] = {"whole_s": whole, "trials": [asdict(trial) for trial in trials]}
@@ -238,7 +238,7 @@ def main() -> None:
     )
     print(text)
     if given.page:
-        keep(PAGE, summary(kept), "kills")
+        insert_tables(PAGE, summary(kept), "kills")
     if any(trial.faults for trial in trials):
         sys.exit(1)
 

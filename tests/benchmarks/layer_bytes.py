@@ -1,11 +1,11 @@
-"""Write down the SHA-256 of every layer that this code makes of a fixed set of surveys and scans, or hold it to a list.
+"""Write the SHA-256 of all layers of a fixed set of surveys and scans to a list, or compare them with a list.
 
-A change that should not change the numbers is held to that by the bytes of its layers, run.json and scan.json aside:
+Use it to check that a change of the code does not change the bytes of layers (except run.json and scan.json):
 
 python tests/benchmarks/layer_bytes.py --data DATA --write before.json
 python tests/benchmarks/layer_bytes.py --data DATA --compare before.json
 
-DATA holds ``surveys`` and ``scans``; runs whose inputs are not there are left out, and it says so.
+DATA contains ``surveys`` and ``scans``; runs with missing inputs are skipped with a message.
 """
 
 import argparse
@@ -39,13 +39,13 @@ RUNS: dict[str, tuple[str, ...]] = {
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file below a folder but the manifests, by its path in the folder."""
+    """Return the SHA-256 of every file in a folder except the manifests, by relative path."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name not in MANIFESTS)
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def make(arguments: tuple[str, ...], data: Path, out: Path) -> dict[str, str] | None:
-    """Run one command and give the hashes of what it wrote; None where an input is not there."""
+    """Run one command and return the hashes of its output; None if an input is missing."""
     words = [word.replace("SAMPLE", str(SAMPLE)).replace("DATA", str(data)) for word in arguments]
     if any("/" in word and not Path(word).exists() for word in words):
         return None
@@ -55,7 +55,7 @@ def make(arguments: tuple[str, ...], data: Path, out: Path) -> dict[str, str] | 
 
 
 def differences(before: dict[str, dict[str, str]], now: dict[str, dict[str, str]]) -> list[str]:
-    """Say which layers are other, missing or new."""
+    """List layers that differ, are missing or are new."""
     lines = []
     for run in sorted({*before, *now}):
         old, new = before.get(run), now.get(run)
@@ -64,7 +64,7 @@ def differences(before: dict[str, dict[str, str]], now: dict[str, dict[str, str]
             continue
         for name in sorted({*old, *new}):
             if old.get(name) != new.get(name):
-                word = "new" if name not in old else "missing" if name not in new else "other bytes"
+                word = "new" if name not in old else "missing" if name not in new else "different bytes"
                 lines.append(f"{run}: {name}: {word}")
     return lines
 
@@ -73,7 +73,7 @@ def main() -> int:
     """Make the layers; write or compare the list."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder with surveys/ and scans/")
-    parser.add_argument("--only", action="append", help="name of a run; several times")
+    parser.add_argument("--only", action="append", help="name of a run; repeatable")
     group = parser.add_mutually_exclusive_group(required=True)
     group.add_argument("--write", type=Path, metavar="FILE")
     group.add_argument("--compare", type=Path, metavar="FILE")
@@ -85,7 +85,7 @@ def main() -> int:
             if options.only and name not in options.only:
                 continue
             made = make(arguments, options.data.resolve(), scratch / str(number))
-            print(f"{name}: {'left out, its input is not there' if made is None else f'{len(made)} files'}", flush=True)
+            print(f"{name}: {'skipped, its input is missing' if made is None else f'{len(made)} files'}", flush=True)
             if made is not None:
                 found[name] = made
             shutil.rmtree(scratch / str(number), ignore_errors=True)

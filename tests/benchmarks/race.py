@@ -1,10 +1,10 @@
-"""Race two runs into one --out, again and again: one does its work, the other touches nothing and names the first.
+"""Start two runs with the same --out repeatedly: one completes, the other changes nothing and names the first.
 
 python tests/benchmarks/race.py --data FOLDER [--races 20]
 
-Three races take turns: two `scan`, two `map --overwrite`, two `map --resume` over an interrupted run. The second
-starts after a delay drawn over the time of a whole run. Exit code 1 where the files are not those of a lone run, both
-fail, or the loser does not name the winner's process.
+There are three kinds of races: two `scan`, two `map --overwrite`, and two `map --resume` of an interrupted run. The
+second run starts after a random delay up to the duration of a whole run. The exit code is 1 if the files differ from
+those of a single run, both runs fail, or the losing run does not name the process of the other.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def start(words: list[str]) -> "subprocess.Popen[str]":
 
 
 def files(out: Path) -> dict[str, str]:
-    """Give checksums of what is in a folder; of files with times in them the name alone."""
+    """Return the checksum of each file in a folder; an empty string for files that contain times."""
     return {
         str(path.relative_to(out)): "" if path.name in _TIMED else hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(out.rglob("*"))
@@ -51,18 +51,18 @@ def files(out: Path) -> dict[str, str]:
     }
 
 
-def finished(words: list[str], out: Path) -> tuple[float, dict[str, str]]:
-    """Do a lone run; give its time, s, and its files."""
+def lone_run(words: list[str], out: Path) -> tuple[float, dict[str, str]]:
+    """Do a single run; return its duration, s, and the checksums of its files."""
     begin = time.perf_counter()
     run = start([*words, "--out", str(out)])
-    said, _ = run.communicate()
+    output, _ = run.communicate()
     if run.returncode:
-        sys.exit(f"a lone run fails: {said}")
+        sys.exit(f"a single run fails: {output}")
     return time.perf_counter() - begin, files(out)
 
 
-def broken_off(words: list[str], out: Path, delay: float) -> None:
-    """Leave what a run leaves that is killed."""
+def killed_run(words: list[str], out: Path, delay: float) -> None:
+    """Start a run and kill it after ``delay`` seconds."""
     run = start([*words, "--out", str(out)])
     time.sleep(delay)
     run.send_signal(signal.SIGKILL)
@@ -70,20 +70,20 @@ def broken_off(words: list[str], out: Path, delay: float) -> None:
 
 
 def race(words: list[str], out: Path, delay: float, wanted: dict[str, str]) -> tuple[list[str], str]:
-    """Let two runs race; give what is wrong, and how it ended."""
+    """Race two runs; return the faults and a description of the outcome."""
     runs = [start([*words, "--out", str(out)])]
     time.sleep(delay)
     runs.append(start([*words, "--out", str(out)]))
-    said = [run.communicate()[0] for run in runs]
+    output = [run.communicate()[0] for run in runs]
     codes = [run.returncode for run in runs]
     faults = []
     if 0 not in codes:
-        faults.append(f"both fail: {said}")
+        faults.append(f"both fail: {output}")
     if files(out) != wanted:
-        faults.append(f"{len(set(wanted.items()) ^ set(files(out).items()))} files differ from those of a lone run")
-    for own, other, code, text in zip(runs, reversed(runs), codes, said, strict=True):
+        faults.append(f"{len(set(wanted.items()) ^ set(files(out).items()))} files differ from those of a single run")
+    for own, other, code, text in zip(runs, reversed(runs), codes, output, strict=True):
         if code and f"pid {other.pid} on" not in text and "already holds" not in text:
-            faults.append(f"the loser {own.pid} does not say who won: {text}")
+            faults.append(f"the losing run {own.pid} does not name the other: {text}")
         if "Traceback" in text:
             faults.append(f"a traceback: {text}")
     return faults, f"exit codes {codes[0]} and {codes[1]}"
@@ -106,17 +106,17 @@ def main() -> None:
         )
         out = given.data / "out"
         shutil.rmtree(out, ignore_errors=True)
-        whole, wanted = finished(words, out)
+        whole, wanted = lone_run(words, out)
         wrong = 0
         for number in range(given.races):
             if option != ["--overwrite"]:
                 shutil.rmtree(out, ignore_errors=True)
             if option == ["--resume"]:
-                broken_off(words, out, draw.uniform(0.3, 1.0) * whole)
+                killed_run(words, out, draw.uniform(0.3, 1.0) * whole)
             faults, ended = race([*words, *option], out, draw.choice((0.0, draw.uniform(0, whole))), wanted)
             wrong += bool(faults)
             sys.stderr.write(f"{kind} {number + 1:2}: {ended}; {'; '.join(faults) or 'whole'}\n")
-        print(f"two {kind}: {given.races - wrong} of {given.races} races end with the files of a lone run")
+        print(f"two {kind}: {given.races - wrong} of {given.races} races end with the files of a single run")
         bad += wrong
     sys.exit(1 if bad else 0)
 

@@ -1,4 +1,4 @@
-"""Decode every field of every point with laspy and do nothing with them: the floor for ``bumpymap map``.
+"""Decode every field of every point with laspy and discard it: the lower bound for the time of ``bumpymap map``.
 
 python tests/benchmarks/read_all.py FILE
 """

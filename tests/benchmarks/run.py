@@ -1,9 +1,9 @@
-"""Time bumpymap against the floor, against PDAL and against the paper's way; one command, all sides in turns.
+"""Compare the time of bumpymap with reading only, with PDAL and with the paper's method.
 
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--rounds 5] [--only 20m-laz,20m-las]
 
-Whole commands are timed, round by round: reading, mapping, PDAL, and again. The first run makes the surveys (6 GB on
-disk). The raw figures go to FOLDER/results.json; a whole run puts the tables into the documentation.
+Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (6 GB on
+disk). The raw figures are written to FOLDER/results.json; a complete run inserts the tables into the documentation.
 """
 
 import argparse
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _measure import Sample, run_timed, warm
-from _page import keep, machine, tables
+from _measure import Sample, run_timed, warm_page_cache
+from _page import insert_tables, machine, tables
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "pages" / "benchmarks.md"
@@ -34,14 +34,14 @@ _MADE = {
 }
 """Case -> million points, order, format."""
 _COMPARED = ("20m-laz", "20m-las")
-"""Made surveys that the other sides read too."""
+"""Synthetic surveys that the other programs read too."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _STATISTICS = "mean,stdev,min,max,count"
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Commands that are timed in turns on one survey."""
+    """Commands that are timed alternately on one survey."""
 
     key: str
     survey: Path
@@ -49,7 +49,7 @@ class Case:
 
 
 class Bench:
-    """The settings of one call, and the commands that follow from them."""
+    """The settings of a call and the commands to time."""
 
     def __init__(self, given: argparse.Namespace) -> None:
         self.data: Path = given.data
@@ -58,20 +58,20 @@ class Bench:
         self.pdal = shutil.which("pdal")
 
     def out(self, key: str) -> Path:
-        """Folder of the layers of a case."""
+        """Return the folder for the layers of a case."""
         return self.data / "out" / key
 
     def map(self, survey: Path, key: str, *more: str) -> list[str]:
-        """Our whole command."""
+        """Return the command that maps a survey."""
         out = str(self.out(key))
         return [str(self.command), "map", str(survey), "--out", out, "--overwrite", "--quiet", *more, *self.options]
 
     def read(self, survey: Path) -> list[str]:
-        """Side (a): decode every field."""
+        """Return the command that decodes every field (program a)."""
         return [sys.executable, str(HERE / "read_all.py"), str(survey)]
 
     def grid(self, survey: Path, name: str, **more: bool) -> list[str]:
-        """Side (b): PDAL's raster of 3 m; it streams by itself."""
+        """Return the command that makes a 3 m raster with PDAL (program b), in streaming mode."""
         pipeline = self.data / "out" / f"{name}.json"
         pipeline.parent.mkdir(parents=True, exist_ok=True)
         writer = {"type": "writers.gdal", "filename": str(pipeline.with_suffix(".tif")), "resolution": 3.0, **more}
@@ -80,7 +80,7 @@ class Bench:
         return [str(self.pdal), "pipeline", str(pipeline)]
 
     def compared(self, key: str, survey: Path, *more: str) -> Case:
-        """Read, map and, where PDAL is on the path, let PDAL make its raster."""
+        """Return the case with reading, mapping and, if PDAL is installed, its raster."""
         sides = {"read": self.read(survey), "map": self.map(survey, key, *more)}
         if self.pdal:
             sides["pdal"] = self.grid(survey, f"{key}_pdal")
@@ -88,13 +88,13 @@ class Bench:
         return Case(key, survey, sides)
 
     def start(self) -> Case:
-        """How long it takes to get going: help, and a first run without compiled kernels."""
+        """Return the case for startup time: help, and a first run without compiled kernels."""
         run = self.map(SAMPLE, "start")
         return Case("start", SAMPLE, {"first run": run, "second run": run, "--help": [str(self.command), "--help"]})
 
 
 def make(data: Path, key: str, scale: float) -> dict[str, Any]:
-    """Make a survey in a process of its own; returns its facts."""
+    """Make a survey in a separate process; return its facts."""
     millions, order, kind = _MADE[key]
     points = str(max(1, round(millions * _MILLION * scale)))
     script = [sys.executable, str(HERE / "surveys.py"), "--data", str(data), "--points", points]
@@ -102,20 +102,20 @@ def make(data: Path, key: str, scale: float) -> dict[str, Any]:
 
 
 def describe(survey: Path) -> dict[str, Any]:
-    """Facts of a survey that the user names."""
+    """Return the facts of a survey given by the user."""
     return _answer([sys.executable, str(HERE / "surveys.py"), "--facts", str(survey)])
 
 
 def _answer(command: list[str], env: dict[str, str] | None = None) -> dict[str, Any]:
     done = run_timed(command, env)
     if done.exit_code != 0:
-        sys.exit(f"{' '.join(command)} failed:\n{done.complaint}")
+        sys.exit(f"{' '.join(command)} failed:\n{done.stderr_tail}")
     answer: dict[str, Any] = json.loads(done.output)
     return answer
 
 
 def prepare(given: argparse.Namespace, bench: Bench, wanted: list[str], results: dict[str, Any]) -> list[Case]:
-    """Make the surveys and list the cases that are wanted."""
+    """Make the surveys and list the selected cases."""
     cases = []
     for number, survey in enumerate(given.survey, start=1):
         key = f"real{number}"
@@ -140,40 +140,40 @@ def prepare(given: argparse.Namespace, bench: Bench, wanted: list[str], results:
 
 
 def run_round(case: Case, results: dict[str, Any]) -> None:
-    """Run every side of a case once."""
-    warm(case.survey)
+    """Run every program of a case once."""
+    warm_page_cache(case.survey)
     with tempfile.TemporaryDirectory() as empty:
         env = {"NUMBA_CACHE_DIR": empty} if case.key == "start" else {}
         for side, command in case.sides.items():
             sample = run_timed(command, env)
-            _tell(case.key, side, sample)
+            _print_sample(case.key, side, sample)
             results["samples"].setdefault(case.key, {}).setdefault(side, []).append(sample.record())
 
 
-def _tell(key: str, side: str, sample: Sample) -> None:
+def _print_sample(key: str, side: str, sample: Sample) -> None:
     figures = f"{sample.wall:8.2f} s  {sample.cpu:8.2f} s cpu  {sample.peak / 1e9:6.2f} GB"
     sys.stderr.write(f"{key:14} {side:11} {figures}\n")
     if sample.exit_code != 0:
-        sys.stderr.write(f"  exit {sample.exit_code}: {sample.complaint}\n")
+        sys.stderr.write(f"  exit {sample.exit_code}: {sample.stderr_tail}\n")
 
 
 def run_patches(cases: list[Case], results: dict[str, Any]) -> None:
-    """Side (c), once: the paper's way on 200 tiles."""
+    """Time the paper's method (program c) once on 200 tiles."""
     for case in cases:
-        record = _answer([sys.executable, str(HERE / "paper_way.py"), str(case.survey)], _ONE_THREAD)
+        record = _answer([sys.executable, str(HERE / "paper_method.py"), str(case.survey)], _ONE_THREAD)
         results["patch"].setdefault(results["titles"][case.key], []).append(record)
-        ways = {"ours": record["ours_ms"], **record["ways_ms"]}
-        figures = "  ".join(f"{way} {value:.3f} ms" for way, value in ways.items())
+        methods = {"ours": record["ours_ms"], **record["methods_ms"]}
+        figures = "  ".join(f"{way} {value:.3f} ms" for way, value in methods.items())
         sys.stderr.write(f"{case.key:14} patches     {figures}\n")
 
 
 def save(data: Path, results: dict[str, Any]) -> None:
-    """Keep the raw figures beside the surveys; a run that is cut short leaves what it has."""
+    """Write the raw figures so far next to the surveys."""
     (data / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
 
 
-def look_at_layers(cases: list[Case], bench: Bench, results: dict[str, Any]) -> None:
-    """Note the area of every survey, and whether order has changed a single bit of a layer."""
+def check_layers(cases: list[Case], bench: Bench, results: dict[str, Any]) -> None:
+    """Record the area of every survey, and whether the order of points changed any bit of a layer."""
     sums = {}
     for case in cases:
         manifest = bench.out(case.key) / "run.json"
@@ -187,7 +187,7 @@ def look_at_layers(cases: list[Case], bench: Bench, results: dict[str, Any]) -> 
 
 
 def main() -> None:
-    """Run the rounds; print the tables; put them into the documentation after a whole run."""
+    """Run the rounds and print the tables; insert them into the documentation after a complete run."""
     given = _arguments()
     possible = [*(f"real{number + 1}" for number in range(len(given.survey))), *_MADE, "start", "patch"]
     wanted = given.only.split(",") if given.only else possible
@@ -206,25 +206,27 @@ def main() -> None:
             save(given.data, results)
         if "patch" in wanted:
             run_patches(compared, results)
-    look_at_layers(cases, bench, results)
+    check_layers(cases, bench, results)
     save(given.data, results)
     text = tables(results)
     print(text)
     page = given.page or (PAGE if given.scale == 1.0 and not given.only else None)
     if page:
-        keep(page, text)
+        insert_tables(page, text)
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=HERE / "data", help="folder of surveys, layers and raw figures")
     parser.add_argument("--survey", type=Path, action="append", default=[], help="a real survey in metres; repeatable")
-    parser.add_argument("--crs", action="append", default=[], help="its CRS where it has none; as often as --survey")
+    parser.add_argument("--crs", action="append", default=[], help="its CRS if it has none; as often as --survey")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", default="", metavar="CASE,...", help="some cases: real1, 20m-laz, start, patch, ...")
-    parser.add_argument("--scale", type=float, default=1.0, help="share of the points: 0.01 tries everything out")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     parser.add_argument("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")
-    parser.add_argument("--page", type=Path, help=f"put the tables into this page [{PAGE.name} after a whole run]")
+    parser.add_argument(
+        "--page", type=Path, help=f"insert the tables into this page [{PAGE.name} after a complete run]"
+    )
     given = parser.parse_args()
     if given.rounds < 1:
         parser.error(f"--rounds is {given.rounds}; it must be at least 1")

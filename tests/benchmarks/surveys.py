@@ -1,4 +1,4 @@
-"""Make the big surveys that the benchmarks read: the same seed gives the same points.
+"""Make the large surveys for the benchmarks; the same seed gives the same points.
 
 python tests/benchmarks/surveys.py --points 20000000 --order sorted --format laz --data FOLDER
 """
@@ -27,9 +27,9 @@ _CORNER = (691_200.0, 5_335_800.0, 0.0)
 """South-west corner of every site, m."""
 _BATCH = 1_000_000
 _BYTES = {("las", "sorted"): 36, ("las", "shuffled"): 36, ("laz", "sorted"): 15, ("laz", "shuffled"): 27}
-"""On disk, a point, rounded up."""
+"""Bytes per point on disk, rounded up."""
 _SPARE = 1_000_000_000
-"""Bytes that stay free."""
+"""Bytes of disk space to keep free."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,23 +38,23 @@ class Survey:
 
     points: int
     order: str
-    """``sorted``: swath by swath, line by line; ``shuffled``: at random over the whole site."""
+    """``sorted``: swath by swath, line by line; ``shuffled``: in random order over the whole site."""
     format: str
     seed: int = 1
 
     @property
     def name(self) -> str:
-        """File name; it changes with everything the points depend on."""
+        """File name, which contains all settings."""
         return f"site_{self.points}_{self.order}_{self.seed}.{self.format}"
 
     @property
     def lines(self) -> int:
-        """Scan lines of a swath, such that the site is about square."""
+        """Number of scan lines per swath that makes the site about square."""
         swaths = max(1, round(math.sqrt(self.points) / SWATH))
         return math.ceil(self.points / (SWATH * swaths))
 
     def numbers(self) -> Iterator[NDArray[np.int64]]:
-        """Give the numbers of the points in the order of the file, some at a time."""
+        """Yield the numbers of the points in the order of the file, in batches."""
         if self.order == "sorted":
             for first in range(0, self.points, _BATCH):
                 yield np.arange(first, min(first + _BATCH, self.points))
@@ -65,7 +65,7 @@ class Survey:
 
 
 def make(survey: Survey, folder: Path) -> Path:
-    """Make a survey unless it is there; a file appears whole or not at all."""
+    """Make a survey unless it exists; the file is written atomically."""
     path = folder / survey.name
     if path.exists():
         return path
@@ -101,7 +101,7 @@ def make(survey: Survey, folder: Path) -> Path:
 
 
 def facts(path: Path) -> dict[str, float | int | str]:
-    """Describe a LAS or LAZ file in numbers: points, bytes, extent."""
+    """Describe a LAS or LAZ file: points, bytes, extent, format."""
     with laspy.open(path) as reader:
         header = reader.header
         width, depth, height = (float(side) for side in header.maxs - header.mins)
@@ -132,12 +132,12 @@ def _refuse_full_disk(survey: Survey, folder: Path) -> None:
     if free < needed:
         sys.exit(
             f"{survey.name} may need {needed / 1e9:.1f} GB and {folder} has {free / 1e9:.1f} GB free. "
-            "Make room, or name a folder on a larger disk: --data FOLDER"
+            "Free some space, or choose a folder on a larger disk: --data FOLDER"
         )
 
 
 def main() -> None:
-    """Make one survey, or describe a file with --facts; prints one line of JSON."""
+    """Make one survey, or describe a file with --facts; print one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).with_name("data"), help="folder of the surveys")
     parser.add_argument("--points", type=int, default=20_000_000)

@@ -1,4 +1,4 @@
-"""Compares the map with drives in the simulation."""
+"""Compare the map with drives in the simulation."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""Statistics of how far predictions and drives agree, on plain arrays.
+"""Statistics of the agreement between predictions and drives, on plain arrays.
 
-Patches are rows. Where C_r is compared there must be no NaN: the caller drops such patches.
+Patches are rows. Arrays of C_r must not contain NaN; the caller drops such patches.
 """
 
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ __all__ = [
     "ClassShift",
     "Coverage",
     "ReliabilityBin",
+    "class_shift",
     "confusion",
     "coverage",
+    "cross_validated_fit",
     "driven_class",
     "fail_auc",
-    "left_out_fit",
     "median_error",
     "median_ratio",
     "monotone_fit",
     "reliability",
     "same_order",
     "spearman",
-    "steps_off",
 ]
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 
 
 def spearman(first: Floats, second: Floats) -> float:
-    """Rank correlation of two (n,) arrays; NaN with fewer than three rows, or where one of them is constant."""
+    """Return the rank correlation of two (n,) arrays; NaN with fewer than three rows or if one is constant."""
     from scipy.stats import rankdata
 
     if len(first) < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
@@ -40,24 +40,24 @@ def spearman(first: Floats, second: Floats) -> float:
 
 
 def median_error(predicted: Floats, driven: Floats) -> float:
-    """Median of abs(predicted - driven) / driven; NaN without rows."""
+    """Return the median of abs(predicted - driven) / driven; NaN without rows."""
     return float(np.median(np.abs(predicted - driven) / driven)) if len(driven) else float("nan")
 
 
 def median_ratio(predicted: Floats, driven: Floats) -> float:
-    """Median of predicted / driven: above 1 the prediction is too high; NaN without rows."""
+    """Return the median of predicted / driven (above 1: the prediction is too high); NaN without rows."""
     return float(np.median(predicted / driven)) if len(driven) else float("nan")
 
 
 def monotone_fit(predictor: Floats, c_r: Floats, wanted: Floats) -> Floats:
-    """C_r by the best monotone function of a predictor: isotonic regression on ln C_r.
+    """Predict C_r by the best monotone function of a predictor: isotonic regression on ln C_r.
 
     Parameters
     ----------
     predictor, c_r : array (n,)
-        What the function is fitted to, at least one row; rad/m.
+        Data for the fit, at least one row; C_r in rad/m.
     wanted : array (m,)
-        Values of the predictor; straight lines between those of the fit, the nearest one beyond them.
+        Values of the predictor to evaluate; interpolated linearly, and constant beyond the range of the fit.
 
     Returns
     -------
@@ -73,10 +73,10 @@ def monotone_fit(predictor: Floats, c_r: Floats, wanted: Floats) -> Floats:
     return value
 
 
-def left_out_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floats:
-    """C_r of each patch by the monotone function that the other patches give, (n,) rad/m.
+def cross_validated_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floats:
+    """Predict C_r of each patch by a monotone function fitted to the other parts (cross-validation), (n,) rad/m.
 
-    A fit to the very patches it is held against passes through them where they happen to rise, and says nothing.
+    A fit that includes the patch itself would be biased towards it.
     """
     part = np.arange(len(c_r)) % parts
     fitted = np.empty(len(c_r))
@@ -88,23 +88,23 @@ def left_out_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floats:
 
 
 def driven_class(c_r: Floats, failed_share: Floats, limits: tuple[float, ...]) -> Ints:
-    """Class that the drives give each patch: that of the mean C_r; the last one where half of them failed.
+    """Return the class of each patch by its drives: that of the mean C_r, or the last one if half of them failed.
 
     Parameters
     ----------
     c_r : array (n,)
-        Mean over the completed drives, rad/m; NaN without one.
+        Mean over the completed drives, rad/m; NaN if there are none.
     failed_share : array (n,)
         0..1.
     limits : tuple
-        C_r between the classes, rad/m.
+        C_r limits between the classes, rad/m.
     """
     class_id = np.searchsorted(np.array(limits), c_r, side="right")
     return np.where((failed_share >= 0.5) | np.isnan(c_r), len(limits), class_id).astype(np.int64)
 
 
 def confusion(driven: Ints, predicted: Ints, classes: int) -> Ints:
-    """(classes, classes) number of patches: ``[driven][predicted]``."""
+    """Return the confusion matrix (classes, classes): number of patches by ``[driven][predicted]`` class."""
     table = np.zeros((classes, classes), np.int64)
     np.add.at(table, (driven, predicted), 1)
     return table
@@ -112,15 +112,15 @@ def confusion(driven: Ints, predicted: Ints, classes: int) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class ClassShift:
-    """Shares of the patches by how far the predicted class is off, 0..1."""
+    """Shares of the patches by distance between predicted and driven class, 0..1."""
 
     same: float
     one_off: float
     further: float
 
 
-def steps_off(table: Ints) -> ClassShift:
-    """Sum up a confusion matrix; NaN without patches."""
+def class_shift(table: Ints) -> ClassShift:
+    """Summarise a confusion matrix; NaN without patches."""
     away = np.abs(np.subtract.outer(np.arange(len(table)), np.arange(len(table))))
     shares = [float(table[chosen].sum() / max(table.sum(), 1)) for chosen in (away == 0, away == 1, away > 1)]
     return ClassShift(*shares) if table.sum() else ClassShift(*(float("nan"),) * 3)
@@ -128,7 +128,7 @@ def steps_off(table: Ints) -> ClassShift:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Shares of the patches whose driven mean lies in, below and above the predicted interval, 0..1."""
+    """Shares of the patches with a driven mean inside, below and above the predicted interval, 0..1."""
 
     held: float
     below: float
@@ -136,7 +136,7 @@ class Coverage:
 
 
 def coverage(low: Floats, high: Floats, driven: Floats) -> Coverage:
-    """Count intervals (n,) that hold the driven mean; NaN without rows."""
+    """Return the coverage of the driven means by the intervals (n,); NaN without rows."""
     if not len(driven):
         return Coverage(*(float("nan"),) * 3)
     below, above = driven < low, driven > high
@@ -144,19 +144,21 @@ def coverage(low: Floats, high: Floats, driven: Floats) -> Coverage:
 
 
 def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:
-    """Probability that a failed drive was over ground of higher ``p_fail`` than a completed one; ties count half.
+    """Return the probability that a failed drive was on ground of higher ``p_fail`` than a completed one.
+
+    Ties count half.
 
     Parameters
     ----------
     p_fail : array (n,)
-        Of each patch.
+        Predicted for each patch.
     failed, completed : array (n,)
-        Its drives, or their shares: then every patch counts alike.
+        Number of its drives, or their shares, to weight all patches equally.
 
     Returns
     -------
     float
-        Area under the ROC curve; NaN where no drive failed, or all did.
+        Area under the ROC curve; NaN if no drive failed or all did.
     """
     pairs = float(failed.sum()) * float(completed.sum())
     if pairs == 0:
@@ -169,7 +171,7 @@ def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityBin:
-    """Patches of about one ``p_fail``; every patch counts alike."""
+    """Patches of similar ``p_fail``; all patches have the same weight."""
 
     predicted: float
     """Mean p_fail; NaN without patches."""
@@ -179,7 +181,7 @@ class ReliabilityBin:
 
 
 def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[ReliabilityBin]:
-    """Predicted against driven failures in bins of equal width between 0 and 1."""
+    """Compare predicted and driven failures in bins of equal width between 0 and 1."""
     place = np.minimum((p_fail * bins).astype(np.int64), bins - 1)
     found = []
     for number in range(bins):
@@ -190,6 +192,6 @@ def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[Rel
 
 
 def same_order(predicted: Floats, driven: Floats) -> NDArray[np.bool_]:
-    """Whether each patch (column) orders the vehicles (rows) as the drives do; (vehicles, n) in, (n,) out."""
+    """Return for each patch (column) whether the vehicles (rows) have the same order; (vehicles, n) in, (n,) out."""
     same: NDArray[np.bool_] = np.all(np.argsort(predicted, axis=0) == np.argsort(driven, axis=0), axis=0)
     return same

@@ -17,12 +17,12 @@ RISING = ("variance_median", "residual_median", "c_r_median", "variance_mean", "
 
 @dataclass(frozen=True, slots=True)
 class ClassRow:
-    """The tiles of one class; NaN without any."""
+    """Statistics of the tiles of one class; NaN without tiles."""
 
     class_id: int
     tiles: int
     share: float
-    """Of the judged tiles, 0..1."""
+    """Share of the classified tiles, 0..1."""
     variance_mean: float
     """z_variance, m2."""
     variance_median: float
@@ -39,11 +39,11 @@ class ClassTable:
 
     rows: list[ClassRow]
     rises: dict[str, bool]
-    """Column -> whether it rises from each class that has tiles to the next one that has."""
+    """Column -> whether it rises from class to class; classes without tiles are skipped."""
 
 
 def class_table(verdict: Verdict, z_variance: Floats, ransac_residual: Floats) -> ClassTable:
-    """Sum up judged tiles (n,) by class."""
+    """Summarise classified tiles (n,) by class."""
     rows = []
     for class_id in range(4):
         own = verdict.class_id == class_id

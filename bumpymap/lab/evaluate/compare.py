@@ -1,4 +1,4 @@
-"""Compare predictions with drives, for each way to rate a patch."""
+"""Compare the predictions of each rating with drives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,20 +11,20 @@ from bumpymap.lab.evaluate.agreement import (
     ClassShift,
     Coverage,
     ReliabilityBin,
+    class_shift,
     confusion,
     coverage,
+    cross_validated_fit,
     driven_class,
     fail_auc,
-    left_out_fit,
     median_error,
     median_ratio,
     monotone_fit,
     reliability,
     same_order,
     spearman,
-    steps_off,
 )
-from bumpymap.lab.evaluate.drives import Driven
+from bumpymap.lab.evaluate.drives import DriveStats
 from bumpymap.lab.evaluate.subject import Verdict
 
 __all__ = [
@@ -45,17 +45,17 @@ CLASSES = 4
 
 @dataclass(frozen=True, slots=True)
 class FailAgreement:
-    """How p_fail and the failed drives agree; every patch counts alike, however many drives it took."""
+    """Agreement of p_fail with the failed drives; all patches have the same weight."""
 
     auc: float
     auc_below_limit: float
-    """Over patches within the vehicle's slope limit: beyond it p_fail is 1 by rule."""
+    """AUC over patches within the vehicle's slope limit; beyond it p_fail is 1 by definition."""
     reliability: list[ReliabilityBin]
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How one predictor agrees with the drives."""
+    """Agreement of one predictor with the drives."""
 
     spearman: float
     median_error: float
@@ -66,11 +66,11 @@ class Agreement:
     confusion: list[list[int]]
     """``[driven class][predicted class]``, patches within the vehicle's slope limit."""
     coverage: Coverage | None
-    """Of the 80 % interval; None where there is none."""
+    """Coverage of the 80 % interval; None without an interval."""
     fail: FailAgreement | None
-    """None where the predictor has no p_fail."""
+    """None if the predictor has no p_fail."""
     fitted_error: float = float("nan")
-    """Of a plain predictor: its median error after the best fit to the very patches it is compared on."""
+    """Only for plain predictors: median error after the best fit to all compared patches, without cross-validation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +81,23 @@ class Comparison:
     drives: int
     failed: int
     left_out: int
-    """Patches whose C_r is not compared: too many drives failed."""
+    """Patches whose C_r is not compared because too many drives failed."""
     beyond_limit: int
     """Patches steeper than the vehicle's limit."""
     label_error: float
-    """Median standard error of the driven mean C_r, share of it."""
+    """Median standard error of the driven mean C_r, as a share of it."""
     label_error_over: int
     """Compared patches whose standard error stayed above 5 %."""
     auc_most: float
-    """AUC of the driven shares themselves: no p_fail of a patch can reach more, as drives over one patch differ."""
+    """AUC of the driven shares themselves, the upper bound for any p_fail per patch."""
     auc_most_below_limit: float
     """The same within the vehicle's slope limit."""
     agreement: dict[str, Agreement]
-    """Name of the predictor -> how it agrees."""
+    """Name of the predictor -> agreement."""
 
 
 def plain_predictors(patches: PatchStack) -> dict[str, Floats]:
-    """Roughness without any vehicle: (n,) each."""
+    """Return measures of roughness that do not depend on a vehicle, (n,) each."""
     return {
         "z_variance": patches.z_variance,
         "ransac_residual": patches.ransac_residual,
@@ -108,7 +108,7 @@ def plain_predictors(patches: PatchStack) -> dict[str, Floats]:
 def compare(
     verdicts: Mapping[str, Verdict],
     plain: Mapping[str, Floats],
-    driven: Driven,
+    driven: DriveStats,
     too_steep: NDArray[np.bool_],
     limits: tuple[float, ...],
 ) -> Comparison:
@@ -117,14 +117,14 @@ def compare(
     Parameters
     ----------
     verdicts : mapping
-        Name -> what a rating says.
+        Name of the rating -> its results.
     plain : mapping
         Name -> predictor (n,); its C_r is the best monotone function of it, fitted to the other patches.
-    driven : Driven
+    driven : DriveStats
     too_steep : array (n,)
-        Beyond the vehicle's slope limit: of the last class by rule, so that there is no class to compare.
+        True beyond the vehicle's slope limit; such patches have the last class by definition and are not compared.
     limits : tuple
-        C_r between the classes, rad/m.
+        C_r limits between the classes, rad/m.
     """
     good, level = driven.comparable, ~too_steep
     class_id = driven_class(driven.c_r, driven.failed_share, limits)[level]
@@ -137,7 +137,7 @@ def compare(
     for name, predictor in plain.items() if good.any() else ():
         fitted = monotone_fit(predictor[good], driven.c_r[good], predictor)
         best = median_error(fitted[good], driven.c_r[good])
-        fitted[good] = left_out_fit(predictor[good], driven.c_r[good])
+        fitted[good] = cross_validated_fit(predictor[good], driven.c_r[good])
         table = confusion(class_id, np.searchsorted(np.array(limits), fitted[level], side="right"), CLASSES)
         found[name] = replace(_agreement(predictor, fitted, driven, table, None, None), fitted_error=best)
     relative = driven.error[good] / driven.c_r[good]
@@ -159,7 +159,7 @@ def compare(
 def _agreement(
     predictor: Floats,
     c_r: Floats,
-    driven: Driven,
+    driven: DriveStats,
     table: NDArray[np.int64],
     held: Coverage | None,
     fail: FailAgreement | None,
@@ -169,14 +169,14 @@ def _agreement(
         spearman=spearman(predictor[good], driven.c_r[good]),
         median_error=median_error(c_r[good], driven.c_r[good]),
         median_ratio=median_ratio(c_r[good], driven.c_r[good]),
-        steps=steps_off(table),
+        steps=class_shift(table),
         confusion=table.tolist(),
         coverage=held,
         fail=fail,
     )
 
 
-def _fail_agreement(p_fail: Floats, driven: Driven, too_steep: NDArray[np.bool_]) -> FailAgreement:
+def _fail_agreement(p_fail: Floats, driven: DriveStats, too_steep: NDArray[np.bool_]) -> FailAgreement:
     share, level = driven.failed_share, ~too_steep
     return FailAgreement(
         auc=fail_auc(p_fail, share, 1 - share),
@@ -187,22 +187,22 @@ def _fail_agreement(p_fail: Floats, driven: Driven, too_steep: NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class KindRow:
-    """One kind of ground."""
+    """Agreement on one kind of ground."""
 
     kind: str
     patches: int
     compared: int
-    """Patches whose C_r counts."""
+    """Patches with comparable C_r."""
     failed_share: float
-    """Of the drives, 0..1."""
+    """Share of failed drives, 0..1."""
     median_error: float
     """Median of abs(predicted - driven) / driven; NaN without compared patches."""
     median_ratio: float
     """Median of predicted / driven."""
 
 
-def by_kind(kinds: Sequence[str], verdict: Verdict, driven: Driven) -> list[KindRow]:
-    """Compare predictions and drives kind by kind, in the order in which the kinds appear; all of length n."""
+def by_kind(kinds: Sequence[str], verdict: Verdict, driven: DriveStats) -> list[KindRow]:
+    """Compare predictions and drives for each kind of ground, in order of first appearance; all of length n."""
     rows = []
     names = np.array(kinds)
     for kind in dict.fromkeys(kinds):
@@ -223,21 +223,21 @@ def by_kind(kinds: Sequence[str], verdict: Verdict, driven: Driven) -> list[Kind
 
 @dataclass(frozen=True, slots=True)
 class VehicleOrder:
-    """Whether predictions put vehicles in the order of the drives."""
+    """Agreement of the predicted order of vehicles with the driven order."""
 
     rating: str
     vehicles: tuple[str, ...]
     patches: int
-    """On which every vehicle has a C_r that counts."""
+    """Patches on which every vehicle has a comparable C_r."""
     same: float
     """Share of them with the same order; NaN without patches."""
     clear_patches: int
-    """Those where the drives tell the vehicles apart: neighbours differ by two standard errors."""
+    """Patches on which neighbours in the driven order differ by more than two standard errors."""
     clear_same: float
     """Share of these with the same order; NaN without patches."""
 
 
-def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, Driven]) -> VehicleOrder:
+def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, DriveStats]) -> VehicleOrder:
     """Compare the order of two or more vehicles' C_r on the same patches; both mappings by name of the vehicle."""
     names = tuple(driven)
     good = np.all([driven[name].comparable for name in names], axis=0)

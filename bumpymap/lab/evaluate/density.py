@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_CLASS, Progress
-from bumpymap.lab.evaluate.chance import chance
+from bumpymap.lab.evaluate.keyed_random import uniform_by_key
 from bumpymap.lab.evaluate.subject import MAPPED, Subject, Verdict
 from bumpymap.lab.evaluate.survey import MeasuredSurvey
 from bumpytiles import TilePoints
 
-__all__ = ["DensityRow", "density_sweep", "thinned"]
+__all__ = ["DensityRow", "density_sweep", "thin_points"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,36 +22,36 @@ class DensityRow:
 
     rating: str
     density: float
-    """Points per m2 that was asked for: the mean over the judged tiles."""
+    """Requested mean density of the classified tiles, points per m2."""
     share_of_points: float
-    """That were kept, 0..1."""
+    """Share of the points that were kept, 0..1."""
     tiles: int
-    """Judged tiles of the whole survey."""
+    """Classified tiles of the whole survey."""
     still_judged: float
-    """Share of them that can be judged with fewer points."""
+    """Share of them that can be classified with fewer points."""
     same_class: float
     """Share of those that keep their class."""
     same_by_class: float
-    """The same, each class counted alike however many tiles it has: mean over the classes of all points."""
+    """The mean of the same share over the classes, so that all classes have the same weight."""
     off_two: float
-    """Share of those that move by two classes or more."""
+    """Share of those that change by two classes or more."""
     c_r_ratio: float
-    """Median of C_r over that of the whole survey."""
+    """Median ratio of C_r to that of the whole survey."""
     confidence_kept: float
     """Median confidence of tiles that keep their class; NaN without any."""
     confidence_moved: float
     """Median confidence of those that do not; NaN without any."""
 
 
-def thinned(points: TilePoints, share: float, seed: int) -> TilePoints:
-    """Keep about a share of the points, each by its own random number: what stays, stays at higher densities.
+def thin_points(points: TilePoints, share: float, seed: int) -> TilePoints:
+    """Keep about a share of the points, chosen by a random number per point.
 
-    Points of a tile come in an order of their own, so the chance belongs to the point however it was read. Every tile
-    stays, be it without points.
+    The random number depends on the tile and the point's position in the canonical order of the tile, so points kept at
+    a low density are also kept at higher ones. All tiles are kept, even without points.
     """
     count = np.diff(points.starts)
     place = np.arange(len(points.easting)) - np.repeat(points.starts[:-1], count)
-    kept = chance(seed, np.repeat(points.col, count), np.repeat(points.row, count), place) < share
+    kept = uniform_by_key(seed, np.repeat(points.col, count), np.repeat(points.row, count), place) < share
     starts = np.concatenate(([0], np.cumsum(kept)))[points.starts]
     return replace(
         points,
@@ -64,8 +64,8 @@ def thinned(points: TilePoints, share: float, seed: int) -> TilePoints:
 
 
 @dataclass(slots=True)
-class _Seen:
-    """What one rating says of judged tiles, with all points and with few."""
+class _PairedVerdicts:
+    """Results of one rating for classified tiles, with all points and with few."""
 
     full: list[Verdict]
     few: list[Verdict]
@@ -86,22 +86,22 @@ def density_sweep(
     survey : MeasuredSurvey
     subject : Subject
     mean_density : float
-        Of its judged tiles, points per m2: what the densities are shares of.
+        Mean over its classified tiles, points per m2.
     densities : sequence of float
-        Those that the survey does not reach are left out.
+        Target densities; those that the survey does not exceed are skipped.
     seed : int
-    told : Progress
+    progress : Progress
     """
     shares = {density: density / mean_density for density in densities if density < mean_density}
     names = [name for name in MAPPED if name in subject.ratings]
-    seen = {(name, density): _Seen([], []) for density in shares for name in names}
+    seen = {(name, density): _PairedVerdicts([], []) for density in shares for name in names}
     progress.start("thinning blocks of tiles", survey.blocks if shares else 0)
     for points in survey.points() if shares else ():
         patches = survey.measured(points)
         judged = patches.reason == 0
         full = subject.judge(patches, names)
         for density, share in shares.items():
-            few = subject.judge(survey.measured(thinned(points, share, seed)), names)
+            few = subject.judge(survey.measured(thin_points(points, share, seed)), names)
             for name in names:
                 seen[name, density].full.append(full[name].take(judged))
                 seen[name, density].few.append(few[name].take(judged))

@@ -1,4 +1,4 @@
-"""What every evaluation leaves: a report in Markdown for people, the same numbers in JSON for machines."""
+"""Write the report of an evaluation in Markdown and the same numbers in JSON."""
 
 import json
 import math
@@ -18,17 +18,17 @@ _NONE = "-"
 
 
 def write_document(out: Path, text: str, kind: str, record: dict[str, Any]) -> list[Path]:
-    """Write ``report.md`` and ``report.json`` into a folder; the report comes last.
+    """Write ``report.json`` and ``report.md`` into a folder, in this order.
 
     Parameters
     ----------
     out : Path
     text : str
-        Of the report.
+        Text of the report.
     kind : str
-        Format of the JSON file.
+        Format name of the JSON file.
     record : dict
-        Nested records of numbers, texts and arrays.
+        Nested records of numbers, strings and arrays.
     """
     content = {"format": kind, "version": 1} | plain_record(record)
     with atomic(out / _RECORD) as temporary:
@@ -39,34 +39,34 @@ def write_document(out: Path, text: str, kind: str, record: dict[str, Any]) -> l
 
 
 def report_text(title: str, opening: Sequence[str], sections: Iterable[list[str]]) -> str:
-    """Join the lines of a report."""
+    """Assemble the text of a report."""
     lines = [f"# {title}", "", *opening, *(line for part in sections for line in part)]
     return "\n".join(lines).rstrip() + "\n"
 
 
 def section(title: str, intro: str, lines: Sequence[str]) -> list[str]:
-    """Lines of a section; none where there is nothing to say. ``intro`` may be empty."""
+    """Return the lines of a section, or none if ``lines`` is empty. ``intro`` may be empty."""
     return [f"## {title}", "", *([intro, ""] if intro else []), *lines] if lines else []
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
+    """Return the lines of a Markdown table."""
     lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Give so many significant digits; a dash where nothing is known."""
+    """Format a number with ``digits`` significant digits; a dash if it is not finite."""
     return f"{value:.{digits}g}" if math.isfinite(value) else _NONE
 
 
 def percent(share: float) -> str:
-    """Give a share of 0..1 as per cent."""
+    """Format a share of 0..1 as per cent; a dash if it is not finite."""
     return f"{100 * share:.1f} %" if math.isfinite(share) else _NONE
 
 
 def plain_record(value: Any) -> Any:
-    """Turn nested records into what JSON has: six digits, None for what is not finite, lists in a fixed order."""
+    """Convert nested records to plain JSON: six digits, None for non-finite numbers, sets as sorted lists."""
     if isinstance(value, dict):
         return {str(key): plain_record(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple | frozenset):

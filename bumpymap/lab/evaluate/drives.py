@@ -1,4 +1,4 @@
-"""The drives over chosen patches, which predictions are compared with."""
+"""The drives over chosen patches, for comparison with predictions."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -13,29 +13,29 @@ from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.simulate import PatchDrives
 from bumpymap.rating import Vehicle
 
-__all__ = ["MOST_FAILED", "Driven", "ground_of", "journal_settings"]
+__all__ = ["MOST_FAILED", "DriveStats", "driven_ground", "journal_settings"]
 
 Floats = NDArray[np.float64]
 MOST_FAILED = 0.25
-"""Where more of the drives failed, the mean C_r is that of the survivors: it is not compared."""
+"""If a larger share of the drives failed, C_r is not compared, because it comes from the completed drives only."""
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
-    """What the drives over n patches gave."""
+class DriveStats:
+    """Statistics of the drives over n patches."""
 
     c_r: Floats
-    """(n,) mean over the completed drives, rad/m; NaN without one."""
+    """(n,) mean C_r over the completed drives, rad/m; NaN if there are none."""
     error: Floats
     """(n,) standard error of that mean, rad/m; NaN with fewer than two."""
     completed: NDArray[np.int64]
-    """(n,) drives."""
+    """(n,) number of completed drives."""
     failed: NDArray[np.int64]
-    """(n,) drives."""
+    """(n,) number of failed drives."""
 
     @classmethod
-    def of(cls, drives: Sequence[PatchDrives]) -> "Driven":
-        """Sum up the drives of each patch."""
+    def of(cls, drives: Sequence[PatchDrives]) -> "DriveStats":
+        """Summarise the drives of each patch."""
         return cls(
             np.array([_number(patch.mean_c_r) for patch in drives]),
             np.array([_number(patch.standard_error) for patch in drives]),
@@ -45,25 +45,25 @@ class Driven:
 
     @property
     def failed_share(self) -> Floats:
-        """(n,) 0..1."""
+        """(n,) share of failed drives, 0..1."""
         share: Floats = self.failed / (self.failed + self.completed)
         return share
 
     @property
     def comparable(self) -> NDArray[np.bool_]:
-        """(n,) patches whose C_r counts: most of the drives were completed."""
+        """(n,) True if enough drives were completed to compare C_r."""
         good: NDArray[np.bool_] = (self.failed_share <= MOST_FAILED) & (self.c_r > 0)
         return good
 
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Driven":
-        """Choose patches."""
-        return Driven(*(getattr(self, f.name)[rows] for f in fields(self)))
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "DriveStats":
+        """Select patches."""
+        return DriveStats(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
-def ground_of(patches: PatchStack) -> Floats:
-    """Give the ground that is driven: the relief of each patch, holes filled, on its own plane; (n, pixels, pixels), m.
+def driven_ground(patches: PatchStack) -> Floats:
+    """Return the ground to drive over: the relief of each patch, holes filled, on its plane; (n, pixels, pixels), m.
 
-    The plane is what lies between the heights and the relief; its height in the middle is of no matter and left out.
+    The plane is the difference between the heights and the relief; its mean height is irrelevant and left out.
     """
     px = patches.grid.pixels
     axis = np.arange(px) - (px - 1) / 2
@@ -81,7 +81,7 @@ def ground_of(patches: PatchStack) -> Floats:
 def journal_settings(
     profile: Vehicle, settings: EvaluateSettings, tile_size: float, pixels: int, ground: dict[str, Any]
 ) -> dict[str, Any]:
-    """All that decides the drives of a patch, as JSON: not which patches are chosen, nor how they are rated."""
+    """Return everything that affects the drives of a patch, as JSON. The choice and rating of patches do not."""
     return {
         "vehicle": profile.to_dict(),
         "effort": asdict(settings.effort),

@@ -1,4 +1,4 @@
-"""Ground that is turned, mirrored, tilted or lifted is the same ground, and should keep its class."""
+"""Test whether tiles keep their class if their points are rotated, mirrored, tilted or lifted."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PatchStack, Reason
-from bumpymap.lab.evaluate.chance import chance
-from bumpymap.lab.evaluate.library import bucketed
+from bumpymap.lab.evaluate.keyed_random import uniform_by_key
+from bumpymap.lab.evaluate.library import rebuild_buckets
 from bumpymap.lab.evaluate.subject import MAPPED, Subject, Verdict
 from bumpytiles import TilePoints
 
@@ -18,21 +18,21 @@ Floats = NDArray[np.float64]
 _MOST_TILT_DEG = 10.0
 _LIFT_M = 1000.0
 _EDGE_M = 1e-6
-"""Points keep so far from the edges of their tile: beyond them they would belong to the next one."""
+"""Minimum distance of moved points from the edges of their tile, so that they stay in it."""
 
 MOVES = ("turned by 90 degrees", "mirrored", "tilted by up to 10 degrees", "lifted by 1000 m")
 
 
 @dataclass(frozen=True, slots=True)
 class MoveRow:
-    """One rating of moved tiles against the same tiles unmoved."""
+    """Comparison of one rating before and after a move."""
 
     rating: str
     move: str
     tiles: int
-    """Judged, and within the vehicle's slope limit, before and after."""
+    """Tiles that are classified and within the vehicle's slope limit, before and after."""
     same_class: float
-    """Share of them, 0..1; NaN without any."""
+    """Share of them that keep their class, 0..1; NaN without tiles."""
     c_r_change: float
     """Median of abs(C_r after / C_r before - 1)."""
 
@@ -40,16 +40,16 @@ class MoveRow:
 def invariance(
     blocks: Iterable[TilePoints], measured: Callable[[TilePoints], PatchStack], subject: Subject, seed: int
 ) -> list[MoveRow]:
-    """Move the points of each tile inside it, and rate it again.
+    """Move the points of each tile inside it and rate it again.
 
     Parameters
     ----------
     blocks : iterable of TilePoints
     measured : callable
-        Measures a block.
+        Function that measures a block.
     subject : Subject
     seed : int
-        Of the tilts.
+        Seed of the tilts.
     """
     names = [name for name in MAPPED if name in subject.ratings]
     limit = subject.profile.slope_limit_deg
@@ -92,8 +92,8 @@ def _moved(points: TilePoints, move: str, seed: int) -> TilePoints:
     elif move == "mirrored":
         east = -east
     elif move == "tilted by up to 10 degrees":
-        tangent = np.tan(np.radians(_MOST_TILT_DEG * chance(seed, col, row)))
-        bearing = 2 * np.pi * chance(seed + 1, col, row)
+        tangent = np.tan(np.radians(_MOST_TILT_DEG * uniform_by_key(seed, col, row)))
+        bearing = 2 * np.pi * uniform_by_key(seed + 1, col, row)
         upward = upward + tangent * (east * np.cos(bearing) + north * np.sin(bearing))
     else:
         upward = upward + _LIFT_M
@@ -104,4 +104,4 @@ def _moved(points: TilePoints, move: str, seed: int) -> TilePoints:
         northing=middle_north + np.clip(north, -half, half),
         upward=upward,
     )
-    return next(bucketed(moved).blocks())
+    return next(rebuild_buckets(moved).blocks())

@@ -1,4 +1,4 @@
-"""Terrain of the library as a survey: tiles side by side, measured like any survey."""
+"""Terrain of the library as the tiles of a survey."""
 
 import numpy as np
 
@@ -9,36 +9,36 @@ from bumpymap.patches import join_stacks, measure
 from bumpymap.rating import Calibration, Vehicle
 from bumpytiles import TileBuckets, TilePoints
 
-__all__ = ["bucketed", "dead_flat", "library_terrains", "require_unseen", "stack_of"]
+__all__ = ["flat_terrains", "library_terrains", "measure_all", "rebuild_buckets", "require_unseen"]
 
 
 def require_unseen(calibration: Calibration, seed: int) -> None:
-    """Raise UsageError where a calibration was driven over the terrain of that very seed."""
+    """Raise UsageError if a calibration was made with terrain of the same seed."""
     if calibration.settings.get("seed") == seed:
         raise UsageError(
-            f"--seed {seed} is that of the calibration {calibration.id}: its terrain is not unseen. Choose another"
+            f"--seed {seed} is that of the calibration {calibration.id}, so its terrain is not unseen. Choose another"
         )
 
 
 def library_terrains(calibration: Calibration, profile: Vehicle, seed: int, each: int) -> list[Terrain]:
-    """Make terrain as high and as steep as suits a vehicle: ``each`` of every kind, kind by kind."""
+    """Make terrain with heights and slopes scaled to a vehicle: ``each`` of every kind, kind by kind."""
     made = CalibrationSettings(profile, seed=seed, tile_size=calibration.tile_size, pixels=calibration.pixels)
     return [library_terrain(made, kind, index) for kind in KINDS for index in range(each)]
 
 
-def dead_flat(calibration: Calibration, count: int) -> list[Terrain]:
-    """Make ground without any relief."""
+def flat_terrains(calibration: Calibration, count: int) -> list[Terrain]:
+    """Make perfectly flat ground."""
     side = calibration.pixels * FINE
     return [Terrain("dead flat", np.zeros((side, side)), calibration.tile_size)] * count
 
 
-def stack_of(buckets: TileBuckets, features: FeatureSettings) -> PatchStack:
-    """Measure all tiles, in the order of their columns where they lie in one row."""
+def measure_all(buckets: TileBuckets, features: FeatureSettings) -> PatchStack:
+    """Measure all tiles; tiles in one row come in the order of their columns."""
     return join_stacks([measure(points, features, ground_only=False) for points in buckets.blocks()])
 
 
-def bucketed(points: TilePoints) -> TileBuckets:
-    """Put points that were moved inside their tiles into their own order again."""
+def rebuild_buckets(points: TilePoints) -> TileBuckets:
+    """Sort points that were moved inside their tiles into the canonical order."""
     buckets = TileBuckets(points.grid)
     buckets.add(points.easting, points.northing, points.upward, points.flag)
     return buckets

@@ -1,4 +1,4 @@
-"""Predictions from noisy surveys of ground whose C_r without noise is known."""
+"""Test predictions from noisy surveys of ground with known noise-free C_r."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,25 +8,25 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FeatureSettings, Progress
 from bumpymap.lab.evaluate.agreement import coverage
-from bumpymap.lab.evaluate.library import dead_flat, stack_of
+from bumpymap.lab.evaluate.library import flat_terrains, measure_all
 from bumpymap.lab.evaluate.subject import Subject, Verdict
-from bumpymap.lab.simulate import relief_of, surveyed
+from bumpymap.lab.simulate import relief_and_slope, survey_terrains
 from bumpymap.lab.worlds import ScanEffects, Terrain
 from bumpymap.rating import RideModel, roll_over
 
-__all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_proof", "perfect_c_r"]
+__all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_sweep", "perfect_c_r"]
 
 Floats = NDArray[np.float64]
 DENSITIES = (25.0, 50.0, 100.0, 300.0, 1000.0)
 NOISE_M = (0.0, 0.01, 0.03, 0.05)
 _FLAT_TILES = 200
 _WITHOUT_NOISE = 1e3
-"""Points a pixel that stand for a survey without end."""
+"""Points per pixel of a practically noise-free survey."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseRow:
-    """One density and one noise, over the whole library."""
+    """Results for one density and one noise level, over the whole library."""
 
     density: float
     """Points per m2."""
@@ -35,34 +35,34 @@ class NoiseRow:
     flat: float
     """Median C_r of dead-flat ground, rad/m."""
     flat_worst: float
-    """Its 90 % quantile."""
+    """90 % quantile of C_r of dead-flat ground, rad/m."""
     flat_raw: float
-    """The same with the noise left in."""
+    """Median C_r of dead-flat ground without noise correction, rad/m."""
     error: tuple[float, float, float]
     """Median of abs(C_r - truth) / truth over the smoothest, the middle and the roughest third of the ground; the truth
-    is the ride model's answer on the same ground without noise."""
+    is the ride model's prediction for the same ground without noise."""
     error_raw: tuple[float, float, float]
-    """The same with the noise left in."""
+    """The same without noise correction."""
     ratio: float
     """Median of C_r / truth."""
     held: float
-    """Share of the 80 % intervals that hold the driven C_r; where nothing was driven, the truth as above."""
+    """Share of the 80 % intervals that contain the driven C_r or, without drives, the truth as above."""
     held_thirds: tuple[float, float, float]
     """The same by thirds."""
     tiles: int
-    """Judged."""
+    """Number of classified tiles."""
 
 
 def perfect_c_r(terrains: Sequence[Terrain], ride: RideModel) -> Floats:
-    """C_r by the ride model of terrain that is known without error, (n,) rad/m."""
-    relief, slope = relief_of(terrains)
+    """Predict C_r by the ride model for terrain without survey errors, (n,) rad/m."""
+    relief, slope = relief_and_slope(terrains)
     rides = roll_over(relief, ride.operator)
     none = np.zeros(len(terrains))
     c_r: Floats = np.exp(ride.correction.predict(rides, slope, none, np.full(len(terrains), _WITHOUT_NOISE)).log_c_r)
     return c_r
 
 
-def noise_proof(
+def noise_sweep(
     terrains: Sequence[Terrain],
     subject: Subject,
     ride: RideModel,
@@ -71,23 +71,23 @@ def noise_proof(
     seed: int,
     progress: Progress,
 ) -> list[NoiseRow]:
-    """Survey terrains with every noise at every density and rate what comes of it.
+    """Survey terrains with every noise level at every density and rate the surveys.
 
     Parameters
     ----------
     terrains : sequence of Terrain, length n
     subject : Subject
     ride : RideModel
-        Its ride model.
+        Ride model of the subject.
     driven_c_r : array (n,), optional
-        rad/m; NaN where the drives say nothing of C_r.
+        rad/m; NaN if the drives do not determine C_r.
     features : FeatureSettings
     seed : int
-    told : Progress
+    progress : Progress
     """
     truth = perfect_c_r(terrains, ride)
     third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth, side="right")
-    flat = dead_flat(subject.calibration, _FLAT_TILES)
+    flat = flat_terrains(subject.calibration, _FLAT_TILES)
     progress.start("rating noisy surveys", len(DENSITIES) * len(NOISE_M))
     rows: list[NoiseRow] = []
     for density in DENSITIES:
@@ -113,8 +113,8 @@ def noise_proof(
 def _rated(
     terrains: Sequence[Terrain], effects: ScanEffects, subject: Subject, features: FeatureSettings, seed: int
 ) -> tuple[Verdict, Verdict]:
-    """Rate a survey of terrains with and without noise correction; NaN where a tile cannot be judged."""
-    patches = stack_of(surveyed(terrains, effects, seed), features)
+    """Rate a survey of terrains with and without noise correction; NaN if a tile cannot be classified."""
+    patches = measure_all(survey_terrains(terrains, effects, seed), features)
     both = subject.judge(patches, ("ride", "ride_raw"))
     return both["ride"], both["ride_raw"]
 

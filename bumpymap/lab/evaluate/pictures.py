@@ -1,4 +1,4 @@
-"""Pictures of findings as PNG, drawn without a display."""
+"""Plots of the findings as PNG, drawn without a display."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,14 +14,14 @@ __all__ = ["draw", "require_matplotlib"]
 
 _COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
 _LEAST_DRAWN = 1e-4
-"""C_r below this is drawn as this, rad/m: nobody feels it."""
+"""Lower bound of plotted C_r, rad/m; smaller values are not perceptible."""
 _NOISE_COLOURS = ("#2a7f62", "#3b73b9", "#c77c11", "#b03a48")
 
 
 def require_matplotlib() -> None:
-    """Raise UsageError where it is not installed: before the hours of work, not after."""
+    """Raise UsageError if matplotlib is not installed, so that a long evaluation does not fail at its end."""
     try:
-        import matplotlib  # noqa: F401, ICN001 (only asked whether it is there)
+        import matplotlib  # noqa: F401, ICN001 (only a test of availability)
     except ImportError as error:
         raise UsageError(
             "evaluate draws its pictures with matplotlib, which is not installed; pip install 'bumpymap[sim]'"
@@ -29,7 +29,7 @@ def require_matplotlib() -> None:
 
 
 def draw(findings: Findings, out: Path) -> dict[str, str]:
-    """Draw what there is to draw; gives part of the report -> name of the file."""
+    """Draw all plots for which there are data; return part of the report -> name of the file."""
     files: dict[str, str] = {}
     for vehicle, patches in findings.patches.items():
         names = [name for name in MAPPED if name in patches.verdicts]
@@ -73,7 +73,7 @@ def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
 
 
 def _plain_ticks(axis: Any, *, both: bool) -> None:
-    """Write 0.1, 0.2, 0.5, 1 along a logarithmic axis."""
+    """Label a logarithmic axis with plain numbers: 0.1, 0.2, 0.5, 1."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for side in (axis.xaxis, axis.yaxis) if both else (axis.xaxis,):
@@ -114,8 +114,8 @@ def _noise(axes: Any, findings: Findings) -> None:
         rows = [row for row in findings.noise if row.noise_m == noise]
         x = np.array([row.density for row in rows])
         flat, raw = ([max(getattr(row, kind), _LEAST_DRAWN) for row in rows] for kind in ("flat", "flat_raw"))
-        axis.plot(x, flat, "o-", color=colour, label=f"{100 * noise:g} cm, noise taken off")
-        axis.plot(x, raw, "o:", color=colour, label=f"{100 * noise:g} cm, left in")
+        axis.plot(x, flat, "o-", color=colour, label=f"{100 * noise:g} cm, denoised")
+        axis.plot(x, raw, "o:", color=colour, label=f"{100 * noise:g} cm, not denoised")
     axis.set(xscale="log", yscale="log", xlabel="points per m2", ylabel="median C_r of dead-flat ground [rad/m]")
     axis.set_ylim(bottom=_LEAST_DRAWN / 2)
     axis.legend(frameon=False, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=2)

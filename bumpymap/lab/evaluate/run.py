@@ -1,4 +1,4 @@
-"""An evaluation, step by step: of a survey, or of unseen terrain of the library."""
+"""Evaluate ratings on a survey or on unseen terrain of the library."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -8,22 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import REASON_TEXT, BadInputError, Ground, Reason, UsageError, counted
-from bumpymap.lab.evaluate.chance import chance
 from bumpymap.lab.evaluate.classes import class_table
 from bumpymap.lab.evaluate.compare import by_kind
 from bumpymap.lab.evaluate.density import density_sweep
-from bumpymap.lab.evaluate.drives import ground_of
+from bumpymap.lab.evaluate.drives import driven_ground
 from bumpymap.lab.evaluate.findings import Findings
 from bumpymap.lab.evaluate.invariance import invariance
-from bumpymap.lab.evaluate.library import library_terrains, require_unseen, stack_of
-from bumpymap.lab.evaluate.noise import noise_proof
+from bumpymap.lab.evaluate.keyed_random import uniform_by_key
+from bumpymap.lab.evaluate.library import library_terrains, measure_all, require_unseen
+from bumpymap.lab.evaluate.noise import noise_sweep
 from bumpymap.lab.evaluate.settings import EvaluateSettings
-from bumpymap.lab.evaluate.strata import choose, strata
+from bumpymap.lab.evaluate.strata import choose_patches, strata
 from bumpymap.lab.evaluate.subject import MAPPED, Subject, Verdict
-from bumpymap.lab.evaluate.survey import MeasuredSurvey, gather, take
+from bumpymap.lab.evaluate.survey import MeasuredSurvey, load_survey, take_tiles
 from bumpymap.lab.evaluate.timing import step_costs
 from bumpymap.lab.evaluate.trial import PatchTrial, TrialOptions
-from bumpymap.lab.simulate import Key, surveyed
+from bumpymap.lab.simulate import Key, survey_terrains
 from bumpymap.lab.worlds import KINDS, ScanEffects, Terrain
 from bumpymap.patches import measure
 from bumpymap.readers import ReadOptions, SurveyReader, identity
@@ -32,9 +32,9 @@ from bumpytiles import Grid
 __all__ = ["evaluate_library", "evaluate_survey"]
 
 _CLEAN = ScanEffects(density=1000.0)
-"""The survey that predictions over the library come from."""
+"""Survey settings for predictions on the library."""
 _MOVED = ScanEffects(density=100.0, noise_m=0.02)
-"""The survey whose tiles are turned, mirrored, tilted and lifted."""
+"""Survey settings for the tiles that are rotated, mirrored, tilted and lifted."""
 
 
 _KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
@@ -42,7 +42,7 @@ _KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
 
 @dataclass(frozen=True, slots=True)
 class _Tiles:
-    """The judged tiles of a survey, (n,) each."""
+    """The classified tiles of a survey, (n,) each."""
 
     col: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -51,7 +51,7 @@ class _Tiles:
     ransac_residual: NDArray[np.float64]
     verdicts: dict[str, Verdict]
     unknown: dict[str, int]
-    """Why tiles with points cannot be judged -> how many."""
+    """Reason why tiles with points cannot be classified -> number of tiles."""
 
 
 def evaluate_survey(
@@ -67,23 +67,23 @@ def evaluate_survey(
     Parameters
     ----------
     readers : sequence of SurveyReader
-        Its files.
+        The survey files.
     options : ReadOptions
-        What they were opened with.
+        Options with which they were opened.
     ground : Ground
-        Which points count.
+        Which points are used as ground.
     subjects : sequence of Subject
-        Vehicles; patches are chosen, and tables made, by the first one.
+        Vehicles; the choice of patches and the tables are based on the first one.
     settings : EvaluateSettings
     trial : TrialOptions
 
     Raises
     ------
     BadInputError
-        A file is damaged, or no tile can be judged.
+        A file is damaged, or no tile can be classified.
     """
     subject, grid = subjects[0], _grid(subjects)
-    with gather(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
+    with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
         tiles = _rate(survey, subject, trial)
         density = float(tiles.count.mean() / grid.tile_size**2)
         findings = _findings("survey", subjects, settings, _facts(readers, survey, tiles, density))
@@ -108,7 +108,7 @@ def evaluate_survey(
 
 
 def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, trial: TrialOptions) -> Findings:
-    """Evaluate ratings on terrain of the library that no calibration of them has seen."""
+    """Evaluate ratings on terrain of the library that their calibrations were not made with."""
     subject = subjects[0]
     _grid(subjects)
     each = -(-settings.total_patches // len(KINDS))
@@ -125,11 +125,11 @@ def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, tr
         findings.kinds = by_kind(kinds, driven.verdicts[subject.main], driven.driven)
         driven_c_r = np.where(driven.driven.comparable, driven.driven.c_r, np.nan)
     if "noise" not in settings.skip and subject.ride is not None:
-        findings.noise = noise_proof(
+        findings.noise = noise_sweep(
             terrains, subject, subject.ride, driven_c_r, settings.features, settings.seed, trial.progress
         )
     if "invariance" not in settings.skip:
-        ground = surveyed(terrains, _MOVED, settings.seed)
+        ground = survey_terrains(terrains, _MOVED, settings.seed)
         trial.progress.start("moving blocks of tiles", len(ground.keys()))
         blocks = counted(ground.blocks(), trial.progress)
         findings.moves = invariance(
@@ -139,7 +139,7 @@ def evaluate_library(subjects: Sequence[Subject], settings: EvaluateSettings, tr
 
 
 def _grid(subjects: Sequence[Subject]) -> Grid:
-    """Give the tiles that every calibration was made for."""
+    """Return the common tile grid of all calibrations."""
     grids = {(subject.calibration.tile_size, subject.calibration.pixels) for subject in subjects}
     if len(grids) > 1:
         listed = ", ".join(f"{size:g} m with {pixels} pixels" for size, pixels in sorted(grids))
@@ -162,7 +162,7 @@ def _findings(title: str, subjects: Sequence[Subject], settings: EvaluateSetting
 
 
 def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Tiles:
-    """Rate every tile; keep a few numbers of each."""
+    """Rate all tiles; keep only a few values of each."""
     trial.progress.start("rating blocks of tiles", survey.blocks)
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _KEPT}
     verdicts: list[dict[str, Verdict]] = []
@@ -181,7 +181,7 @@ def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Til
         listed = ", ".join(f"{name}: {count}" for name, count in unknown.items())
         raise BadInputError(
             f"no tile of the survey can be classified ({listed}), so there is nothing to evaluate"
-            + (". Points of class 2 alone were measured; try --ground all" if survey.ground_only else "")
+            + (". Only points of class 2 were measured; try `ground='all'`" if survey.ground_only else "")
         )
     return _Tiles(
         **joined,
@@ -204,7 +204,7 @@ def _facts(readers: Sequence[SurveyReader], survey: MeasuredSurvey, tiles: _Tile
 def _origin(
     readers: Sequence[SurveyReader], options: ReadOptions, survey: MeasuredSurvey, settings: EvaluateSettings
 ) -> dict[str, Any]:
-    """All that decides the heights of a survey's tiles; a copy of a file is as good as the file."""
+    """Return everything that affects the heights of a survey's tiles; copies of a file are equivalent."""
     found = [identity(reader.info.path) for reader in readers]
     return {
         "files": sorted([str(file["size"]), file["digest"]] for file in found),
@@ -217,22 +217,22 @@ def _origin(
 def _trial(
     survey: MeasuredSurvey, tiles: _Tiles, subject: Subject, settings: EvaluateSettings, origin: dict[str, Any]
 ) -> PatchTrial:
-    """Choose patches of every roughness."""
+    """Choose patches over the whole range of roughness."""
     verdict = tiles.verdicts[subject.main]
-    priority = chance(settings.seed, tiles.col, tiles.row)
-    rows = choose(strata(verdict.c_r, verdict.p_fail), priority, settings.total_patches)
+    priority = uniform_by_key(settings.seed, tiles.col, tiles.row)
+    rows = choose_patches(strata(verdict.c_r, verdict.p_fail), priority, settings.total_patches)
     col, row = tiles.col[rows], tiles.row[rows]
     patches = survey.patches(col, row)
     names: list[Key] = [(int(c), int(r)) for c, r in zip(col, row, strict=True)]
-    return PatchTrial(names, patches, ground_of(patches), origin)
+    return PatchTrial(names, patches, driven_ground(patches), origin)
 
 
 def _library_trial(terrains: Sequence[Terrain], each: int, subject: Subject, settings: EvaluateSettings) -> PatchTrial:
-    """Drive the terrain itself; predict from a dense survey of it without noise."""
-    patches = stack_of(surveyed(terrains, _CLEAN, settings.seed), settings.features)
+    """Drive over the terrain itself; predict from a dense survey of it without noise."""
+    patches = measure_all(survey_terrains(terrains, _CLEAN, settings.seed), settings.features)
     rows = patches.col[patches.reason == Reason.OK]
     names: list[Key] = [(terrains[i].kind, int(i) % each) for i in rows]
     ground = np.stack([terrains[i].heights for i in rows])
     limit = subject.profile.slope_limit_deg
     origin = {"library": settings.seed, "wheel_radius_m": subject.profile.wheel.radius_m, "slope_limit_deg": limit}
-    return PatchTrial(names, take(patches, patches.reason == Reason.OK), ground, origin)
+    return PatchTrial(names, take_tiles(patches, patches.reason == Reason.OK), ground, origin)

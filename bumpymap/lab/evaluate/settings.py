@@ -1,4 +1,4 @@
-"""What an evaluation does, and how much of it."""
+"""Settings of an evaluation."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,24 +10,24 @@ from bumpymap.lab.simulate import DriveSettings, Effort
 __all__ = ["EvaluateSettings", "Part"]
 
 Part = Literal["drives", "density", "invariance", "noise", "timing"]
-"""What can be left out."""
+"""Parts of an evaluation that can be skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluateSettings:
-    """Everything beside the survey and the vehicles that decides the numbers."""
+    """All settings that affect the numbers, apart from survey and vehicles."""
 
     total_patches: int = 300
-    """Patches to drive over."""
+    """Number of patches to drive over."""
     min_starts: int = 16
-    """Drives over one patch, at least."""
+    """Minimum number of drives per patch."""
     max_starts: int = 48
-    """More drives follow until the standard error of the mean C_r is below 5 % of it, or there are so many."""
+    """Maximum number of drives per patch; they stop once the standard error of the mean C_r is below 5 % of it."""
     seed: int = 7
     rating: Rating = "ride"
-    """As `map` rates; ``table`` alone leaves the ride model out, which it stands beside else."""
+    """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
     densities: tuple[float, ...] = (100.0, 50.0, 20.0, 10.0, 5.0)
-    """Points per m2 that the survey is thinned to."""
+    """Densities to which the survey is thinned, points per m2."""
     skip: frozenset[Part] = frozenset()
     drive: DriveSettings = field(default_factory=DriveSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -49,5 +49,5 @@ class EvaluateSettings:
 
     @property
     def effort(self) -> Effort:
-        """Drives of one patch."""
+        """Bounds on the number of drives per patch."""
         return Effort(self.min_starts, self.max_starts)

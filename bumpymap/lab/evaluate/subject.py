@@ -1,4 +1,4 @@
-"""What is evaluated: a vehicle's calibration, and the ways in which it rates tiles."""
+"""The subject of an evaluation: a vehicle's calibration and its ratings."""
 
 import hashlib
 import json
@@ -19,15 +19,15 @@ __all__ = ["MAPPED", "NoisyRide", "Rate", "Subject", "Verdict"]
 
 Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
 MAPPED = ("ride", "table")
-"""Ratings that ``map`` offers."""
+"""Ratings of ``map``."""
 _PLACELESS = Georeference(None)
 
 
 class NoisyRide(RideModel):
-    """The ride model without noise correction: it rates the measured ground, which is also what is driven."""
+    """The ride model without noise correction; it rates the measured ground, over which the drives run too."""
 
     def predict(self, patches: PatchStack) -> Prediction:
-        """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
+        """Predict C_r and p_fail of n tiles; NaN if a tile cannot be classified."""
         rides = roll_over(patches.relief_map, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
         none = np.zeros(len(patches.count))
@@ -36,7 +36,7 @@ class NoisyRide(RideModel):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one rating says of n tiles; as in `CostMap`."""
+    """Results of one rating for n tiles, with the fields of `CostMap`."""
 
     class_id: NDArray[np.uint8]
     c_r: NDArray[np.float64]
@@ -47,17 +47,17 @@ class Verdict:
 
     @classmethod
     def of(cls, cost_map: CostMap) -> "Verdict":
-        """Take what a map says."""
+        """Copy the fields from a cost map."""
         floats = [getattr(cost_map, f.name).astype(np.float64) for f in fields(cls)[1:]]
         return cls(cost_map.class_id, *floats)
 
     @classmethod
     def join(cls, parts: "Sequence[Verdict]") -> "Verdict":
-        """Put tiles together."""
+        """Concatenate the tiles of several verdicts."""
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Verdict":
-        """Choose tiles."""
+        """Select tiles."""
         return Verdict(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
@@ -71,7 +71,7 @@ class Subject:
     """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``."""
     textures: TextureModel
     ride: RideModel | None = None
-    """The model behind ``ride``."""
+    """The model of the ``ride`` rating."""
 
     @classmethod
     def of(cls, calibration: Calibration, textures: TextureModel, rating: Rating) -> "Subject":
@@ -80,7 +80,7 @@ class Subject:
         Raises
         ------
         UsageError
-            It holds no ride model and that is wanted, or the texture network is for other tiles.
+            The calibration has no ride model but the rating needs one, or the texture network is for other tiles.
         """
         textures.require_grid(calibration.tile_size, calibration.pixels)
         profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
@@ -101,17 +101,17 @@ class Subject:
 
     @property
     def key(self) -> str:
-        """Name of the vehicle and eight digits of its profile: what its drives depend on, not how it is rated."""
+        """Name of the vehicle and eight digits of the hash of its profile, which determines its drives."""
         text = json.dumps(self.calibration.vehicle, sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
     @property
     def main(self) -> str:
-        """The rating that patches are chosen by."""
+        """The rating by which patches are chosen."""
         return "ride" if "ride" in self.ratings else "table"
 
     def judge(self, patches: PatchStack, names: "Sequence[str] | None" = None) -> dict[str, Verdict]:
-        """Rate tiles in the named ways; in all by default."""
+        """Rate tiles with the named ratings; with all by default."""
         seen = classify(patches, self.textures)
         return {
             name: Verdict.of(rating(patches, seen, _PLACELESS))

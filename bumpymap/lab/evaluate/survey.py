@@ -1,4 +1,4 @@
-"""The tiles of a survey: points are kept by block, in memory or on disk, and measured block by block."""
+"""The tiles of a survey: points are stored by block, in memory or on disk, and measured block by block."""
 
 import shutil
 from collections.abc import Iterator, Sequence
@@ -26,28 +26,28 @@ from bumpymap.patches import join_stacks, measure
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints, group_points
 
-__all__ = ["MeasuredSurvey", "gather", "open_readers", "take"]
+__all__ = ["MeasuredSurvey", "load_survey", "open_readers", "take_tiles"]
 
 _MOST_POINTS = 10_000_000
-"""Points that wait in memory (26 bytes each); the others wait on disk."""
+"""Maximum number of points stored in memory (26 bytes each); the others are stored on disk."""
 _BLOCK_POINTS = 10_000_000
 
 Ints = NDArray[np.int64]
 
 
 def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bool) -> list[SurveyReader]:
-    """Open survey files; settle on one CRS.
+    """Open survey files and check that they share one CRS.
 
     Raises
     ------
     BadInputError
-        A file that cannot be read, files of different CRS, or none while ``local`` is False.
+        A file cannot be read, files have different CRS, or there is no CRS and ``local`` is False.
     """
     readers = [open_survey(path, options) for path in find_surveys(surveys)]
     if common_georeference([reader.info for reader in readers]).crs is None and not local:
         raise BadInputError(
-            f"{readers[0].info.path} has no CRS, so the unit of its coordinates is unknown. Pass --crs EPSG:CODE, "
-            "or --local where they are metres"
+            f"{readers[0].info.path} has no CRS, so the unit of its coordinates is unknown. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` if they are metres"
         )
     return readers
 
@@ -58,21 +58,21 @@ class MeasuredSurvey:
 
     buckets: TileBuckets
     ground_only: bool
-    """Points of class 2 alone are measured."""
+    """True if only points of class 2 are measured."""
     features: FeatureSettings
 
     @property
     def grid(self) -> Grid:
-        """The tiles."""
+        """The tile grid."""
         return self.buckets.grid
 
     @property
     def blocks(self) -> int:
-        """How many there are."""
+        """Number of blocks."""
         return len(self.buckets)
 
     def points(self) -> Iterator[TilePoints]:
-        """Points of each block (of a share of it, where it is dense), south-west first."""
+        """Yield the points of each block (in several parts if it is dense), south-west first."""
         return self.buckets.blocks()
 
     def measured(self, points: TilePoints) -> PatchStack:
@@ -80,7 +80,7 @@ class MeasuredSurvey:
         return measure(points, self.features, ground_only=self.ground_only)
 
     def patches(self, col: Ints, row: Ints) -> PatchStack:
-        """Measure chosen tiles (at least one, all of which hold points), in the order in which they are asked for."""
+        """Measure the given tiles (at least one, all with points), in the given order."""
         wanted = set(zip(col.tolist(), row.tolist(), strict=True))
         keys = sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted})
         stacks = []
@@ -88,19 +88,19 @@ class MeasuredSurvey:
             for points in self.buckets.block(key):
                 stack = self.measured(points)
                 own = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
-                stacks.append(take(stack, np.array([tile in wanted for tile in own])))
+                stacks.append(take_tiles(stack, np.array([tile in wanted for tile in own])))
         joined = join_stacks(stacks)
         place = {tile: i for i, tile in enumerate(zip(joined.col.tolist(), joined.row.tolist(), strict=True))}
-        return take(joined, np.array([place[tile] for tile in zip(col.tolist(), row.tolist(), strict=True)]))
+        return take_tiles(joined, np.array([place[tile] for tile in zip(col.tolist(), row.tolist(), strict=True)]))
 
 
-def take(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
-    """Choose tiles of a stack."""
+def take_tiles(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
+    """Select tiles of a stack."""
     return PatchStack(patches.grid, *(getattr(patches, f.name)[rows] for f in fields(PatchStack) if f.name != "grid"))
 
 
 @contextmanager
-def gather(
+def load_survey(
     readers: Sequence[SurveyReader],
     ground: Ground,
     grid: Grid,
@@ -108,7 +108,7 @@ def gather(
     folder: Path,
     progress: Progress,
 ) -> Iterator[MeasuredSurvey]:
-    """Read surveys; their points are kept for the body of the ``with``.
+    """Read surveys in a context manager; their points are stored for the body of the ``with``.
 
     Parameters
     ----------
@@ -117,8 +117,8 @@ def gather(
     grid : Grid
     features : FeatureSettings
     folder : Path
-        Where points wait that memory has no room for; they are gone at the end.
-    told : Progress
+        Folder for points that exceed the memory limit; they are deleted at the end.
+    progress : Progress
 
     Raises
     ------
@@ -138,12 +138,12 @@ def gather(
                 raise BadInputError("no point is left: every point is withheld, noise or without return")
             yield MeasuredSurvey(buckets, _ground_only(buckets, ground), features)
     except OSError as error:
-        raise OutputError(f"cannot write temporary points to {folder}: {error}. Choose another --out") from error
+        raise OutputError(f"cannot write temporary points to {folder}: {error}. Choose another `out`") from error
 
 
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
-    """Make an empty folder; what a killed run left in it is deleted."""
+    """Make an empty folder; delete leftovers of a killed run."""
     scratch = folder / ".points"
     if lexists(scratch):
         remove_path(scratch)
@@ -155,7 +155,7 @@ def _scratch(folder: Path) -> Iterator[Path]:
 
 
 def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Progress) -> int:
-    """Read a file into buckets; gives the number of the next chunk."""
+    """Read a file into buckets; return the number of the next chunk."""
     tally = PointStats()
     for chunk in reader.chunks():
         batch = reader.convert(chunk, reader.fetch(chunk))
@@ -174,6 +174,6 @@ def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Pro
 
 def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
     if ground == "csf":
-        raise UsageError("--ground csf is for map alone. Use --ground all or class here")
-    # Of one tile, a share is what a count is of many.
+        raise UsageError("`ground='csf'` is supported by map only. Use `ground='all'` or `ground='class'` here")
+    # For a single tile, the share of ground points replaces the count of tiles with ground points.
     return decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())

@@ -1,4 +1,4 @@
-"""Findings as Markdown tables, and what they say in a sentence."""
+"""Markdown tables of the findings, with one-sentence summaries."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ _COLUMN = {
 
 
 def class_lines(classes: Mapping[str, ClassTable]) -> list[str]:
-    """Table I of each rating, the paper's below them."""
+    """Return Table I of each rating, followed by the paper's."""
     rows = []
     for rating, found in classes.items():
         for row in found.rows:
@@ -58,16 +58,16 @@ def class_lines(classes: Mapping[str, ClassTable]) -> list[str]:
 def _rises(rating: str, found: ClassTable) -> str:
     missing = [str(row.class_id) for row in found.rows if not row.tiles]
     falls = [_COLUMN[name] for name, rises in found.rises.items() if not rises]
-    said = f"`{rating}`: " + (
+    summary = f"`{rating}`: " + (
         f"from class to class these do not rise everywhere: {', '.join(falls)}."
         if falls
-        else "variance, residual and C_r rise from class to class, medians and means alike."
+        else "variance, residual and C_r rise from class to class, in median and mean."
     )
-    return f"- {said}" + (f" No tile is of class {', '.join(missing)}." if missing else "")
+    return f"- {summary}" + (f" No tile is of class {', '.join(missing)}." if missing else "")
 
 
 def driven_lines(found: Comparison) -> list[str]:
-    """Compare every predictor with the drives."""
+    """Return the table of all predictors compared with the drives."""
     rows = []
     for name, own in found.agreement.items():
         held = percent(own.coverage.held) if own.coverage else _NONE
@@ -92,7 +92,7 @@ def driven_lines(found: Comparison) -> list[str]:
         "same class",
         "one off",
         "two or more off",
-        "80 % interval holds",
+        "80 % interval contains it",
         "p_fail AUC",
         "within slope limit",
     )
@@ -100,13 +100,13 @@ def driven_lines(found: Comparison) -> list[str]:
 
 
 def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
-    """Things by their class, as the ``truth`` has it (such as *driven*) and as it was ``found``."""
+    """Return a confusion matrix as a table; ``truth`` and ``found`` label its rows and columns, such as *driven*."""
     rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
     return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
 
 
 def reliability_lines(found: Comparison) -> list[str]:
-    """Predicted against driven failures."""
+    """Return the table of predicted and driven failures."""
     rows = [
         [f"`{name}`", number(one.predicted), number(one.share_failed), str(one.patches)]
         for name, own in found.agreement.items()
@@ -118,7 +118,7 @@ def reliability_lines(found: Comparison) -> list[str]:
 
 
 def kind_lines(kinds: Sequence[KindRow]) -> list[str]:
-    """Predictions by kind of ground."""
+    """Return the table of predictions by kind of ground."""
     rows = [
         [
             row.kind,
@@ -134,7 +134,7 @@ def kind_lines(kinds: Sequence[KindRow]) -> list[str]:
 
 
 def order_lines(orders: Sequence[VehicleOrder]) -> list[str]:
-    """Whether vehicles come in the order of the drives."""
+    """Return the table of the order of vehicles."""
     rows = [
         [
             f"`{one.rating}`",
@@ -146,14 +146,14 @@ def order_lines(orders: Sequence[VehicleOrder]) -> list[str]:
         ]
         for one in orders
     ]
-    header = ("rating", "vehicles", "patches", "same order", "patches that tell them apart", "same order there")
+    header = ("rating", "vehicles", "patches", "same order", "patches that separate them", "same order there")
     return table(header, rows)
 
 
 def density_lines(rows: Sequence[DensityRow]) -> list[str]:
-    """Show the effect of fewer points."""
-    header = ("rating", "points per m2", "points kept", "still judged", "same class", "classes alike")
-    more = ("two or more off", "C_r over that of all points", "confidence where kept", "confidence where moved")
+    """Return the table of ratings with fewer points."""
+    header = ("rating", "points per m2", "points kept", "still classified", "same class", "mean over classes")
+    more = ("two or more off", "C_r relative to all points", "confidence if same class", "confidence if other class")
     return table(
         (*header, *more),
         [
@@ -175,8 +175,8 @@ def density_lines(rows: Sequence[DensityRow]) -> list[str]:
 
 
 def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
-    """Compare ratings of noisy surveys with the ground without noise."""
-    header = ("points per m2", "noise [cm]", "C_r of dead-flat ground", "worst tenth")
+    """Return the table of ratings of noisy surveys compared with ground without noise."""
+    header = ("points per m2", "noise [cm]", "C_r of dead-flat ground", "90 % quantile")
     more = (
         "noise left in",
         "median error, smooth third",
@@ -207,9 +207,9 @@ def noise_lines(rows: Sequence[NoiseRow]) -> list[str]:
 
 
 def move_lines(rows: Sequence[MoveRow]) -> list[str]:
-    """Compare moved tiles with the tiles in place."""
+    """Return the table of moved tiles compared with the tiles in place."""
     return table(
-        ("rating", "tiles that were", "tiles", "same class", "median change of C_r"),
+        ("rating", "tiles moved", "tiles", "same class", "median change of C_r"),
         [
             [f"`{row.rating}`", row.move, str(row.tiles), percent(row.same_class), percent(row.c_r_change)]
             for row in rows
@@ -218,7 +218,7 @@ def move_lines(rows: Sequence[MoveRow]) -> list[str]:
 
 
 def timing_lines(rows: Sequence[StepCost]) -> list[str]:
-    """Cost of a tile, the paper's Table II below."""
+    """Return the table of the cost of a tile, followed by the paper's Table II."""
     cells = [
         [row.step, f"{row.processor_ms:.4f}", number(row.peak_kb), number(row.result_kb), str(row.tiles)]
         for row in rows
@@ -227,5 +227,5 @@ def timing_lines(rows: Sequence[StepCost]) -> list[str]:
         ["paper: heightmap method", f"{PAPER['heightmap_ms']}", _NONE, f"{PAPER['heightmap_kb']}", _NONE],
         ["paper: variance and residual from points", f"{PAPER['variance_and_residual_ms']}", _NONE, _NONE, _NONE],
     ]
-    header = ("step", "processor time [ms a patch]", "most memory [kB a patch]", "result [kB a patch]", "patches")
+    header = ("step", "CPU time [ms per patch]", "peak memory [kB per patch]", "result [kB per patch]", "patches")
     return table(header, cells)

@@ -1,4 +1,4 @@
-"""What a tile costs: time and memory of each step, from points in memory to a rated tile, on one thread."""
+"""Measure time and memory per tile of each step, from points in memory to a rated tile, on one thread."""
 
 import time
 import tracemalloc
@@ -27,23 +27,23 @@ PAPER = {
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
-    """One step over a batch of tiles."""
+    """Cost of one step on a batch of tiles."""
 
     step: str
     tiles: int
     points: int
     processor_ms: float
-    """Processor time a tile, median of the repeats."""
+    """CPU time per tile, median of the repeats."""
     peak_kb: float
-    """Most memory that the step allocated beside its input, a tile, its result included."""
+    """Peak memory per tile allocated by the step, including its result but not its input."""
     result_kb: float
-    """Size of the result, a tile."""
+    """Size of the result per tile."""
 
 
 def step_costs(survey: MeasuredSurvey, subject: Subject, progress: Progress) -> list[StepCost]:
-    """Time the steps on one batch of tiles: the first block that holds enough of them, or the fullest one.
+    """Time the steps on one batch of tiles: the first block with enough of them, or the one with most.
 
-    Processor time, not the clock's: another program on the machine takes nothing from it.
+    CPU time is measured rather than wall time, so that other programs on the machine have little influence.
     """
     points = next(survey.points())
     for candidate in survey.points():
@@ -68,7 +68,7 @@ def step_costs(survey: MeasuredSurvey, subject: Subject, progress: Progress) -> 
 
 
 def _cost(step: Callable[[], Any], patches: PatchStack, tiles: int) -> tuple[float, float, float]:
-    """Milliseconds, peak kB and result kB a tile."""
+    """Return milliseconds, peak kB and result kB per tile."""
     result = step()
     spent = []
     for _ in range(_REPEATS):
@@ -81,7 +81,7 @@ def _cost(step: Callable[[], Any], patches: PatchStack, tiles: int) -> tuple[flo
 
 
 def peak_bytes(step: Callable[[], Any]) -> int:
-    """Most memory that Python allocates while a step runs."""
+    """Return the peak memory that Python allocates while a step runs, bytes."""
     tracemalloc.start()
     try:
         step()
@@ -91,5 +91,5 @@ def peak_bytes(step: Callable[[], Any]) -> int:
 
 
 def _bytes(value: Any, own: set[int]) -> int:
-    """Bytes of an array that is not part of the input."""
+    """Return the size of an array in bytes; 0 if it is part of the input."""
     return int(value.nbytes) if isinstance(value, np.ndarray) and id(value) not in own else 0

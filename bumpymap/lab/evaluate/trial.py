@@ -1,4 +1,4 @@
-"""Rate and drive patches with several vehicles, and compare."""
+"""Rate patches for several vehicles, drive over them and compare."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import PatchStack, Progress, Steps
 from bumpymap.lab.evaluate.compare import compare, compare_order, plain_predictors
-from bumpymap.lab.evaluate.drives import Driven, journal_settings
+from bumpymap.lab.evaluate.drives import DriveStats, journal_settings
 from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.evaluate.subject import MAPPED, Subject
@@ -21,33 +21,33 @@ __all__ = ["PatchTrial", "TrialOptions"]
 
 @dataclass(frozen=True, slots=True)
 class TrialOptions:
-    """How the drives are run, and where they are recorded."""
+    """How the drives are run and where they are recorded."""
 
     out: Path
-    """Folder of the report; journals of the drives lie in it and stay."""
+    """Folder of the report; journals of the drives are written to it and kept."""
     workers: int
     overwrite: bool
-    """Throw away a journal of other settings."""
+    """Discard a journal written with other settings."""
     progress: Progress
 
 
 @dataclass(frozen=True, slots=True)
 class PatchTrial:
-    """Patches that can be judged, and the ground that is driven for each."""
+    """Patches that can be classified, and the ground to drive over for each."""
 
     names: list[Key]
-    """Of n patches: tiles ``(col, row)``, or kind and index of a terrain."""
+    """Names of n patches: tiles ``(col, row)``, or kind and index of terrains."""
     patches: PatchStack
     ground: NDArray[np.float64]
     """(n, pixels, pixels) m."""
     origin: dict[str, Any]
-    """All that decides the ground, as JSON."""
+    """Everything that affects the ground, as JSON."""
 
     def run(
         self, subjects: Sequence[Subject], settings: EvaluateSettings, trial: TrialOptions, findings: Findings
     ) -> None:
-        """Drive every vehicle over every patch; add the comparison to the findings."""
-        driven: dict[str, Driven] = {}
+        """Drive all vehicles over all patches and add the comparison to the findings."""
+        driven: dict[str, DriveStats] = {}
         verdicts = {}
         plain = plain_predictors(self.patches)
         for subject in subjects:
@@ -63,7 +63,7 @@ class PatchTrial:
             for name in ratings:
                 findings.orders.append(compare_order(name, {v: own[name] for v, own in verdicts.items()}, driven))
 
-    def _drive(self, subject: Subject, settings: EvaluateSettings, trial: TrialOptions) -> Driven:
+    def _drive(self, subject: Subject, settings: EvaluateSettings, trial: TrialOptions) -> DriveStats:
         size, pixels = self.patches.grid.tile_size, self.patches.grid.pixels
         recorded = journal_settings(subject.profile, settings, size, pixels, self.origin)
         trial.progress.start(f"driving {subject.name} over patches", len(self.names))
@@ -79,10 +79,10 @@ class PatchTrial:
             journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
             discard_other=trial.overwrite,
         )
-        return Driven.of(list(results.values()))
+        return DriveStats.of(list(results.values()))
 
 
 def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
-    """Name of the vehicle; with the calibration where two subjects share it."""
+    """Return the name of the vehicle, with the calibration if two subjects share the name."""
     alike = sum(other.name == subject.name for other in subjects)
     return subject.name if alike == 1 else f"{subject.name} {subject.calibration.id}"

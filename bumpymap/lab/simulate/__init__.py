@@ -1,4 +1,4 @@
-"""Drives a vehicle over simulated terrain and writes a calibration. Driving needs the extra ``sim``."""
+"""Drive a vehicle over synthetic terrain and make a calibration. Driving needs the extra ``sim``."""
 
 import lazy_loader
 

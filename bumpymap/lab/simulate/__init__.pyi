@@ -14,8 +14,8 @@ from .plan import (
     library_terrain as library_terrain,
 )
 from .ride_fit import (
-    relief_of as relief_of,
-    surveyed as surveyed,
+    relief_and_slope as relief_and_slope,
+    survey_terrains as survey_terrains,
 )
 from .validate import (
     drive_patches as drive_patches,

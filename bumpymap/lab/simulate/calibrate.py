@@ -1,4 +1,4 @@
-"""Make the calibration of a vehicle: drive it over textures of each z range and over the terrain library, sum up."""
+"""Make the calibration of a vehicle: drive it over textures of each z range and over the terrain library."""
 
 from functools import partial
 
@@ -23,7 +23,7 @@ def calibrate_vehicle(
     command: str = "",
     fit: FitRide | None = None,
 ) -> Calibration:
-    """Drive a vehicle over simulated terrain and sum up what each kind of ground costs it.
+    """Drive a vehicle over synthetic terrain and summarise the ride cost of each kind of ground.
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ def calibrate_vehicle(
     progress : callable, optional
         Called with (finished drives, all drives) after every patch.
     workers : int
-        Processes; the result does not depend on it.
+        Number of processes; the result does not depend on it.
     journal : Journal, optional
-        Where driven patches are noted, and taken from when a run was interrupted.
+        Records driven patches; patches already in it are not driven again.
     discard_other : bool
-        Throw away a journal of other settings instead of refusing it.
+        Discard a journal written with other settings instead of raising an error.
     command : str
-        How to make the file again; noted in it.
+        Command line that makes the file again; stored in the calibration.
     fit : callable, optional
-        Fits the ride model to the drives over the terrain library; without it the calibration has none.
+        Fits the ride model to the drives over the terrain library; without it the calibration has no ride model.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Is the simulation right? Drives whose answer is known beforehand: planes, sine waves, a halved step, a repeat."""
+"""Validate the simulation with drives of known result: planes, sine waves, half the time step, repeated runs."""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ _ROUGH_Z_RANGE_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """A measured number beside what it may be."""
+    """A measured number and the range that it must lie in."""
 
     name: str
     measured: float
@@ -30,14 +30,14 @@ class CheckResult:
 
 
 def all_checks(profile: Vehicle, seed: int = 1) -> Iterator[CheckResult]:
-    """Every check in full, one at a time as they finish; planes up to 30 degrees or what the vehicle is meant for."""
+    """Run all checks and yield each result; planes go up to 30 degrees or the vehicle's slope limit."""
     yield check_plane(profile, 0.0)
     for degrees in (10.0, 20.0, 30.0):
         if degrees <= profile.slope_limit_deg:
             yield from (check_plane(profile, degrees, heading) for heading in (0.0, 45.0, 90.0))
-    way = _sine_speed(profile) * DriveSettings().measure_s
-    # Whole and half numbers of waves: a part of a wave does not pitch like its mean.
-    for wavelength in (way / waves for waves in (5, 4, 3, 2, 1.5, 1)):
+    distance = _sine_speed(profile) * DriveSettings().measure_s
+    # Whole and half numbers of waves: the mean over another part of a wave differs from that of the whole wave.
+    for wavelength in (distance / waves for waves in (5, 4, 3, 2, 1.5, 1)):
         if wavelength > 2 * profile.wheelbase_m:
             yield check_sine(profile, wavelength)
     yield check_step(profile, patches=24, seed=seed)
@@ -47,7 +47,7 @@ def all_checks(profile: Vehicle, seed: int = 1) -> Iterator[CheckResult]:
 def check_plane(
     profile: Vehicle, degrees: float, heading_deg: float = 0.0, settings: DriveSettings | None = None
 ) -> CheckResult:
-    """Planes shake nothing: C_r stays below 0.001 rad/m. Heading 0 goes straight up the slope, 90 along it."""
+    """Check that C_r on a plane is below 0.001 rad/m. Heading 0 goes straight up the slope, 90 along it."""
     ground = PlaneGround((math.tan(math.radians(degrees)), 0.0))
     result = drive_from(profile, ground, Start(0.0, 0.0, math.radians(heading_deg)), 0, settings)
     name = f"plane of {degrees:g} deg, heading {heading_deg:g} deg: C_r [rad/m]"
@@ -55,19 +55,20 @@ def check_plane(
 
 
 def sine_c_r(profile: Vehicle, amplitude: float, wavelength: float) -> float:
-    """C_r of a vehicle whose axles follow a sine, rad/m.
+    """Return C_r of a vehicle whose axles follow a sine, rad/m.
 
-    The axles are W apart, so the pitch is a sine of amplitude ``2 A sin(pi W / L) / W`` (small angles), which turns by
-    four times that in every wave: ``C_r = 8 A sin(pi W / L) / (W L)``.
+    The axles are W apart, so the pitch is a sine of amplitude ``2 A sin(pi W / L) / W`` (small angles). In every wave
+    the absolute pitch changes add up to four times that: ``C_r = 8 A sin(pi W / L) / (W L)``.
     """
     base = profile.wheelbase_m
     return 8 * amplitude * math.sin(math.pi * base / wavelength) / (base * wavelength)
 
 
 def check_sine(profile: Vehicle, wavelength: float, settings: DriveSettings | None = None) -> CheckResult:
-    """Waves longer than twice the wheelbase: within 5 % of the closed form.
+    """Check that C_r on waves longer than twice the wheelbase is within 5 % of the closed form.
 
-    Driven at 1 m/s at most: the closed form knows no springs, and a fast vehicle on soft ones swings further, rightly.
+    The speed is at most 1 m/s: the closed form ignores the suspension, and a fast vehicle on soft springs does pitch
+    further.
     """
     slow = replace(profile, speed_mps=_sine_speed(profile))
     result = drive_from(slow, SineGround(_SINE_AMPLITUDE_M, wavelength), Start(0.0, 0.0, 0.0), 0, settings)
@@ -80,7 +81,7 @@ def _sine_speed(profile: Vehicle) -> float:
 
 
 def check_step(profile: Vehicle, patches: int, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
-    """Half the time step changes the mean C_r over rough patches by less than 3 %."""
+    """Check that halving the time step changes the mean C_r over rough patches by less than 3 %."""
     settings = settings or DriveSettings()
     finer = replace(settings, physics=replace(settings.physics, time_step=settings.physics.time_step / 2))
     textures = make_textures("high_noise", patches, np.random.default_rng(seed)).astype(np.float64)
@@ -97,10 +98,10 @@ def check_step(profile: Vehicle, patches: int, seed: int = 1, settings: DriveSet
 
 
 def check_repeat(profile: Vehicle, seed: int = 1, settings: DriveSettings | None = None) -> CheckResult:
-    """Demand the same bits of one seed here, here again, and in another process."""
+    """Check that a seed gives the same bits twice in this process and once in another process."""
     settings = settings or DriveSettings()
-    again = partial(_rough_drive, profile, settings=settings)
-    results = [again(seed), again(seed), *run_in_processes(again, [seed], 1)]
+    run = partial(_rough_drive, profile, settings=settings)
+    results = [run(seed), run(seed), *run_in_processes(run, [seed], 1)]
     spread = max(d.c_r for d in results) - min(d.c_r for d in results)
     same = results[0] == results[1] == results[2]
     return CheckResult("same seed, again and in another process: change", spread, "0", same)

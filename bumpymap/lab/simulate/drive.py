@@ -1,4 +1,4 @@
-"""One drive: settle, accelerate, drive straight ahead at the profile's speed; record the pitch rate.
+"""Simulate one drive: settle, accelerate, drive straight ahead at the profile's speed and record the pitch rate.
 
 C_r is the integral of abs(omega_y) dt over the drive, divided by the horizontal length of the path (rad/m): the ride
 cost of the BumpyPatch paper, here with omega_y in the body frame.
@@ -20,33 +20,33 @@ __all__ = ["Drive", "DriveSettings", "Outcome", "Start", "drive", "drive_from", 
 Outcome = Literal["completed", "stuck", "rolled"]
 
 _YAW_GAIN = 1.0
-"""1/s: how fast a wrong heading is steered back."""
+"""Yaw rate per heading error, 1/s."""
 _SIDE_GAIN = 0.5
-"""1/m: heading that is aimed at per metre beside the line, as a tangent."""
-_MOST_STEERING = 0.5
-"""Largest speed difference that steering may make, share of the speed."""
+"""Tangent of the commanded heading correction per metre of lateral offset, 1/m."""
+_MAX_STEERING = 0.5
+"""Largest speed difference that steering may command, as a share of the speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
-    """What all drives of a calibration have in common."""
+    """Settings shared by all drives of a calibration."""
 
     physics: Physics = field(default_factory=Physics)
     settle_s: float = 1.0
-    """Wheels locked."""
+    """Time with wheels locked at the start."""
     ramp_s: float = 1.0
-    """From rest to full speed, linearly."""
+    """Time of linear acceleration from rest to full speed."""
     cruise_s: float = 0.5
-    """At full speed before the measurement: the pitch of speeding up dies away."""
+    """Time at full speed before the measurement, for the pitch from the acceleration to decay."""
     measure_s: float = 10.0
     sample_hz: float = 100.0
-    """Rate of the gyroscope and of the steering."""
+    """Sampling rate of the gyroscope and of the steering."""
     stuck_share: float = 0.2
-    """A drive that makes less of its way is stuck."""
+    """A drive that covers less than this share of its distance counts as stuck."""
     rolled_deg: float = 60.0
-    """A chassis that leans further has rolled over."""
+    """A chassis that tilts further counts as rolled over."""
     margin_m: float = 1.5
-    """Ground beside the wheels. A vehicle that has been pushed off its line by more has failed: stuck."""
+    """Width of ground beyond the wheels. A vehicle pushed further than this off its line counts as stuck."""
 
     def __post_init__(self) -> None:
         ratio = 1 / (self.sample_hz * self.physics.time_step)
@@ -64,7 +64,7 @@ class DriveSettings:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a drive begins."""
+    """Start position and heading of a drive."""
 
     easting: float
     """m."""
@@ -76,21 +76,21 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What one drive gave."""
+    """Result of one drive."""
 
     outcome: Outcome
     c_r: float
     """rad/m; NaN unless completed."""
     path_m: float
-    """Horizontal length of the path of the chassis while measured."""
+    """Horizontal length of the chassis' path during the measurement."""
     progress_m: float
-    """How far it came along its line while measured."""
+    """Distance along the line during the measurement."""
     seed: int
-    """Start and heading were drawn from it."""
+    """Seed from which start and heading were drawn."""
 
 
 def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
-    """Drive over endless ground from a random start at a random heading.
+    """Drive over unbounded ground from a random start at a random heading.
 
     The same seed gives the same bits in any process.
 
@@ -114,7 +114,7 @@ def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSett
 def drive_from(
     profile: Vehicle, ground: DrivenGround, start: Start, seed: int = 0, settings: DriveSettings | None = None
 ) -> Drive:
-    """Drive over endless ground from a chosen start; ``seed`` is only noted in the result."""
+    """Drive over unbounded ground from a given start; ``seed`` is only copied into the result."""
     settings = settings or DriveSettings()
     seconds = settings.ramp_s / 2 + settings.cruise_s + settings.measure_s
     strip = Strip(
@@ -128,22 +128,22 @@ def drive_from(
 
 
 def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, seed: int, settings: DriveSettings) -> Drive:
-    """Drive a vehicle along a strip and sum what its gyroscope reads.
+    """Drive a vehicle along a strip and integrate its gyroscope readings.
 
     Parameters
     ----------
     vehicle : VehicleModel
-        Stands at the start of the strip.
+        Placed at the start of the strip.
     strip : Strip
     profile : Vehicle
     seed : int
-        Noted in the result.
+        Copied into the result.
     settings : DriveSettings
     """
     period = 1 / settings.sample_hz
     quiet = settings.settle_s + settings.ramp_s + settings.cruise_s
     first, last = (round(seconds / period) for seconds in (quiet, quiet + settings.measure_s))
-    turned = path = progress = 0.0
+    pitched = path = progress = 0.0
     outcome: Outcome = "completed"
     pose = vehicle.pose()
     for sample in range(last):
@@ -154,36 +154,36 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, seed: int, set
             east, north = pose.easting - before.easting, pose.northing - before.northing
             path += math.hypot(east, north)
             progress += east * math.cos(strip.heading) + north * math.sin(strip.heading)
-            turned += (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
+            pitched += (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
         if pose.tilt > math.radians(settings.rolled_deg):
             outcome = "rolled"
             break
-        if abs(_beside(pose, strip)) > settings.margin_m:
+        if abs(_lateral_offset(pose, strip)) > settings.margin_m:
             outcome = "stuck"
             break
     if outcome == "completed" and progress < settings.stuck_share * profile.speed_mps * settings.measure_s:
         outcome = "stuck"
-    return Drive(outcome, turned / path if outcome == "completed" else math.nan, path, progress, seed)
+    return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path, progress, seed)
 
 
 def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
-    """Speed that is commanded, m/s: rest, a ramp, full speed."""
+    """Return the commanded speed, m/s: rest, a ramp, full speed."""
     if settings.ramp_s == 0:
         return profile.speed_mps if seconds >= settings.settle_s else 0.0
     return profile.speed_mps * min(max((seconds - settings.settle_s) / settings.ramp_s, 0.0), 1.0)
 
 
 def _steer(vehicle: VehicleModel, pose: Pose, strip: Strip, profile: Vehicle, speed: float) -> None:
-    """Hold the line: aim back at it, and turn the wheels of the two sides at different speeds."""
-    aim = strip.heading - math.atan(_SIDE_GAIN * _beside(pose, strip))
-    wrong = math.remainder(aim - pose.heading, 2 * math.pi)
-    difference = _YAW_GAIN * wrong * profile.track_m / 2
-    most = _MOST_STEERING * speed
+    """Steer towards the line by setting different speeds for the wheels of the two sides."""
+    aim = strip.heading - math.atan(_SIDE_GAIN * _lateral_offset(pose, strip))
+    heading_error = math.remainder(aim - pose.heading, 2 * math.pi)
+    difference = _YAW_GAIN * heading_error * profile.track_m / 2
+    most = _MAX_STEERING * speed
     difference = min(max(difference, -most), most)
     vehicle.command(speed - difference, speed + difference)
 
 
-def _beside(pose: Pose, strip: Strip) -> float:
-    """How far the vehicle is to the left of its line, m."""
+def _lateral_offset(pose: Pose, strip: Strip) -> float:
+    """Return the distance of the vehicle to the left of its line, m."""
     east, north = pose.easting - strip.easting, pose.northing - strip.northing
     return north * math.cos(strip.heading) - east * math.sin(strip.heading)

@@ -18,13 +18,13 @@ _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)
 
 Key = tuple[str | int, ...]
-"""Names a patch among those of one run."""
+"""Identifies a patch in a run."""
 
 
 class Journal:
-    """The file of driven patches. The first line holds the settings; drives of other settings are not reused.
+    """The file of driven patches. The first line holds the settings; drives with other settings are not reused.
 
-    Settings and versions are all that is compared: a change of the code that moves no number does not cost a run.
+    Only settings and versions are compared, so a code change that does not affect the numbers keeps the journal valid.
     """
 
     def __init__(self, path: Path, settings: dict[str, Any]) -> None:
@@ -34,12 +34,12 @@ class Journal:
     def resume(self, *, discard_other: bool) -> dict[Key, PatchDrives]:
         """Open the file and return the patches that an earlier run with the same settings drove.
 
-        A line that was cut off in the middle, by a power cut say, is dropped with all that follows.
+        An incomplete line, for example after a power cut, is dropped with all lines that follow it.
 
         Raises
         ------
         OutputError
-            The file is of other settings and ``discard_other`` is False, or the folder cannot be written.
+            The file has other settings and ``discard_other`` is False, or the folder cannot be written.
         """
         try:
             lines = self._lines()
@@ -52,7 +52,7 @@ class Journal:
                 lines = []
             driven = _read_patches(lines[1:])
             kept = [self._header, *(_line(key, drives) for key, drives in driven.items())]
-            with atomic(self._path) as temporary:  # a full disk must not cost what was driven
+            with atomic(self._path) as temporary:  # a full disk must not lose driven patches
                 temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise OutputError(f"cannot use the progress file {self._path}: {error}") from error
@@ -61,9 +61,9 @@ class Journal:
         return driven
 
     def add(self, key: Key, drives: PatchDrives) -> None:
-        """Append a driven patch; it is on the disk when this returns."""
+        """Append a driven patch and flush it to disk."""
         try:
-            with self._opened(os.O_WRONLY | os.O_APPEND) as file:
+            with self._open_file(os.O_WRONLY | os.O_APPEND) as file:
                 file.write(_line(key, drives) + "\n")
                 file.flush()
                 os.fsync(file.fileno())
@@ -76,20 +76,20 @@ class Journal:
 
     def _lines(self) -> list[str]:
         try:
-            with self._opened(os.O_RDONLY) as file:
+            with self._open_file(os.O_RDONLY) as file:
                 return file.read().splitlines()
         except FileNotFoundError:
             return []
 
-    def _opened(self, flags: int) -> TextIO:
-        """Open the file; refuses a link, whose target would be written to."""
+    def _open_file(self, flags: int) -> TextIO:
+        """Open the file; raise OutputError for a link, because its target would be overwritten."""
         try:
             descriptor = os.open(self._path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
         except OSError as error:
             if error.errno != errno.ELOOP:
                 raise
             raise OutputError(
-                f"{self._path} is a link and was not touched: the progress of a run is stored there. Remove it, or "
+                f"{self._path} is a link and was not touched: the run would write its progress there. Remove it, or "
                 "choose another --out"
             ) from error
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -1,7 +1,7 @@
-"""The drives over the terrain library: as records, written to and read from a calibration, and with their ground.
+"""The drives over the terrain library: write them to a calibration, read them back and regenerate their ground.
 
-A calibration keeps the records, not the ground: that is made again from the seed. So a ride model can be fitted anew
-from the file, without driving and to the same bits.
+A calibration stores the drives, not the ground, which follows from the seed. A ride model can therefore be fitted
+again from the file, without driving and with the same bits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,37 +26,37 @@ class FitRide(Protocol):
     def __call__(
         self, profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
     ) -> dict[str, Any]:
-        """Fit.
+        """Fit a ride model.
 
         Parameters
         ----------
         profile : Vehicle
         terrains : sequence, length n
-            The ground that was driven.
+            The driven ground.
         driven : sequence, length n
-            What the drives over it gave.
+            Results of the drives over it.
 
         Returns
         -------
         dict
-            Plain JSON: the calibration's ``ride``.
+            Plain JSON for the calibration's ``ride`` entry.
         """
 
 
 def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
-    """Sum up the library's part of the drives, kind by kind; C_r to six digits, as a file has it."""
+    """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
     return tuple(
         _driven(kind, index, results["library", kind, index]) for kind in KINDS for index in range(settings.terrains)
     )
 
 
 def library_ground(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> list[Terrain]:
-    """Make the ground of driven terrains again."""
+    """Regenerate the ground of driven terrains."""
     return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
 
 
 def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
-    """Return what a calibration file holds: kind -> column -> one value a terrain, in the order of the index."""
+    """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
     record: dict[str, dict[str, list[Any]]] = {}
     for terrain in driven:
         columns = record.setdefault(terrain.kind, {name: [] for name in _COLUMNS})
@@ -67,7 +67,7 @@ def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[
 
 
 def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
-    """Read the driven terrains out of a calibration.
+    """Read the driven terrains from a calibration.
 
     Raises
     ------
@@ -82,13 +82,13 @@ def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
         )
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise BadInputError(
-            f"the calibration {calibration.id} has no sound record of the terrain library: {error!r}. "
+            f"the record of the terrain library in the calibration {calibration.id} is damaged: {error!r}. "
             "Make it again with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         ) from error
 
 
 def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
-    """Ground and drives of the terrain library that a calibration was made with: what a fit takes.
+    """Return the ground and the drives of the terrain library of a calibration, the inputs of `FitRide`.
 
     Raises
     ------

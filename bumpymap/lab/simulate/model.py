@@ -1,8 +1,8 @@
-"""The vehicle and its ground in DART: the only module that uses the physics engine.
+"""The vehicle and its ground in DART. No other module uses the physics engine.
 
-DART is asked for what was found to work: ODE's collision detector, spheres for wheels (every other pair of detector
-and wheel is slower, or wrong on meshes), VELOCITY actuators, sleeping off. A terrain can reach the engine only through
-a file; it lives in a temporary folder for a moment.
+The setup uses ODE's collision detector, spheres for wheels (every other pair of detector and wheel is slower, or wrong
+on meshes), VELOCITY actuators and no sleeping. DART loads a terrain only from a file, so the mesh is written to a
+temporary folder and deleted after loading.
 """
 
 import struct
@@ -24,17 +24,17 @@ __all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
 _GRAVITY = 9.80665
 _CLEARANCE_M = 0.001
 _BODY_SHARE = 0.3
-"""Height of the body over its length; it matters only to a vehicle that has rolled over."""
+"""Ratio of the body's height to its length; only relevant after a rollover."""
 _URDF = (
     '<robot name="ground"><link name="ground"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
     "</robot>"
 )
-_OTHER_FOLDER = "set TMPDIR to a folder with room and a plain name"
+_OTHER_FOLDER = "set TMPDIR to a folder with free space and without special characters in its name"
 
 
 @dataclass(frozen=True, slots=True)
 class Physics:
-    """Settings of the engine."""
+    """Settings of the physics engine."""
 
     time_step: float = 0.002
     """s."""
@@ -44,7 +44,7 @@ class Physics:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the chassis is, and how fast it pitches."""
+    """Position, heading, tilt and pitch rate of the chassis."""
 
     easting: float
     northing: float
@@ -53,7 +53,7 @@ class Pose:
     tilt: float
     """Angle between the chassis' upward axis and the vertical, rad."""
     pitch_rate: float
-    """Angular velocity about the chassis' own left axis, rad/s: what a gyroscope on board reads."""
+    """Angular velocity about the chassis' own left axis, rad/s, as an on-board gyroscope measures it."""
 
 
 class VehicleModel(Protocol):
@@ -63,7 +63,7 @@ class VehicleModel(Protocol):
         """Set the speed of the tyres on either side."""
 
     def advance(self, steps: int) -> None:
-        """Let ``steps`` time steps pass."""
+        """Simulate ``steps`` time steps."""
 
     def pose(self) -> Pose:
         """Return the present state of the chassis."""
@@ -87,7 +87,7 @@ def require_dart() -> Any:
 
 
 class DartVehicle:
-    """A vehicle that stands at the start of a strip of ground, looking along it."""
+    """A vehicle at the start of a strip of ground, heading along it."""
 
     def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
@@ -112,7 +112,7 @@ class DartVehicle:
                 joint.setCommand(0, speed / self._radius)
 
     def advance(self, steps: int) -> None:
-        """Let ``steps`` time steps pass; the commands hold."""
+        """Simulate ``steps`` time steps with the last commands."""
         for _ in range(steps):
             self._world.step(False)
 
@@ -138,7 +138,7 @@ class DartVehicle:
         return world
 
     def _load_ground(self, triangles: NDArray[np.float32], physics: Physics) -> Any:
-        """Give the engine a mesh: written, parsed and unlinked."""
+        """Load the ground into the engine as a mesh, by way of a temporary file."""
         options = self._dart.utils.DartLoaderOptions()
         options.mDefaultRootJointType = self._dart.utils.DartLoaderRootJointType.FIXED
         loader = self._dart.utils.DartLoader()
@@ -158,7 +158,7 @@ class DartVehicle:
         return skeleton
 
     def _build(self, robot: Any, profile: Vehicle, physics: Physics) -> Any:
-        """Chassis, two rockers, four wheels; returns the chassis."""
+        """Build chassis, two rockers and four wheels; return the chassis."""
         _, chassis = robot.createFreeJointAndBodyNodePair()
         chassis.setInertia(self._inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
         self._add_belly(chassis, profile, physics)
@@ -184,7 +184,7 @@ class DartVehicle:
         return chassis
 
     def _add_belly(self, chassis: Any, profile: Vehicle, physics: Physics) -> None:
-        """Give the chassis a body that strikes the ground: a box from the belly up."""
+        """Add a collision box to the chassis, from the belly upwards."""
         belly = profile.belly
         size = [belly.length_m, belly.width_m, _BODY_SHARE * belly.length_m]
         node = chassis.createShapeNode(self._dart.dynamics.BoxShape(size))
@@ -196,7 +196,7 @@ class DartVehicle:
         self._set_surface(node, physics)
 
     def _hinge(self, joint: Any, place: tuple[float, float, float]) -> None:
-        """Put a joint about the left axis at a place of the parent body."""
+        """Set a joint's axis to the left and its position in the parent body."""
         joint.setAxis([0.0, 1.0, 0.0])
         frame = self._dart.math.Isometry3()
         frame.set_translation(place)
@@ -213,7 +213,7 @@ class DartVehicle:
 
 
 def wheel_inertia(profile: Vehicle) -> tuple[float, float, float]:
-    """Moments of a solid cylinder about its forward, left (axle) and upward axis, kg m^2."""
+    """Return the moments of inertia of a solid cylinder about its forward, left (axle) and upward axis, kg m^2."""
     wheel = profile.wheel
     across = wheel.mass_kg * (3 * wheel.radius_m**2 + wheel.width_m**2) / 12
     return across, wheel.mass_kg * wheel.radius_m**2 / 2, across
@@ -224,7 +224,7 @@ def standing_pose(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the initial pose: along the strip, parallel to the ground's mean slope, just above its highest bumps.
 
-    Neither wheels nor belly begin inside the ground: a vehicle that stands on a rock stands on it.
+    Neither wheels nor belly start inside the ground, even if the start is on a rock.
 
     Returns
     -------
@@ -256,19 +256,19 @@ def standing_pose(
 
 
 def belly_points(profile: Vehicle) -> NDArray[np.float64]:
-    """Points (n, 3) of the underside from the centre of mass, forward, left, upward, m."""
+    """Return points (n, 3) of the underside relative to the centre of mass: forward, left, upward, m."""
     belly = profile.belly
     along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
     return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
 
 
 def _belly_height(profile: Vehicle) -> float:
-    """Height of the underside over the centre of mass, m: mostly negative."""
+    """Return the height of the underside relative to the centre of mass, m; usually negative."""
     return profile.belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
 
 
 def stl_bytes(triangles: NDArray[np.float32]) -> bytes:
-    """Binary STL of triangles, (n, 3, 3) float32."""
+    """Encode triangles, (n, 3, 3) float32, as binary STL."""
     record = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
     body = np.zeros(len(triangles), dtype=record)
     body["corner"] = triangles

@@ -1,4 +1,4 @@
-"""Drive over one patch from many starts, until a number of drives is made or the mean C_r is known well enough."""
+"""Drive over one patch from many starts, until the maximum count or the target error of the mean C_r is reached."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ __all__ = ["Effort", "PatchDrives", "drive_patch"]
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How many drives a patch gets."""
+    """Bounds on the number of drives per patch."""
 
     least: int = 16
     most: int = 64
@@ -25,19 +25,21 @@ class Effort:
 
     def __post_init__(self) -> None:
         if not 1 <= self.least <= self.most:
-            raise UsageError(f"{self.least} to {self.most} drives a patch; it must be at least 1 and not decrease")
+            raise UsageError(
+                f"{self.least} to {self.most} drives per patch; the first must be at least 1, the second not smaller"
+            )
         if not self.target_error > 0:
             raise UsageError(f"target error is {self.target_error}; it must be above 0, such as 0.05")
 
     @classmethod
     def fixed(cls, starts: int) -> "Effort":
-        """Return the effort of exactly this many drives."""
+        """Return an effort of exactly this many drives."""
         return cls(starts, starts)
 
 
 @dataclass(frozen=True, slots=True)
 class PatchDrives:
-    """What the drives over one patch gave, in the order of the starts."""
+    """Results of the drives over one patch, in the order of the starts."""
 
     outcome: tuple[Outcome, ...]
     c_r: tuple[float | None, ...]
@@ -50,13 +52,13 @@ class PatchDrives:
 
     @property
     def mean_c_r(self) -> float | None:
-        """Mean over the completed drives, rad/m; None without one."""
+        """Mean C_r of the completed drives, rad/m; None if there are none."""
         completed = self.completed
         return math.fsum(completed) / len(completed) if completed else None
 
     @property
     def standard_error(self) -> float | None:
-        """Of the mean, rad/m; None with fewer than two completed drives."""
+        """Standard error of the mean, rad/m; None with fewer than two completed drives."""
         completed = self.completed
         if len(completed) < 2:
             return None
@@ -64,7 +66,7 @@ class PatchDrives:
 
     @property
     def failed(self) -> int:
-        """Drives that rolled over or got stuck."""
+        """Number of drives that rolled over or got stuck."""
         return sum(outcome != "completed" for outcome in self.outcome)
 
 
@@ -80,8 +82,8 @@ def drive_patch(
 ) -> PatchDrives:
     """Drive over one patch from random starts at random headings.
 
-    Every start has a random stream of its own: more effort adds drives and changes none. Nothing but the arguments
-    decides the result, so it is the same in any process.
+    Every start has its own random stream, so more drives never change earlier ones. The result depends on the
+    arguments only and is the same in any process.
 
     Parameters
     ----------
@@ -94,25 +96,25 @@ def drive_patch(
     effort : Effort, optional
     settings : DriveSettings, optional
     stream : tuple of int
-        Tells patches of one seed apart.
+        Distinguishes patches that share a seed.
 
     Returns
     -------
     PatchDrives
-        A patch that none of the first ``least`` drives crossed is given up: it has no C_r to know better.
+        If none of the first ``least`` drives is completed, no further drives are made: there is no C_r to refine.
     """
     effort = effort or Effort()
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
-    while len(drives.outcome) < effort.most and not _known(drives, effort):
+    while len(drives.outcome) < effort.most and not _is_enough(drives, effort):
         made = drive(profile, ground, _seed(seed, (*stream, len(drives.outcome))), settings)
         c_r = made.c_r if made.outcome == "completed" else None
         drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
     return drives
 
 
-def _known(drives: PatchDrives, effort: Effort) -> bool:
-    """Whether further drives would tell nothing that was asked for."""
+def _is_enough(drives: PatchDrives, effort: Effort) -> bool:
+    """Return whether no further drives are needed."""
     if len(drives.outcome) < effort.least:
         return False
     mean, error = drives.mean_c_r, drives.standard_error

@@ -1,7 +1,7 @@
-"""What a calibration drives: the settings and the jobs that follow from them. A job depends on the settings alone.
+"""The settings of a calibration and its drive jobs. A job depends only on the settings.
 
-There are two kinds of jobs. The table's cells are the paper's way: one of four textures, scaled to a height range. The
-terrain library is where the ride model is fitted: ground of many kinds, as high and as steep as it comes.
+There are two kinds of jobs. Each cell of the table follows the paper: one of four textures, scaled to a height range.
+The ride model is fitted to the terrain library: ground of many kinds with a wide range of heights and slopes.
 """
 
 import math
@@ -23,32 +23,32 @@ from bumpymap.rating import Vehicle, make_textures
 __all__ = ["CalibrationSettings", "LibraryJob", "TableJob", "library_terrain", "log_spaced", "run_job"]
 
 _LIBRARY_STREAM = len(TEXTURES)
-"""First number of the random streams of library drives: the index of no texture."""
+"""First number of the random streams of library drives; no texture has this index."""
 _LIBRARY_WHEEL_M = 0.3
-"""The library's heights are made for wheels of this radius; those of others are scaled."""
+"""The library's heights suit wheels of this radius; for other radii they are scaled."""
 
 
 def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
-    """``count`` values from ``lowest`` to ``highest`` in equal ratios, three digits each."""
+    """Return ``count`` values from ``lowest`` to ``highest`` in equal ratios, rounded to three digits."""
     return tuple(float(f"{value:.3g}") for value in np.geomspace(lowest, highest, count))
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSettings:
-    """Everything that decides the numbers of a calibration."""
+    """All settings that affect the numbers of a calibration."""
 
     profile: Vehicle
     seed: int = 1
     patches: int = 8
-    """Patches of one cell of the table (texture and z range)."""
+    """Patches per cell of the table (texture and z range)."""
     starts: int = 3
-    """Drives over one patch of the table, each from its own start and heading."""
+    """Drives per patch of the table, each with its own start and heading."""
     z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
     """max - min of the table's plane-removed patches, m."""
     terrains: int = 24
     """Terrains of each kind of the library."""
     terrain_starts: int = 8
-    """Drives over one terrain."""
+    """Drives per terrain."""
     tile_size: float = 3.0
     """Side of a patch, m."""
     pixels: int = 15
@@ -62,16 +62,16 @@ class CalibrationSettings:
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
             raise UsageError(f"tile size is {self.tile_size}; it must be a positive number of metres")
         if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
-            raise UsageError(f"z ranges are {self.z_range}; they must be positive and increasing")
+            raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise from one to the next")
 
     def quick(self) -> "CalibrationSettings":
-        """Return the same with a quarter of the drives: enough for a ride model, rough in the table."""
+        """Return a copy with a quarter of the drives: enough for a ride model, coarse for the table."""
         z_range = log_spaced(self.z_range[0], self.z_range[-1], 6)
         return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
 
     @property
     def height_scale(self) -> float:
-        """What the library's heights are multiplied by: what a wheel climbs grows with its radius."""
+        """Factor on the library's heights: the height that a wheel climbs is proportional to its radius."""
         return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
 
     @property
@@ -80,7 +80,7 @@ class CalibrationSettings:
         return sum(job.starts for job in self.jobs())
 
     def jobs(self) -> Iterator["TableJob | LibraryJob"]:
-        """Every job: the table cell by cell, then the library kind by kind."""
+        """Yield all jobs: the table cell by cell, then the library kind by kind."""
         for texture in range(len(TEXTURES)):
             for z in range(len(self.z_range)):
                 for patch in range(self.patches):
@@ -90,7 +90,7 @@ class CalibrationSettings:
                 yield LibraryJob(kind, index, self.terrain_starts)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what decides the numbers, with the versions of what computes them, as JSON has it."""
+        """Return the settings that affect the numbers and the library versions, as plain JSON values."""
         return {
             "vehicle": self.profile.to_dict(),
             "seed": self.seed,
@@ -112,7 +112,7 @@ class CalibrationSettings:
 
 @dataclass(frozen=True, slots=True)
 class TableJob:
-    """One patch of the table: indices of texture, z range and patch."""
+    """Drives over one patch of the table: indices of texture, z range and patch."""
 
     texture: int
     z: int
@@ -127,7 +127,7 @@ class TableJob:
 
 @dataclass(frozen=True, slots=True)
 class LibraryJob:
-    """One terrain of the library."""
+    """Drives over one terrain of the library."""
 
     kind: str
     index: int
@@ -140,7 +140,7 @@ class LibraryJob:
 
 
 def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
-    """Make a terrain of the library as high and as steep as suits the vehicle."""
+    """Make a terrain of the library, its height and slope scaled to the vehicle."""
     return make_terrain(
         kind,
         settings.seed,
@@ -155,8 +155,8 @@ def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Ter
 def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchDrives:
     """Make the ground of a job and drive over it.
 
-    Ground and starts have random streams of their own, derived from the seed and the job's indices: which process runs
-    the job, and what ran before it, changes nothing.
+    Ground and starts have their own random streams, derived from the seed and the job's indices, so the result does not
+    depend on the process or on earlier jobs.
     """
     if isinstance(job, TableJob):
         stream: tuple[int, ...] = (job.texture, job.z, job.patch)

@@ -1,7 +1,7 @@
-"""Many jobs in few processes: in order, noted in a journal, and gone on with after an interruption.
+"""Run drive jobs in processes, return results in order and record them in a journal for resuming.
 
-The physics engine holds the interpreter lock, so jobs go to processes. A job has its own random streams, so neither the
-number of workers nor an interruption changes a bit of the results.
+The physics engine holds the interpreter lock, so jobs run in processes. A job has its own random streams, so neither
+the number of workers nor an interruption changes a bit of the results.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -28,17 +28,17 @@ class Job(Protocol):
 
     @property
     def starts(self) -> int:
-        """How many drives it counts for in the progress."""
+        """Number of drives that it counts for in the progress."""
 
 
-AnyJob = TypeVar("AnyJob", bound=Job)
+JobType = TypeVar("JobType", bound=Job)
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
 def drive_jobs(
-    task: Callable[[AnyJob], PatchDrives],
-    jobs: Sequence[AnyJob],
+    task: Callable[[JobType], PatchDrives],
+    jobs: Sequence[JobType],
     progress: Progress | None = None,
     *,
     workers: int = 1,
@@ -50,17 +50,17 @@ def drive_jobs(
     Parameters
     ----------
     task : callable
-        Drives one job; it and the jobs must be picklable.
+        Runs one job; it and the jobs must be picklable.
     jobs : sequence
-        With different keys.
+        Each with its own key.
     progress : callable, optional
         Called with (finished drives, all drives) at the start and after every job.
     workers : int
-        Processes; the result does not depend on it.
+        Number of processes; the result does not depend on it.
     journal : Journal, optional
-        Where finished jobs are noted, and taken from when a run was interrupted.
+        Records finished jobs; jobs already in it are not run again.
     discard_other : bool
-        Throw away a journal of other settings instead of refusing it.
+        Discard a journal written with other settings instead of raising an error.
 
     Returns
     -------
@@ -84,9 +84,9 @@ def drive_jobs(
 
 
 def _results(
-    task: Callable[[AnyJob], PatchDrives], jobs: Sequence[AnyJob], workers: int
+    task: Callable[[JobType], PatchDrives], jobs: Sequence[JobType], workers: int
 ) -> AbstractContextManager[Iterator[PatchDrives]]:
-    """Run jobs, in this process or in others, and give their results in order."""
+    """Run jobs in this process (one worker) or in child processes; return an iterator of results in order."""
     if workers <= 1:
         return nullcontext(map(task, jobs))
     return closing(run_in_processes(task, jobs, workers))
@@ -95,15 +95,15 @@ def _results(
 def run_in_processes(
     task: Callable[[Task], Result], jobs: Sequence[Task], workers: int
 ) -> Generator[Result, None, None]:
-    """Run jobs in child processes and give their results in order; a worker takes the next job when it is idle.
+    """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
 
-    This process hands the jobs out without threads of its own: one would outlive an interruption, and tell the user
-    about it. To close the generator is to end the workers.
+    This process uses no threads, because a thread would outlive an interruption and print a message. Closing the
+    generator ends the workers.
 
     Parameters
     ----------
     task : callable
-        Does one job; it, the jobs and the results must be picklable.
+        Runs one job; it, the jobs and the results must be picklable.
     jobs : sequence
     workers : int
 
@@ -121,27 +121,27 @@ def run_in_processes(
                 children.append(Child("for the simulation", __name__))
         finished: dict[int, Result] = {}
         wanted = 0
-        for number, result in _finished(task, jobs, children):
+        for number, result in _completed_jobs(task, jobs, children):
             finished[number] = result
             while wanted in finished:
                 yield finished.pop(wanted)
                 wanted += 1
     except ChildDiedError as error:
         raise BumpymapError(
-            f"a simulation process {error}, perhaps for want of memory; run the same command again to go on, "
+            f"a simulation process {error}, perhaps because memory ran out; run the same command again to continue, "
             "with fewer --workers if it happens again"
         ) from error
     finally:
-        # Whatever the reason, nobody wants what they are at any more, and they would be at it for many seconds.
+        # Results of running jobs are no longer needed, and the jobs would go on for many seconds.
         with shielded():
             for child in children:
                 child.close()
 
 
-def _finished(
+def _completed_jobs(
     task: Callable[[Task], Result], jobs: Sequence[Task], children: Sequence[Child]
 ) -> Generator[tuple[int, Result], None, None]:
-    """Give number and result of each job as they come."""
+    """Yield number and result of each job as it completes."""
     waiting = iter(enumerate(jobs))
     idle = list(children)
     busy: dict[Any, tuple[Child, int]] = {}
@@ -162,8 +162,8 @@ def _finished(
 
 
 def attempt(task: Callable[[Task], Result], job: Task) -> tuple[Result | None, Exception | None]:
-    """In a worker: do a job; give its result, or what it raised, for the parent to raise."""
+    """Run a job in a worker; return its result, or the exception for the parent to raise."""
     try:
         return task(job), None
-    except Exception as error:  # noqa: BLE001 (whatever it is)
+    except Exception as error:  # noqa: BLE001 (the parent raises it)
         return None, error

@@ -1,7 +1,7 @@
-"""Fit a ride model to the drives over the terrain library: the correction of the geometry, and that for noise.
+"""Fit a ride model to the drives over the terrain library: the correction of the geometry and the noise correction.
 
-The drives teach the correction. The noise needs none: the same ground is surveyed at many densities with much and
-little noise, cleaned as a map would be, and set beside itself without noise.
+The correction of the geometry is fitted to the drives. The noise correction needs no drives: it is fitted to surveys of
+the same ground at several densities and noise levels, denoised as for a map, against the ground without noise.
 """
 
 from collections.abc import Sequence
@@ -27,13 +27,13 @@ from bumpymap.rating import (
 )
 from bumpytiles import Grid, TileBuckets
 
-__all__ = ["fit_ride", "relief_of", "surveyed"]
+__all__ = ["fit_ride", "relief_and_slope", "survey_terrains"]
 
 _DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
 _NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)
 _NOISE_SEED = 20_000
 _LEAST_C_R = 0.001
-"""Ground that a vehicle does not feel has no relative error, rad/m."""
+"""Relative errors are not defined below this C_r, rad/m."""
 
 
 def fit_ride(
@@ -42,7 +42,7 @@ def fit_ride(
     """Fit a ride model; see `bumpymap.lab.simulate.library.FitRide`."""
     side, pixels = terrains[0].tile_size, terrains[0].pixels
     operator = RideOperator.of(profile.to_dict(), side, pixels)
-    relief, slope = relief_of(terrains)
+    relief, slope = relief_and_slope(terrains)
     rides = roll_over(relief, operator)
     return fit_correction(
         DrivenPatches(
@@ -53,12 +53,12 @@ def fit_ride(
             completed=np.array([terrain.completed for terrain in driven], dtype=np.int64),
             failed=np.array([terrain.failed for terrain in driven], dtype=np.int64),
         ),
-        _noisy(terrains, rides.pitch_change, operator),
+        _noisy_patches(terrains, rides.pitch_change, operator),
     ).to_record()
 
 
-def relief_of(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return relief maps (n, pixels, pixels) [m] and slopes (n,) [deg] of terrains, as if surveyed without an error."""
+def relief_and_slope(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return relief maps (n, pixels, pixels) [m] and slopes (n,) [deg] of terrains, free of survey errors."""
     relief, slope = [], []
     for terrain in terrains:
         heights = terrain.heights
@@ -68,8 +68,8 @@ def relief_of(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray
     return np.stack(relief), np.array(slope)
 
 
-def surveyed(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
-    """Survey terrains, each as the tile ``(index, 0)``, each with a random stream of its own."""
+def survey_terrains(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
+    """Survey terrains, each as the tile ``(index, 0)`` with its own random stream."""
     buckets = TileBuckets(Grid(terrains[0].tile_size, terrains[0].pixels))
     for index, terrain in enumerate(terrains):
         points = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
@@ -78,11 +78,11 @@ def surveyed(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> Ti
     return buckets
 
 
-def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: RideOperator) -> NoisyPatches:
+def _noisy_patches(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: RideOperator) -> NoisyPatches:
     columns: list[list[NDArray[np.float64]]] = [[], [], []]
     conditions = [ScanEffects(density, noise) for density in _DENSITIES for noise in _NOISES_M]
     for number, effects in enumerate(conditions):
-        for block in surveyed(terrains, effects, _NOISE_SEED + number).blocks():
+        for block in survey_terrains(terrains, effects, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             clean = denoise(patches, operator)
             found, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
@@ -96,6 +96,6 @@ def _noisy(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: Ri
 
 
 def _column(driven: Sequence[DrivenTerrain], name: str) -> NDArray[np.float64]:
-    """Give a column of the drives; NaN where a terrain has no such number."""
+    """Return a column of the drives; NaN where a terrain has no value."""
     values = [getattr(terrain, name) for terrain in driven]
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

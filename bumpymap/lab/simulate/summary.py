@@ -1,9 +1,9 @@
 """Compute the table, class limits and class means of a calibration from the drives of all jobs.
 
 The class limits are the natural breaks (one-dimensional k-means, four groups, solved exactly) of the C_r of the terrain
-library. The planner's cost is linear in C_r, and a class stands for one C_r, so the limits that make the squared error
-of C_r least are those that cost a planner least when it knows no more than the class. They are taken over terrains that
-the vehicle can cross: on the others C_r is that of the survivors, and p_fail speaks for the ground.
+library. They minimise the squared error of replacing C_r by a value per class; as the planner's cost is linear in C_r,
+they also minimise the error of a planner that knows only the class. They are computed from terrains that the vehicle
+can cross: elsewhere C_r comes from the few completed drives only, and p_fail describes the ground.
 """
 
 import math
@@ -34,7 +34,7 @@ _RULE = (
 def summarise(
     settings: CalibrationSettings, results: Mapping[Key, PatchDrives], command: str = "", fit: FitRide | None = None
 ) -> Calibration:
-    """Sum up the drives of every job of the settings.
+    """Compute a calibration from the drives of all jobs.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def summarise(
     results : mapping
         Key of a job -> its drives.
     command : str
-        Noted in the calibration.
+        Stored in the calibration.
     fit : callable, optional
         Fits the ride model to the drives over the terrain library.
     """
@@ -77,7 +77,7 @@ def summarise(
 
 
 def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
-    """C_r between the classes, rad/m.
+    """Return the three C_r limits between the classes, rad/m.
 
     Parameters
     ----------
@@ -93,36 +93,36 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     if len(set(crossable)) < len(CLASS_NAMES):
         raise BumpymapError(
             f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
-            f"{len(CLASS_NAMES)} with different C_r. Look for a wrong number in its profile: bumpymap calibrate "
-            "--check; or drive more terrains"
+            f"{len(CLASS_NAMES)} with different C_r. Check its profile for a wrong number with bumpymap calibrate "
+            "--check, or drive more terrains"
         )
     breaks = natural_breaks(np.array(crossable, dtype=np.float64), len(CLASS_NAMES))
     low, middle, high = (round(limit, 3) for limit in breaks)
     filled = set(np.searchsorted((low, middle, high), crossable, side="right").tolist())
     if not 0 < low < middle < high or len(filled) < len(CLASS_NAMES):
         raise BumpymapError(
-            f"the class limits come out as {low}, {middle}, {high} rad/m, too close together for four classes; "
+            f"the class limits are {low}, {middle}, {high} rad/m, too close together for four classes; "
             "the vehicle hardly pitches on this ground"
         )
     return low, middle, high
 
 
 def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
-    """Limits of the split of numbers into groups with the least sum of squared differences to the group means.
+    """Return the limits of the split of numbers into groups with the least sum of squared deviations from group means.
 
-    Fisher's dynamic programme: the best split of the first i sorted numbers into k groups extends the best split of
-    the first j into k - 1. Exact, so there is no random start.
+    Fisher's dynamic programming: the best split of the first i sorted numbers into k groups extends the best split of
+    the first j into k - 1. It is exact and needs no random start.
 
     Parameters
     ----------
     values : array (n,)
     groups : int
-        2 or more; there must be at least as many distinct numbers.
+        At least 2 and at most the number of distinct values.
 
     Returns
     -------
     list of float, length groups - 1
-        Half way between the means of neighbouring groups.
+        Halfway between the means of neighbouring groups.
     """
     x = np.sort(values)
     edges = _best_edges(x - x.mean(), groups)
@@ -131,7 +131,7 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
 
 
 def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
-    """Where the groups of sorted numbers begin, and the end: groups + 1 indices."""
+    """Return the start index of each group of sorted numbers, and n: groups + 1 indices."""
     n = len(x)
     total = np.concatenate([[0.0], np.cumsum(x)])
     square = np.concatenate([[0.0], np.cumsum(x**2)])
@@ -156,7 +156,7 @@ def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
 def _class_means(
     driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Mean C_r of all terrains of each class, also of those with few completed drives."""
+    """Return the mean C_r of all terrains of each class, including those with few completed drives."""
     known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
     class_id = np.searchsorted(limits, known, side="right")
     a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))

@@ -1,8 +1,8 @@
-"""The ground of a drive: unbounded height functions, and the strip that the physics engine gets as a mesh.
+"""The ground of a drive: unbounded height functions, and the strip that becomes a mesh for the physics engine.
 
-A patch is 3 m wide and a drive 10 m long, so the patch has to go on. Its least-squares plane goes on forever; what is
-left over is mirrored at the patch's edges (half-sample: the edge pixel comes twice). Mirroring the heights themselves
-would fold every slope into a ridge. Pixel centres carry the heights, and between them the ground is bilinear.
+A patch is 3 m wide and a drive 10 m long, so the patch is continued beyond its edges: its least-squares plane is
+unbounded, and the residual is mirrored at the edges (half-sample: the edge pixel comes twice). Mirroring the heights
+themselves would fold every slope into a ridge. Heights are at pixel centres, with bilinear interpolation between them.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _Floats = NDArray[np.float64]
 
 
 class DrivenGround(Protocol):
-    """Ground without bounds: a height function."""
+    """Unbounded ground, as a height function."""
 
     @property
     def extent(self) -> float:
@@ -27,18 +27,18 @@ class DrivenGround(Protocol):
 
     @property
     def spacing(self) -> float:
-        """Distance between the vertices of a mesh that is fine enough for this ground, m."""
+        """Vertex spacing of a mesh that resolves this ground, m."""
 
     @property
     def gradient(self) -> tuple[float, float]:
-        """Mean slope to the east and to the north, m/m: how a vehicle is put on the ground."""
+        """Mean slope to the east and to the north, m/m; sets the initial attitude of a vehicle."""
 
     def height(self, easting: _Floats, northing: _Floats) -> _Floats:
-        """Heights of points, m; arrays of one shape."""
+        """Return the heights of points, m; all arrays have the same shape."""
 
 
 def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
-    """Least-squares plane through a square heightmap.
+    """Fit a least-squares plane to a square heightmap.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
 
 @dataclass(frozen=True, slots=True)
 class PatchGround:
-    """A patch that goes on forever: its plane plus its mirrored residual."""
+    """A patch continued without bounds: its plane plus its mirrored residual."""
 
     residual: _Floats
-    """(pixels, pixels) heights with the plane taken off, m; south row first."""
+    """(pixels, pixels) heights above the plane, m; south row first."""
     tile_size: float
     """Side of the patch, m."""
     mean: float
@@ -87,10 +87,10 @@ class PatchGround:
         """
         values = np.asarray(heights, dtype=np.float64)
         if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 2:
-            raise BadInputError(f"a patch of shape {values.shape}; it must be square, 2 x 2 pixels or more")
+            raise BadInputError(f"a patch has shape {values.shape}; it must be square, 2 x 2 pixels or more")
         if not np.isfinite(values).all():
             raise BadInputError(
-                f"a patch with {int((~np.isfinite(values)).sum())} pixels that are NaN or infinite; fill holes first"
+                f"a patch has {int((~np.isfinite(values)).sum())} pixels that are NaN or infinite; fill holes first"
             )
         plane, (east, north) = fit_plane(values)
         per_metre = values.shape[0] / tile_size
@@ -99,16 +99,16 @@ class PatchGround:
 
     @property
     def extent(self) -> float:
-        """The mirrored residual repeats after two patches, m."""
+        """Period of the mirrored residual, two patches, m."""
         return 2 * self.tile_size
 
     @property
     def spacing(self) -> float:
-        """Half a pixel: pixel centres are vertices, so the mesh has the peaks of the bilinear ground, m."""
+        """Half a pixel, m: pixel centres become vertices, so the mesh keeps the peaks of the bilinear ground."""
         return self.tile_size / len(self.residual) / 2
 
     def height(self, easting: _Floats, northing: _Floats) -> _Floats:
-        """Heights of points, m; the patch itself lies between 0 and ``tile_size`` on both axes."""
+        """Return the heights of points, m; the patch itself lies between 0 and ``tile_size`` on both axes."""
         pixels = len(self.residual)
         scale = pixels / self.tile_size
         col, row = easting * scale - 0.5, northing * scale - 0.5
@@ -139,7 +139,7 @@ class PlaneGround:
 
 @dataclass(frozen=True, slots=True)
 class SineGround:
-    """Waves that run to the east: the same in every northing."""
+    """Sine waves along the easting, constant along the northing."""
 
     amplitude: float
     """m."""
@@ -154,7 +154,7 @@ class SineGround:
 
     @property
     def spacing(self) -> float:
-        """Forty vertices a wave, m."""
+        """A fortieth of the wavelength, m."""
         return self.wavelength / 40
 
     def height(self, easting: _Floats, northing: _Floats) -> _Floats:
@@ -165,21 +165,21 @@ class SineGround:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """The ground within ``half_width`` of a straight path, both ends prolonged by as much, in m and radians."""
+    """The ground within ``half_width`` of a straight path, extended by ``half_width`` at both ends; m and radians."""
 
     easting: float
     northing: float
     heading: float
-    """Direction of the path, counted from east to north."""
+    """Direction of the path, from east to north."""
     length: float
     half_width: float
 
 
 def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
-    """Cut a strip of ground into triangles.
+    """Triangulate a strip of ground.
 
-    The vertices lie on a grid that is anchored at the ground's origin, not at the path: a patch is met by its own
-    pixels whatever the heading.
+    The vertices lie on a grid anchored at the ground's origin, not at the path, so the pixel centres of a patch are
+    vertices at any heading.
 
     Returns
     -------
@@ -207,6 +207,6 @@ def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
 
 
 def _mirrored(index: NDArray[np.int64], pixels: int) -> NDArray[np.int64]:
-    """Half-sample mirroring: ... 1 0 | 0 1 ... n-1 | n-1 n-2 ..."""
+    """Mirror indices by half a sample: ... 1 0 | 0 1 ... n-1 | n-1 n-2 ..."""
     wrapped = index % (2 * pixels)
     return np.minimum(wrapped, 2 * pixels - 1 - wrapped)

@@ -1,4 +1,4 @@
-"""Drive the patches of a survey; the map is compared with these drives."""
+"""Drive over the patches of a survey, for comparison with the map."""
 
 import hashlib
 import json
@@ -28,7 +28,7 @@ class _PatchJob:
 
 @dataclass(frozen=True, slots=True)
 class _Common:
-    """What all jobs share."""
+    """Arguments shared by all jobs."""
 
     profile: Vehicle
     tile_size: float
@@ -50,9 +50,9 @@ def drive_patches(
     journal: Journal | None = None,
     discard_other: bool = False,
 ) -> dict[Key, PatchDrives]:
-    """Drive many patches, each until its mean C_r is known well.
+    """Drive over many patches, each until its mean C_r reaches the target error.
 
-    The starts of a patch follow from the seed and its key: other patches beside it, or another order, change nothing.
+    The starts of a patch depend only on the seed and its key, not on other patches or their order.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def drive_patches(
     effort, settings : optional
         As in `drive_patch`.
     progress, workers, journal, discard_other
-        As in `drive_jobs`; progress counts ``effort.least`` drives for a patch. The journal's settings must tell all
-        that decides the numbers, the survey too.
+        As in `drive_jobs`; progress counts ``effort.least`` drives per patch. The journal's settings must contain
+        everything that affects the numbers, including the survey.
 
     Returns
     -------
@@ -94,6 +94,6 @@ def _drive(common: _Common, job: _PatchJob) -> PatchDrives:
 
 
 def _stream(key: Key) -> tuple[int, ...]:
-    """Numbers for a random stream; a key may hold texts and negative numbers, a stream may not."""
+    """Hash a key to the numbers of a random stream, which allows neither strings nor negative numbers."""
     digest = hashlib.sha256(json.dumps(key).encode()).digest()
     return tuple(int.from_bytes(digest[at : at + 4], "little") for at in (0, 4, 8))

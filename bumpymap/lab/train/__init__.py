@@ -1,4 +1,4 @@
-"""Trains the texture network and writes it as an ONNX file. Needs the extra ``learn``."""
+"""Train the texture network and the scan network and write them as ONNX files. Needs the extra ``learn``."""
 
 import lazy_loader
 

@@ -22,9 +22,9 @@ def save(
     Parameters
     ----------
     checkpoint : Path
-        Appears whole or not at all.
+        Written atomically.
     record : dict
-        Plain values: all that decides the training. Another training does not go on from it.
+        Plain values: everything that determines the training. A training with another record cannot resume from it.
     net : Module
     optimizer : Optimizer
     epochs_done : int
@@ -40,22 +40,22 @@ def save(
 
 
 def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-    """Load what ``save`` wrote into a network and its optimizer; returns the number of epochs that are done.
+    """Load a checkpoint into a network and its optimizer; return the number of completed epochs.
 
     Raises
     ------
     UsageError
-        The file is no checkpoint, or that of another training.
+        The file is not a checkpoint, or belongs to another training.
     """
     remedy = "Delete it, or choose another --out"
     try:
         state = torch.load(checkpoint, map_location="cpu", weights_only=True)
         found, done = state["record"], int(state["epochs_done"])
-    except Exception as error:  # torch raises many kinds for a file that is not its own
+    except Exception as error:  # torch raises many kinds of errors for other files
         raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
     if found != record:
         different = ", ".join(f"{k} {found.get(k)} (now {v})" for k, v in record.items() if found.get(k) != v)
-        raise UsageError(f"{checkpoint} is of a training with other settings: {different}. {remedy}")
+        raise UsageError(f"{checkpoint} belongs to a training with other settings: {different}. {remedy}")
     net.load_state_dict(state["network"])
     optimizer.load_state_dict(state["optimizer"])
     _log.info("continuing after epoch %d of %s", done, checkpoint)

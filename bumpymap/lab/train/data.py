@@ -7,30 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import TEXTURES
-from bumpymap.lab.train.alter import ALL, LIGHT, NONE, Alterations, alter
+from bumpymap.lab.train.augment import ALL, LIGHT, NONE, Augmentation, augment
 from bumpymap.rating import make_short_waves, make_textures
 
 __all__ = [
     "LIGHT_EVERY",
     "SHORT_WAVES",
     "LabelledPatches",
-    "altered_copies",
+    "augmented_copies",
     "epoch_samples",
     "training_patches",
     "unseen_patches",
     "unseen_short_waves",
 ]
 
-# Second word of every generator's seed: no two uses ever share random numbers.
+# Second word of every generator's seed, so that no two uses share random numbers.
 _TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
 
 SHORT_WAVES = 0.2
-"""Short regular waves that each epoch adds to the ``high_noise`` patches, as a share of these. In their place, they
-would make rubble rarer than the forms it is mistaken for."""
+"""Short regular waves that each epoch adds to the ``high_noise`` patches, as a share of these. They are added rather
+than substituted, because otherwise rubble would be rarer than the forms it is confused with."""
 LIGHT_EVERY = 7
-"""One in so many patches of an epoch is altered lightly: a network that only ever saw fully altered patches takes the
-grain of an untouched one for rubble. The others are altered as those are that networks are judged by: were strong blur
-rarer while learning, the network would too seldom see smooth rubble as rubble."""
+"""One in this many patches of an epoch is augmented lightly: a network trained only on fully augmented patches mistakes
+the grain of an unaltered one for rubble. The others are augmented as in the evaluation: with less strong blur in
+training, the network would see too few examples of smooth rubble."""
 _HIGH_NOISE = TEXTURES.index("high_noise")
 
 
@@ -45,14 +45,14 @@ class LabelledPatches:
 
 
 def training_patches(seed: int, patches_per_texture: int, pixels: int) -> LabelledPatches:
-    """Make the patches that the network learns from, textures in order."""
+    """Make the training patches, texture by texture."""
     return _textures(seed, _TRAINING, patches_per_texture, pixels)
 
 
 def epoch_samples(training: LabelledPatches, seed: int, epoch: int) -> LabelledPatches:
-    """Alter and shuffle the training patches for one epoch; a restarted training sees the same ones.
+    """Augment and shuffle the training patches for one epoch; a resumed training gets the same patches.
 
-    Short regular waves, which no texture holds, come on top as ``high_noise``.
+    Short regular waves, which no texture contains, are added as ``high_noise``.
     """
     added = math.ceil(SHORT_WAVES * np.count_nonzero(training.labels == _HIGH_NOISE))
     waves = make_short_waves(added, np.random.default_rng([seed, _WAVES, epoch]), training.patches.shape[-1])
@@ -62,29 +62,31 @@ def epoch_samples(training: LabelledPatches, seed: int, epoch: int) -> LabelledP
     patches, labels = patches[order], labels[order]
     lightly = np.arange(len(labels)) % LIGHT_EVERY == 0  # evenly spread, so that every batch holds some
     rng = np.random.default_rng([seed, _EPOCH, epoch])
-    patches[lightly] = alter(patches[lightly], LIGHT, rng)
-    patches[~lightly] = alter(patches[~lightly], ALL, rng)
+    patches[lightly] = augment(patches[lightly], LIGHT, rng)
+    patches[~lightly] = augment(patches[~lightly], ALL, rng)
     return LabelledPatches(patches, labels)
 
 
 def unseen_short_waves(seed: int, count: int, pixels: int) -> LabelledPatches:
-    """Make short regular waves from seeds that training never uses, with all alterations."""
+    """Make short regular waves from seeds that training never uses, fully augmented."""
     rng = np.random.default_rng([seed, _UNSEEN_WAVES])
-    return LabelledPatches(alter(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
+    return LabelledPatches(augment(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
 
 
-def unseen_patches(seed: int, patches_per_texture: int, pixels: int, alterations: Alterations = ALL) -> LabelledPatches:
-    """Make patches from seeds that training never uses, then alter them."""
+def unseen_patches(
+    seed: int, patches_per_texture: int, pixels: int, alterations: Augmentation = ALL
+) -> LabelledPatches:
+    """Make patches from seeds that training never uses, then augment them."""
     fresh = _textures(seed, _UNSEEN, patches_per_texture, pixels)
     if alterations == NONE:
         return fresh
     rng = np.random.default_rng([seed, _UNSEEN_ALTERED])
-    return LabelledPatches(alter(fresh.patches, alterations, rng), fresh.labels)
+    return LabelledPatches(augment(fresh.patches, alterations, rng), fresh.labels)
 
 
-def altered_copies(training: LabelledPatches, seed: int) -> LabelledPatches:
-    """Alter the training patches themselves: what the paper validated on. Other alterations than while learning."""
-    return LabelledPatches(alter(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
+def augmented_copies(training: LabelledPatches, seed: int) -> LabelledPatches:
+    """Augment the training patches with other random numbers than in training, as in the paper's validation."""
+    return LabelledPatches(augment(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
 
 
 def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> LabelledPatches:

@@ -1,4 +1,4 @@
-"""Score the texture network: on patches of unseen seeds, and the way the paper measured it."""
+"""Score the texture network on patches of unseen seeds, and by the paper's method."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bumpymap.core import TEXTURES
-from bumpymap.lab.train.alter import ALL, KINDS, NONE
+from bumpymap.lab.train.augment import ALL, KINDS, NONE
 from bumpymap.lab.train.data import (
     LabelledPatches,
-    altered_copies,
+    augmented_copies,
     training_patches,
     unseen_patches,
     unseen_short_waves,
@@ -26,16 +26,16 @@ _BATCH = 1024
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Every score that the model card reports."""
+    """All scores of the model card."""
 
     unseen: Score
-    """Patches from other seeds, all alterations."""
-    altered_copies: Score
-    """Altered copies of the training patches: the paper's validation."""
+    """Patches from other seeds, fully augmented."""
+    augmented_copies: Score
+    """Augmented copies of the training patches, the paper's validation."""
     single: dict[str, Score]
-    """Patches from other seeds, unaltered (``none``) and with one alteration each."""
+    """Patches from other seeds, without augmentation (``none``) and with one effect each."""
     short_waves: Score
-    """Short regular waves from other seeds, all alterations; ``high_noise`` is the right answer."""
+    """Short regular waves from other seeds, fully augmented; ``high_noise`` is the right answer."""
 
 
 def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_texture: int) -> Evaluation:
@@ -46,7 +46,7 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
     net : TextureNet
         In evaluation mode.
     seed : int
-        The seed of its training. Unseen patches come from other generators of the same seed.
+        The seed of its training. Unseen patches come from other random streams of the same seed.
     training_per_texture, unseen_per_texture : int
         Number of training patches (copies of all of them are scored) and of unseen patches.
     """
@@ -56,14 +56,14 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
         single[name] = score(net, unseen_patches(seed, unseen_per_texture, pixels, ALL.only(name)))
     return Evaluation(
         unseen=score(net, unseen_patches(seed, unseen_per_texture, pixels)),
-        altered_copies=score(net, altered_copies(training_patches(seed, training_per_texture, pixels), seed)),
+        augmented_copies=score(net, augmented_copies(training_patches(seed, training_per_texture, pixels), seed)),
         single=single,
         short_waves=score(net, unseen_short_waves(seed, unseen_per_texture, pixels)),
     )
 
 
 def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
-    """Return probabilities (n, classes) of inputs (n, ...), the arguments of a network."""
+    """Return the probabilities (n, classes) that a network computes for inputs (n, ...)."""
     with torch.no_grad():
         batches = zip(*(torch.split(values, _BATCH) for values in inputs), strict=True)
         parts = [net(*batch).softmax(1) for batch in batches]

@@ -1,6 +1,6 @@
 """The texture network as ONNX.
 
-The graph holds no operator whose answer for one patch depends on its place in the batch (the last two layers are 1 x 1
+The graph has no operator whose result for a patch depends on its position in the batch (the last two layers are 1 x 1
 convolutions, not matrix products over the batch).
 """
 

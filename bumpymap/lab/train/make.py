@@ -1,4 +1,4 @@
-"""The whole job: train, score, write the ONNX file and its model card."""
+"""Train and score a texture network; write the ONNX file and its model card."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from bumpymap.lab.train.card import model_card
 from bumpymap.lab.train.evaluate import Evaluation, evaluate
 from bumpymap.lab.train.export import to_onnx
-from bumpymap.lab.train.output import MadeModel, model_files, model_metadata
+from bumpymap.lab.train.output import TrainedModel, model_files, model_metadata
 from bumpymap.lab.train.train import TrainSettings, train
 from bumpymap.lab.train.training import EpochReport
 from bumpymap.rating import FEATURE_VERSION
@@ -14,37 +14,37 @@ from bumpymap.rating import FEATURE_VERSION
 __all__ = ["UNSEEN_PER_TEXTURE", "make_model"]
 
 UNSEEN_PER_TEXTURE = 2500
-"""Patches of each texture that the scores on unseen seeds are made of."""
+"""Number of patches per texture in the scores on unseen seeds."""
 
 
 def make_model(
     settings: TrainSettings, out: Path, progress: Callable[[EpochReport], None] | None = None
-) -> MadeModel[Evaluation]:
+) -> TrainedModel[Evaluation]:
     """Train a texture network and write it.
 
     Parameters
     ----------
     settings : TrainSettings
-        Decide every byte of the file on one machine.
+        They determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card stands beside it (``.md``); while training runs, a checkpoint does
-        (``.checkpoint``), from which the same call goes on after a break.
-    told : callable, optional
-        Gets a report after every epoch.
+        The ONNX file. The model card is written next to it (``.md``), and during training a checkpoint
+        (``.checkpoint``), from which the same call resumes after an interruption.
+    progress : callable, optional
+        Called with a report after every epoch.
 
     Raises
     ------
     OutputError
         A file cannot be written.
     UsageError
-        A checkpoint of other settings is in the way.
+        A checkpoint with other settings exists.
     """
     with model_files(out) as files:
         net = train(settings, files.checkpoint, progress)
         evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
         content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count()))
         files.write(content, model_card(settings, evaluation, net.parameter_count(), len(content)))
-    return MadeModel(files.model, files.card, evaluation, net.parameter_count())
+    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
 
 
 def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) -> dict[str, object]:
@@ -60,8 +60,8 @@ def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) 
     scores = {
         "accuracy_unseen": evaluation.unseen.accuracy,
         "confusion_unseen": evaluation.unseen.confusion,
-        "accuracy_altered_copies": evaluation.altered_copies.accuracy,
-        "confusion_altered_copies": evaluation.altered_copies.confusion,
+        "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
+        "confusion_altered_copies": evaluation.augmented_copies.confusion,
         "accuracy_short_waves": evaluation.short_waves.accuracy,
     }
     return model_metadata("bumpymap-textures", network, training, scores)

@@ -19,15 +19,15 @@ class NetworkSettings:
     channels: tuple[int, int, int, int] = (16, 32, 64, 96)
     """Filters of the four convolutions."""
     hidden: int = 128
-    """Units between what is averaged over the patch and the answer."""
+    """Units of the hidden layer between the averages over the patch and the output."""
     classes: tuple[str, ...] = TEXTURES
 
 
 class TextureNet(nn.Module):
-    """Four 3 x 3 convolutions, the last two at half resolution, averaged over the patch; two layers read the averages.
+    """Four 3 x 3 convolutions, the last two at half resolution, an average over the patch, and two dense layers.
 
-    No padding before the pooling: a border of zeros would be low ground to the network. The last convolution pads only
-    where a patch of under 11 pixels leaves it too little.
+    There is no padding before the pooling, because the network would read a border of zeros as low ground. The last
+    convolution pads only if a patch has fewer than 11 pixels.
     """
 
     def __init__(self, settings: NetworkSettings) -> None:
@@ -54,5 +54,5 @@ class TextureNet(nn.Module):
         return self.head(x).flatten(1)  # (n, 4)
 
     def parameter_count(self) -> int:
-        """Return the number of trained numbers."""
+        """Return the number of trained parameters."""
         return sum(p.numel() for p in self.parameters())

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, written out layer by layer: the same bytes each time."""
+"""Write networks as ONNX files layer by layer, with reproducible bytes."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -20,12 +20,12 @@ _IR_VERSION = 8
 class OnnxGraph:
     """Nodes and weights in the order in which they are added; each method returns the name of its output.
 
-    Batch normalisation is folded into the convolutions. Operators are those of opset 17, so that old ONNX Runtimes read
-    the file.
+    Batch normalisation is folded into the convolutions. Operators are those of opset 17, so that old versions of ONNX
+    Runtime can read the file.
     """
 
     def __init__(self, name: str, output_name: Callable[[int], str]) -> None:
-        """Begin a graph; ``output_name`` gives the name of the output of the n-th node."""
+        """Start a graph; ``output_name`` returns the name of the output of the n-th node."""
         self._name, self._output_name = name, output_name
         self._nodes: list[onnx.NodeProto] = []
         self._weights: list[onnx.TensorProto] = []
@@ -44,29 +44,29 @@ class OnnxGraph:
     def conv(
         self, layer: nn.Conv2d, norm: nn.BatchNorm2d | None, source: str, name: str | None = None, **attributes: Any
     ) -> str:
-        """Add a convolution; ``norm`` is folded in. Its weights are called ``name``.weight and ``name``.bias."""
+        """Add a convolution with ``norm`` folded in. Its weights are named ``name``.weight and ``name``.bias."""
         name = name or f"conv{len(self._nodes)}"
-        weight, bias = _folded(layer, norm)
+        weight, bias = _folded_weights(layer, norm)
         inputs = [source, self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
         return self.add("Conv", inputs, pads=[int(layer.padding[0])] * 4, **attributes)
 
     def to_bytes(
         self, inputs: Mapping[str, Sequence[int]], output: tuple[str, int], metadata: Mapping[str, object]
     ) -> bytes:
-        """Check the graph and write it as a file.
+        """Check the graph and serialise it.
 
         Parameters
         ----------
         inputs : mapping
-            Name -> shape of one patch.
+            Name -> shape of one sample.
         output : tuple
-            Name of the probabilities, and how many classes they are of.
+            Name of the output with the probabilities, and number of classes.
         metadata : mapping
             Written as ``metadata_props``: text as it is, everything else as JSON.
         """
-        given = [_described(name, shape) for name, shape in inputs.items()]
+        given = [_value_info(name, shape) for name, shape in inputs.items()]
         name, classes = output
-        graph = helper.make_graph(self._nodes, self._name, given, [_described(name, [classes])], self._weights)
+        graph = helper.make_graph(self._nodes, self._name, given, [_value_info(name, [classes])], self._weights)
         model = helper.make_model(
             graph, producer_name="bumpymap", opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
         )
@@ -76,12 +76,12 @@ class OnnxGraph:
         return content
 
 
-def _described(name: str, shape: Sequence[int]) -> onnx.ValueInfoProto:
+def _value_info(name: str, shape: Sequence[int]) -> onnx.ValueInfoProto:
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
 
 
-def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Weight and bias of one convolution equal to ``norm(conv(x))``: w g / s and b - m g / s, s = sqrt(var + eps)."""
+def _folded_weights(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Fold ``norm(conv(x))`` into one weight and bias: w g / s and b - m g / s, s = sqrt(var + eps)."""
     if norm is None:
         return _double(conv.weight).astype(np.float32), _double(conv.bias).astype(np.float32)
     gain = _double(norm.weight) / np.sqrt(_double(norm.running_var) + norm.eps)
@@ -91,7 +91,7 @@ def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.fl
 
 
 def _double(tensor: torch.Tensor | None) -> NDArray[np.float64]:
-    """Return the numbers of a layer. Raises TypeError where it has none."""
+    """Return a tensor as float64; raise TypeError for None."""
     if tensor is None:
         raise TypeError("a layer of the network lacks its weights")
     values: NDArray[np.float64] = tensor.detach().double().numpy()

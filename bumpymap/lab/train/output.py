@@ -1,4 +1,4 @@
-"""What a training leaves: the ONNX file and its model card, whole or not at all."""
+"""The output of a training: the ONNX file and its model card, written atomically."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -10,25 +10,25 @@ from typing import Any, Generic, TypeVar
 import bumpymap
 from bumpymap.core import OutputError, atomic, locked
 
-__all__ = ["MadeModel", "ModelFiles", "model_files", "model_metadata"]
+__all__ = ["ModelFiles", "TrainedModel", "model_files", "model_metadata"]
 
 Scores = TypeVar("Scores")
 
 
 @dataclass(frozen=True, slots=True)
-class MadeModel(Generic[Scores]):
-    """What was written, and how good it is."""
+class TrainedModel(Generic[Scores]):
+    """The files of a trained model and its scores."""
 
     model: Path
     card: Path
     evaluation: Scores
     parameters: int
-    """Trained numbers of the network."""
+    """Number of trained parameters."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelFiles:
-    """The files of one training."""
+    """Paths of the files of one training."""
 
     model: Path
     """The ONNX file."""
@@ -40,11 +40,11 @@ class ModelFiles:
 
     @property
     def checkpoint(self) -> Path:
-        """Where a training that is broken off goes on from."""
+        """The file from which an interrupted training resumes."""
         return self.model.with_name(self.model.name + ".checkpoint")
 
     def write(self, content: bytes, card: str) -> None:
-        """Write network and card; the checkpoint goes away."""
+        """Write network and card; delete the checkpoint."""
         with atomic(self.model) as beside:
             beside.write_bytes(content)
         with atomic(self.card) as beside:
@@ -54,17 +54,15 @@ class ModelFiles:
 
 @contextmanager
 def model_files(out: Path) -> Iterator[ModelFiles]:
-    """Hold the place of a network against a second training.
+    """Lock the output folder against a second training of the same network.
 
     Raises
     ------
     OutputError
-        Its folder cannot be written, or is in use.
+        The folder cannot be written, or another training holds the lock.
     """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise OutputError(
-            f"cannot write {out}: {out.parent} is not a folder that you can write to. Choose another --out"
-        )
+        raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
     with locked(out.parent, f".{out.name}.lock"):
         yield ModelFiles(out)
 
@@ -72,14 +70,14 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
 def model_metadata(
     kind: str, network: Mapping[str, object], training: Mapping[str, object], scores: Mapping[str, Any]
 ) -> dict[str, object]:
-    """Say in the ONNX file what it is.
+    """Return the metadata of the ONNX file.
 
     Parameters
     ----------
     kind : str
-        Its format.
+        Format name of the file.
     network, training, scores : mappings
-        What the network is for, how it was trained, how good it is.
+        Description of the network, of its training and its scores.
     """
     import torch
 

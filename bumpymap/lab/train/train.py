@@ -1,4 +1,4 @@
-"""The training of the texture network: settings, data, learning rate."""
+"""Train the texture network: settings, data, learning rate."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -18,17 +18,17 @@ __all__ = ["TrainSettings", "train"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainSettings(LoopSettings):
-    """Everything that a training depends on."""
+    """All settings that affect a training."""
 
     epochs: int = 30
     patches_per_texture: int = 6534
-    """As in the paper: 26,136 patches in all."""
+    """As in the paper: 26,136 patches in total."""
     batch: int = 256
-    """Least number of patches between two steps; batches are as even as can be."""
+    """Minimum number of patches per optimizer step; batches are as equal in size as possible."""
     learning_rate: float = 5e-3
     weight_decay: float = 1e-2
     tile_size: float = 3.0
-    """Side of the tiles the network is for, m. Textures are shares of a side, so only the label changes."""
+    """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     def __post_init__(self) -> None:
@@ -44,7 +44,7 @@ class TrainSettings(LoopSettings):
 
     @property
     def command(self) -> str:
-        """The command line of this training, all but where to write."""
+        """The command line of this training, without ``--out``."""
         options = {
             "seed": self.seed,
             "epochs": self.epochs,
@@ -66,9 +66,9 @@ def train(
     settings : TrainSettings
         The same settings give the same bits on the same machine and libraries.
     checkpoint : Path, optional
-        Rewritten after every epoch; where it exists already, training goes on from it.
-    told : callable, optional
-        Gets a report after every epoch.
+        Rewritten after every epoch; if it exists, training resumes from it.
+    progress : callable, optional
+        Called with a report after every epoch.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
         samples = epoch_samples(training, settings.seed, epoch)
         patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
         count = len(samples.labels)
-        batches = max(1, count // settings.batch)  # of even sizes: one of a single patch has no spread to normalise
+        batches = max(1, count // settings.batch)  # of equal size: a batch of one patch has no variance to normalise
         bounds = [number * count // batches for number in range(batches + 1)]
         yield EpochData((patches,), torch.from_numpy(samples.labels), bounds)
 

@@ -1,4 +1,4 @@
-"""The training loop of every network: seeded, on the CPU, restartable from its last whole epoch."""
+"""The training loop of all networks: seeded, on the CPU, resumable from the last complete epoch."""
 
 import logging
 import time
@@ -20,7 +20,7 @@ Net = TypeVar("Net", bound=nn.Module)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """What the loop needs of the settings of a training."""
+    """Settings of the training loop."""
 
     seed: int = 1
     epochs: int
@@ -28,12 +28,12 @@ class LoopSettings:
     """Peak, after the warm-up."""
     weight_decay: float
     threads: int = 1
-    """CPU threads; part of what decides the last bits."""
+    """CPU threads; their number affects the last bits of the result."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpochReport:
-    """How one epoch went."""
+    """Result of one epoch."""
 
     epoch: int
     """From 1."""
@@ -41,37 +41,37 @@ class EpochReport:
     loss: float
     """Mean cross-entropy, nats."""
     accuracy: float
-    """On the training patches of this epoch, while learning."""
+    """Accuracy on the training data of this epoch, during training."""
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
 class EpochData:
-    """What one epoch learns from."""
+    """Training data of one epoch."""
 
     inputs: tuple[torch.Tensor, ...]
     """Arguments of the network, (n, ...) each."""
     labels: torch.Tensor
-    """(n,) the right answers."""
+    """(n,) true classes."""
     bounds: list[int]
-    """Rows where batches begin, and n."""
+    """Start rows of the batches, and n."""
 
 
 @dataclass(frozen=True, slots=True)
 class Training(Generic[Net]):
-    """All that a training is made of; the same one gives the same bits on the same machine and libraries."""
+    """A training; the same one gives the same bits on the same machine and libraries."""
 
     settings: LoopSettings
     make: Callable[[], Net]
     """Make the network with random weights."""
     epochs: Callable[[range], Iterator[EpochData]]
-    """Give the data of epochs by number; a restarted training gets the same for the rest of them."""
+    """Yield the data of epochs by number; a resumed training gets the same data for the remaining epochs."""
     rate: Callable[[float], float]
-    """Share of the training that is done, 0..1 -> learning rate."""
+    """Completed share of the training, 0..1 -> learning rate."""
     smoothing: float = 0.0
-    """Share of each answer that is given to the other classes."""
+    """Label smoothing: share of each label that is spread over the other classes."""
     record: dict[str, Any] = field(default_factory=dict)
-    """Plain values that decide the training beside its settings."""
+    """Plain values that affect the training in addition to its settings."""
 
     def run(self, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None) -> Net:
         """Train the network.
@@ -79,9 +79,9 @@ class Training(Generic[Net]):
         Parameters
         ----------
         checkpoint : Path, optional
-            Rewritten after every epoch; where it exists already, training goes on from it.
-        told : callable, optional
-            Gets a report after every epoch.
+            Rewritten after every epoch; if it exists, training resumes from it.
+        progress : callable, optional
+            Called with a report after every epoch.
 
         Returns
         -------
@@ -138,7 +138,7 @@ class Training(Generic[Net]):
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, as a checkpoint gives them back."""
+    """Turn tuples into lists, as a checkpoint returns them."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return list(value) if isinstance(value, tuple) else value

@@ -1,4 +1,4 @@
-"""Made-up ground with known truth: terrains, a sample survey, outdoor scenes for scans."""
+"""Synthetic ground with known truth: terrains, a sample survey, outdoor scenes for scans."""
 
 import lazy_loader
 

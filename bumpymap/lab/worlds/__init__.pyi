@@ -2,7 +2,7 @@ from .scans.lidar import (
     simulate_scan as simulate_scan,
 )
 from .scans.overhead import (
-    look_down as look_down,
+    overhead_scan as overhead_scan,
 )
 from .scans.scene import (
     make_scene as make_scene,

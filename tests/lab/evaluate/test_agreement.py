@@ -9,18 +9,18 @@ from sklearn.metrics import confusion_matrix, roc_auc_score
 
 from bumpymap.lab.evaluate.agreement import (
     ClassShift,
+    class_shift,
     confusion,
     coverage,
+    cross_validated_fit,
     driven_class,
     fail_auc,
-    left_out_fit,
     median_error,
     median_ratio,
     monotone_fit,
     reliability,
     same_order,
     spearman,
-    steps_off,
 )
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -72,7 +72,7 @@ def test_fit_without_a_tenth_is_that_of_scikit_learns_folds(seed, count):
         own = np.arange(count) % 10 == part
         model = IsotonicRegression(out_of_bounds="clip").fit(predictor[~own], np.log(c_r[~own]))
         oracle[own] = np.exp(model.predict(predictor[own]))
-    np.testing.assert_allclose(left_out_fit(predictor, c_r), oracle, rtol=1e-9)
+    np.testing.assert_allclose(cross_validated_fit(predictor, c_r), oracle, rtol=1e-9)
 
 
 def test_reliability_counts_patches():
@@ -89,15 +89,15 @@ def test_confusion_matrix_is_that_of_scikit_learn(seed, count):
     table = confusion(driven, predicted, 4)
     assert np.array_equal(table, confusion_matrix(driven, predicted, labels=range(4)))
     away = np.abs(driven - predicted)
-    steps = steps_off(table)
+    steps = class_shift(table)
     assert (steps.same, steps.one_off, steps.further) == pytest.approx(
         [(away == 0).mean(), (away == 1).mean(), (away > 1).mean()]
     )
 
 
 def test_no_patches_have_no_shares():
-    assert all(np.isnan(value) for value in (steps_off(np.zeros((4, 4), np.int64)).same, *_empty()))
-    assert steps_off(np.eye(4, dtype=np.int64)) == ClassShift(1.0, 0.0, 0.0)
+    assert all(np.isnan(value) for value in (class_shift(np.zeros((4, 4), np.int64)).same, *_empty()))
+    assert class_shift(np.eye(4, dtype=np.int64)) == ClassShift(1.0, 0.0, 0.0)
 
 
 def _empty():

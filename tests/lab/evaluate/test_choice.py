@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, strategies as st
 from scipy.stats import kstest
 
-from bumpymap.lab.evaluate.chance import chance
-from bumpymap.lab.evaluate.strata import BINS, choose, strata
+from bumpymap.lab.evaluate.keyed_random import uniform_by_key
+from bumpymap.lab.evaluate.strata import BINS, choose_patches, strata
 
 SEEDS = st.integers(0, 2**31)
 
@@ -19,7 +19,7 @@ def ground(seed, count=2000):
 def test_every_stratum_gives_as_many_patches_as_it_can(seed):
     c_r, p_fail, priority = ground(seed)
     stratum = strata(c_r, p_fail)
-    chosen = choose(stratum, priority, 300)
+    chosen = choose_patches(stratum, priority, 300)
     assert len(set(chosen.tolist())) == 300
     there, taken = (np.bincount(part, minlength=BINS + 1) for part in (stratum, stratum[chosen]))
     short = taken < taken.max() - 1
@@ -30,13 +30,13 @@ def test_every_stratum_gives_as_many_patches_as_it_can(seed):
 def test_more_patches_keep_those_of_before(seed):
     c_r, p_fail, priority = ground(seed, 500)
     stratum = strata(c_r, p_fail)
-    few, many = choose(stratum, priority, 50), choose(stratum, priority, 120)
+    few, many = choose_patches(stratum, priority, 50), choose_patches(stratum, priority, 120)
     assert set(few.tolist()) < set(many.tolist())
 
 
 def test_few_tiles_are_all_chosen():
     c_r, p_fail, priority = ground(3, 40)
-    assert sorted(choose(strata(c_r, p_fail), priority, 300).tolist()) == list(range(40))
+    assert sorted(choose_patches(strata(c_r, p_fail), priority, 300).tolist()) == list(range(40))
 
 
 def test_ground_that_is_expected_to_fail_is_a_stratum_of_its_own():
@@ -53,15 +53,15 @@ def test_ground_that_fails_everywhere_is_one_stratum():
 
 def test_a_thing_keeps_its_number_whatever_stands_beside_it():
     col, row = np.arange(-50, 50), np.arange(100) % 7
-    whole = chance(3, col, row)
-    assert np.array_equal(chance(3, col[40:60], row[40:60]), whole[40:60])
-    assert not np.array_equal(chance(4, col, row), whole)
-    assert not np.array_equal(chance(3, row, col), whole)
+    whole = uniform_by_key(3, col, row)
+    assert np.array_equal(uniform_by_key(3, col[40:60], row[40:60]), whole[40:60])
+    assert not np.array_equal(uniform_by_key(4, col, row), whole)
+    assert not np.array_equal(uniform_by_key(3, row, col), whole)
 
 
 def test_numbers_are_evenly_spread():
     col, row = (axis.ravel() for axis in np.meshgrid(np.arange(-70, 70), np.arange(100_000, 100_140)))
-    drawn = chance(0, col, row)
+    drawn = uniform_by_key(0, col, row)
     assert 0 <= drawn.min() < drawn.max() < 1
     assert kstest(drawn, "uniform").pvalue > 0.01
     square = drawn.reshape(140, 140)

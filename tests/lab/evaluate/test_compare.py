@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.lab.evaluate.compare import by_kind, compare, compare_order
-from bumpymap.lab.evaluate.drives import Driven
+from bumpymap.lab.evaluate.drives import DriveStats
 from bumpymap.lab.simulate.patch import PatchDrives
 
 LIMITS = (0.1, 0.3, 0.5)
@@ -13,7 +13,7 @@ LIMITS = (0.1, 0.3, 0.5)
 def driven_of(c_r, failed=None, drives=16, error=0.03):
     c_r = np.asarray(c_r, float)
     failed = np.zeros(len(c_r), np.int64) if failed is None else np.asarray(failed)
-    return Driven(c_r, error * c_r, drives - failed, failed)
+    return DriveStats(c_r, error * c_r, drives - failed, failed)
 
 
 def test_drives_are_summed_up():
@@ -22,7 +22,7 @@ def test_drives_are_summed_up():
         PatchDrives(("rolled", "stuck"), (None, None)),
         PatchDrives(("completed",), (0.2,)),
     ]
-    found = Driven.of(patches)
+    found = DriveStats.of(patches)
     np.testing.assert_allclose(found.c_r, [0.2, np.nan, 0.2])
     np.testing.assert_allclose(found.error, [0.1, np.nan, np.nan])
     assert (found.completed.tolist(), found.failed.tolist()) == ([2, 0, 1], [1, 2, 0])
@@ -61,7 +61,7 @@ def test_survivors_are_not_compared_but_their_failures_count(verdict_of):
 
 
 def test_ground_that_nothing_crosses_leaves_only_failures_to_compare(verdict_of):
-    driven = Driven(*np.full((2, 3), np.nan), np.zeros(3, np.int64), np.full(3, 4))
+    driven = DriveStats(*np.full((2, 3), np.nan), np.zeros(3, np.int64), np.full(3, 4))
     found = compare({"ride": verdict_of([0.1, 0.2, 0.3])}, {"height": np.ones(3)}, driven, np.zeros(3, bool), LIMITS)
     assert found.left_out == 3
     assert np.isnan(found.agreement["ride"].median_error)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.drives import ground_of
-from bumpymap.lab.evaluate.survey import take
+from bumpymap.lab.evaluate.drives import driven_ground
+from bumpymap.lab.evaluate.survey import take_tiles
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def bumpy():
 
 def test_without_holes_it_is_the_heightmap(bumpy, measure_points):
     patches = measure_points(*bumpy)
-    ground, heights = ground_of(patches)[0], patches.heights[0].astype(float)
+    ground, heights = driven_ground(patches)[0], patches.heights[0].astype(float)
     np.testing.assert_allclose(ground - ground.mean(), heights - heights.mean(), atol=5e-4)
 
 
@@ -30,7 +30,7 @@ def test_holes_are_filled_on_the_same_plane(bumpy, measure_points):
     kept = np.hypot(x - 1.2, y - 1.8) > 0.4
     whole, holed = measure_points(x, y, z), measure_points(x[kept], y[kept], z[kept])
     assert np.isnan(holed.heights[0]).any()
-    apart = ground_of(holed)[0] - ground_of(whole)[0]
+    apart = driven_ground(holed)[0] - driven_ground(whole)[0]
     assert np.isfinite(apart).all()
     assert np.ptp(apart) < 0.12
 
@@ -39,6 +39,6 @@ def test_tiles_can_be_chosen_in_any_order(measure_points):
     rng = np.random.default_rng(2)
     patches = measure_points(rng.uniform(0, 6, 2000), rng.uniform(0, 6, 2000), rng.random(2000))
     order = np.array([2, 0, 3])
-    chosen = take(patches, order)
+    chosen = take_tiles(patches, order)
     assert np.array_equal(chosen.heights, patches.heights[order], equal_nan=True)
     assert chosen.col.tolist() == patches.col[order].tolist()

@@ -7,13 +7,13 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.progress import SilentProgress
 from bumpymap.lab.evaluate import noise
-from bumpymap.lab.evaluate.library import dead_flat, library_terrains, require_unseen
+from bumpymap.lab.evaluate.library import flat_terrains, library_terrains, require_unseen
 
 
 @pytest.fixture(scope="module")
 def rows(subject, module_patch):
     terrains = library_terrains(subject.calibration, subject.profile, 6, 2)
-    return noise.noise_proof(terrains, subject, subject.ride, None, FeatureSettings(), 6, SilentProgress())
+    return noise.noise_sweep(terrains, subject, subject.ride, None, FeatureSettings(), 6, SilentProgress())
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +48,13 @@ def test_driven_c_r_takes_the_place_of_the_truth_in_intervals(subject, module_pa
     terrains = library_terrains(subject.calibration, subject.profile, 6, 1)
     far = np.full(len(terrains), 50.0)
     far[0] = np.nan
-    rows = noise.noise_proof(terrains, subject, subject.ride, far, FeatureSettings(), 6, SilentProgress())
+    rows = noise.noise_sweep(terrains, subject, subject.ride, far, FeatureSettings(), 6, SilentProgress())
     assert [row.held for row in rows] == [0.0, 0.0]
 
 
 def test_perfect_ground_is_rated_as_a_dense_survey_of_it(subject, rows):
     assert rows[0].error[2] < 0.1
-    flat = noise.perfect_c_r(dead_flat(subject.calibration, 2), subject.ride)
+    flat = noise.perfect_c_r(flat_terrains(subject.calibration, 2), subject.ride)
     assert flat.max() < 1e-3
 
 

@@ -1,4 +1,4 @@
-"""Points that are thinned, moved, and waited for."""
+"""Points that are thin_points, moved, and waited for."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress
 from bumpymap.lab import ScanEffects
-from bumpymap.lab.evaluate.density import density_sweep, thinned
+from bumpymap.lab.evaluate.density import density_sweep, thin_points
 from bumpymap.lab.evaluate.invariance import MOVES, _moved, invariance
-from bumpymap.lab.evaluate.library import library_terrains, stack_of
-from bumpymap.lab.evaluate.survey import gather, open_readers
-from bumpymap.lab.simulate.ride_fit import surveyed
+from bumpymap.lab.evaluate.library import library_terrains, measure_all
+from bumpymap.lab.evaluate.survey import load_survey, open_readers
+from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.patches.features import join_stacks, measure
 from bumpymap.readers import ReadOptions
 from bumpytiles import Grid, TileBuckets
@@ -33,7 +33,7 @@ def rows_of(points):
 
 def test_what_stays_at_a_density_stays_at_higher_ones():
     points = next(cloud().blocks())
-    half, tenth = thinned(points, 0.5, 3), thinned(points, 0.1, 3)
+    half, tenth = thin_points(points, 0.5, 3), thin_points(points, 0.1, 3)
     assert rows_of(tenth) < rows_of(half) < rows_of(points)
     assert len(half.easting) / len(points.easting) == pytest.approx(0.5, abs=0.05)
     assert np.array_equal(half.col, points.col)
@@ -42,7 +42,7 @@ def test_what_stays_at_a_density_stays_at_higher_ones():
 
 
 def test_points_stay_in_their_tile_when_thinned():
-    points = thinned(next(cloud().blocks()), 0.3, 3)
+    points = thin_points(next(cloud().blocks()), 0.3, 3)
     owner = np.repeat(points.col, np.diff(points.starts))
     assert np.array_equal(points.grid.index(points.easting), owner)
 
@@ -96,7 +96,7 @@ def test_a_tilt_is_a_plane_of_ten_degrees_at_most():
 
 def test_library_ground_keeps_its_class_when_it_is_moved(subject):
     terrains = library_terrains(subject.calibration, subject.profile, 5, 1)
-    blocks = surveyed(terrains, ScanEffects(200, 0.01), 5).blocks()
+    blocks = survey_terrains(terrains, ScanEffects(200, 0.01), 5).blocks()
     rows = invariance(blocks, stack_of_block, subject, 1)
     assert {(row.rating, row.move) for row in rows} == {(name, move) for name in ("ride", "table") for move in MOVES}
     for row in rows:
@@ -111,7 +111,7 @@ def stack_of_block(points):
 
 def test_terrains_are_tiles_in_the_order_of_their_index(subject):
     terrains = library_terrains(subject.calibration, subject.profile, 5, 1) * 2
-    patches = stack_of(surveyed(terrains, ScanEffects(300), 5), FEATURES)
+    patches = measure_all(survey_terrains(terrains, ScanEffects(300), 5), FEATURES)
     assert patches.col.tolist() == list(range(len(terrains)))
     for heights, terrain in zip(patches.heights, terrains, strict=True):
         assert np.nanmedian(np.abs(heights - terrain.heights)) < 0.05
@@ -123,7 +123,7 @@ def readers(quarry):
 
 
 def test_a_survey_gives_the_tiles_that_are_asked_for(readers, tmp_path):
-    with gather(readers, "auto", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
+    with load_survey(readers, "auto", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
         assert not survey.ground_only or survey.buckets.flagged_share() > 0.5
         every = join_stacks([survey.measured(points) for points in survey.points()])
         chosen = np.array([40, 3, 17])
@@ -135,14 +135,14 @@ def test_a_survey_gives_the_tiles_that_are_asked_for(readers, tmp_path):
 def test_points_that_a_killed_run_left_go_away(readers, tmp_path):
     (tmp_path / ".points").mkdir()
     (tmp_path / ".points" / "points-00000000-00000003.pack").write_text("half")
-    with gather(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
+    with load_survey(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
         assert survey.blocks > 1
     assert list(tmp_path.iterdir()) == []
 
 
 def test_points_that_find_no_room_wait_on_disk(readers, tmp_path, monkeypatch):
     def heights():
-        with gather(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
+        with load_survey(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
             waiting = list(tmp_path.rglob("*.pack"))
             return waiting, join_stacks([survey.measured(points) for points in survey.points()]).heights
 
@@ -166,13 +166,15 @@ def test_a_survey_without_a_place_is_refused(tmp_path):
         open_readers([path], ReadOptions(), local=False)
     with (
         pytest.raises(BadInputError, match="class 2"),
-        gather(open_readers([path], ReadOptions(), local=True), "class", Grid(), FEATURES, tmp_path, SilentProgress()),
+        load_survey(
+            open_readers([path], ReadOptions(), local=True), "class", Grid(), FEATURES, tmp_path, SilentProgress()
+        ),
     ):
         pass
 
 
 def test_thinning_loses_classes_and_confidence_bit_by_bit(readers, tmp_path, subject):
-    with gather(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
+    with load_survey(readers, "all", Grid(), FEATURES, tmp_path, SilentProgress()) as survey:
         rows = density_sweep(survey, subject, 97.0, (200.0, 60.0, 12.0), 1, SilentProgress())
         again = density_sweep(survey, subject, 97.0, (12.0,), 1, SilentProgress())
     assert [(row.rating, row.density) for row in rows] == [

@@ -8,7 +8,7 @@ import pytest
 from bumpymap.lab.evaluate.classes import class_table
 from bumpymap.lab.evaluate.compare import VehicleOrder, by_kind, compare
 from bumpymap.lab.evaluate.density import DensityRow
-from bumpymap.lab.evaluate.drives import Driven
+from bumpymap.lab.evaluate.drives import DriveStats
 from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.invariance import MoveRow
 from bumpymap.lab.evaluate.noise import NoiseRow
@@ -32,7 +32,7 @@ def findings(verdict_of):
     truth = np.geomspace(0.02, 0.9, 30)
     class_id = np.searchsorted([0.1, 0.3, 0.5], truth, side="right")
     failed = np.where(np.arange(30) > 26, 9, 0)
-    driven = Driven(truth, 0.03 * truth, 16 - failed, failed)
+    driven = DriveStats(truth, 0.03 * truth, 16 - failed, failed)
     verdicts = {
         name: verdict_of(truth * np.exp(spread * rng.normal(size=30)), class_id, failed / 16)
         for name, spread in (("ride", 0.05), ("ride_raw", 0.1), ("table", 0.4))
@@ -57,11 +57,11 @@ def test_everything_is_written(findings, tmp_path):
     text = (tmp_path / "report.md").read_text()
     for words in (
         "site.laz: 1,234,567 points",
-        "6 tiles judged, 2 unknown (too few points: 2), 97 points per m2",
+        "6 tiles classified, 2 unknown (too few points: 2), 97 points per m2",
         "**rover, `ride`**: C_r is off by",
         "`ride`: variance, residual and C_r rise from class to class",
         "30 patches, 480 drives, 27 of them failed. On 3 patches",
-        "1 - Spearman over that of the best plain predictor, `slope_free_sd`",
+        "1 - Spearman relative to that of the best plain predictor, `slope_free_sd`",
         "| 50 | 50.0 % | 100.0 % | 90.0 % | 80.0 % |",
         "| `ride` | rover, car | 20 | 95.0 % | 12 | 100.0 % |",
         "41.027",

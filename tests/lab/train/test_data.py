@@ -4,11 +4,11 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from bumpymap.lab.train import data
-from bumpymap.lab.train.alter import NONE
+from bumpymap.lab.train.augment import NONE
 from bumpymap.lab.train.data import (
     LIGHT_EVERY,
     SHORT_WAVES,
-    altered_copies,
+    augmented_copies,
     epoch_samples,
     training_patches,
     unseen_patches,
@@ -41,7 +41,7 @@ def test_unseen_patches_share_none_with_training():
 
 def test_altered_copies_are_like_their_originals():
     training = training_patches(1, 50, 15)
-    copies = altered_copies(training, 1)
+    copies = augmented_copies(training, 1)
     assert_array_equal(copies.labels, training.labels)
     assert np.abs(copies.patches - training.patches).max(axis=(1, 2)).min() > 1e-3
 

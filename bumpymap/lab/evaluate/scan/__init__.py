@@ -1,4 +1,4 @@
-"""Compares the classes of scans with labels."""
+"""Compare the classes of scans with labels."""
 
 import lazy_loader
 

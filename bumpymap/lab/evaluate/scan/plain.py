@@ -1,6 +1,6 @@
-"""The filter method in a straightforward form: sector by sector, with scikit-learn, SciPy and scikit-image.
+"""A plain implementation of the filter method: sector by sector, with scikit-learn, SciPy and scikit-image.
 
-Our times are compared with it. Numbers need not agree to the digit; the steps are the paper's.
+It is a baseline for timing. It follows the steps of the paper; its numbers may differ slightly.
 """
 
 import math
@@ -17,14 +17,14 @@ _LEAST_INLIER_M = 0.1
 
 
 def plain_classes(scan: Scan, model: StripeModel, settings: PolarSettings | None = None) -> tuple[int, list[int]]:
-    """Class the sectors of a scan by the filter method, one after another.
+    """Classify the sectors of a scan by the filter method, one after another.
 
     Returns
     -------
     sectors : int
-        That hold enough points.
+        Number of sectors with enough points.
     classes : list of int
-        Of those that are traversable, in no stated order.
+        Classes of the traversable ones, in no particular order.
     """
     from sklearn.decomposition import PCA
     from sklearn.linear_model import RANSACRegressor
@@ -61,7 +61,7 @@ def plain_classes(scan: Scan, model: StripeModel, settings: PolarSettings | None
 def _heightmap(
     place: NDArray[np.float64], z: NDArray[np.float64], size: tuple[float, float], pixels: int
 ) -> NDArray[np.float64]:
-    """Mean z by pixel, holes from the nearest pixel, plane taken off."""
+    """Return the mean z per pixel, with holes filled from the nearest pixel and the plane removed."""
     from scipy.ndimage import distance_transform_edt
     from scipy.stats import binned_statistic_2d
 
@@ -77,7 +77,7 @@ def _heightmap(
 
 
 def _stripes(heights: NDArray[np.float64], settings: StripeFilter) -> float:
-    """Stripes drawn over the heights, through eight Gabor filters, counted up the columns."""
+    """Draw stripes over the heights, apply eight Gabor filters and count stripes along the columns."""
     from scipy.ndimage import convolve
     from skimage.filters import gabor_kernel
 

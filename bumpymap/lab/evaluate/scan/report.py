@@ -1,4 +1,4 @@
-"""The report on scans: Markdown for people, JSON for machines."""
+"""Write the report of an evaluation of scans: Markdown and JSON."""
 
 import math
 from dataclasses import asdict
@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.lab.evaluate.document import number, percent, report_text, section, table, write_document
+from bumpymap.lab.evaluate.scan.class_stats import ScanClassRow
 from bumpymap.lab.evaluate.scan.run import ScanFindings
-from bumpymap.lab.evaluate.scan.tally import ScanClassRow
 from bumpymap.lab.evaluate.scan.timing import PAPER_SECTOR_MS
 from bumpymap.lab.evaluate.tables import confusion_lines
 
@@ -18,16 +18,16 @@ _PAPER_ACCURACY = 0.8324
 
 
 def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
-    """Write ``report.md`` and ``report.json``; the report comes last."""
+    """Write ``report.json`` and ``report.md``, in this order."""
     return write_document(out, scan_markdown(findings), "bumpymap-scan-evaluation", asdict(findings))
 
 
 def scan_markdown(findings: ScanFindings) -> str:
     """Return the text of the report."""
     sections = [
-        section("What the classes hold", "The paper's Tables IV and V.", _class_lines(findings)),
-        section("Beside the labels", "", _accuracy_lines(findings) if findings.accuracy else []),
-        section("Turned", _TURNED, _turned_lines(findings)),
+        section("Statistics of the classes", "The paper's Tables IV and V.", _class_lines(findings)),
+        section("Compared with labels", "", _accuracy_lines(findings) if findings.accuracy else []),
+        section("Rotated scans", _TURNED, _turned_lines(findings)),
         section("What a scan costs", _COSTS, _cost_lines(findings)),
     ]
     return report_text("Can the classes of scans be trusted?", [_opening(findings.facts), ""], sections)
@@ -36,15 +36,15 @@ def scan_markdown(findings: ScanFindings) -> str:
 def _opening(facts: dict[str, Any]) -> str:
     centres = ", ".join(f"{centre:.2f}" for centre in facts["filter"]["centres"])
     return (
-        f"{facts['scans']} scans, {facts['sectors']:,} sectors that can be driven on, {facts['labelled']:,} of them "
+        f"{facts['scans']} scans, {facts['sectors']:,} traversable sectors, {facts['labelled']:,} of them "
         f"labelled. Filter method: centres at {centres} stripes. Learned method: network {facts['network']}."
     )
 
 
-_TURNED = "Share of the points that keep their class when the scan turns about z by random angles."
+_TURNED = "Share of the points that keep their class if the scan is rotated about z by random angles."
 _COSTS = (
-    "From points in memory to classed sectors, medians; times a sector are processor times. *Plain* does the same work "
-    "for the filter method sector by sector with scikit-learn, SciPy and scikit-image, timed in the same run."
+    "From points in memory to classified sectors, medians; times per sector are CPU times. *Plain* is the filter "
+    "method implemented sector by sector with scikit-learn, SciPy and scikit-image, timed in the same run."
 )
 
 
@@ -55,12 +55,12 @@ def _class_lines(findings: ScanFindings) -> list[str]:
             values = (*row.stripes, *row.variance, *row.residual)
             rows.append([method, str(row.class_id), str(row.sectors), percent(row.share), *map(number, values)])
     header = ("method", "class", "sectors", "share", "stripes, median", "mean", "variance [m2], median", "mean")
-    said = [f"- {_order(name, rows_)}" for name, rows_ in findings.classes.items()]
-    return [*table((*header, "residual [m], median", "mean"), rows), *said, ""]
+    summary = [f"- {_order(name, rows_)}" for name, rows_ in findings.classes.items()]
+    return [*table((*header, "residual [m], median", "mean"), rows), *summary, ""]
 
 
 def _order(method: str, rows: list[ScanClassRow]) -> str:
-    """Say whether measures rise, and stripes fall, from class to class; classes without sectors do not count."""
+    """Describe whether measures rise and stripes fall from class to class, skipping classes without sectors."""
     there = [row for row in rows if row.sectors]
     wrong = [
         f"{kind} {name}"
@@ -72,7 +72,7 @@ def _order(method: str, rows: list[ScanClassRow]) -> str:
         )
     ]
     if not wrong:
-        return f"`{method}`: variance and residual rise from class to class, stripes fall, medians and means alike."
+        return f"`{method}`: variance and residual rise from class to class and stripes fall, in median and mean."
     return f"`{method}`: not in order from class to class: {', '.join(wrong)}."
 
 
@@ -81,7 +81,7 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
         [method, percent(found.right), percent(found.even), percent(_PAPER_ACCURACY) if method == "learned" else "-"]
         for method, found in findings.accuracy.items()
     ]
-    lines = table(("method", "right", "every class counted alike", "the paper's, on RELLIS-3D"), rows)
+    lines = table(("method", "accuracy", "balanced accuracy", "the paper's, on RELLIS-3D"), rows)
     for method, found in findings.accuracy.items():
         lines += confusion_lines(method, found.confusion, "labelled", "found")
     return lines
@@ -89,7 +89,7 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
 
 def _turned_lines(findings: ScanFindings) -> list[str]:
     rows = [[method, percent(mean), percent(least)] for method, (mean, least) in findings.kept.items()]
-    return table(("method", "mean over the scans", "least of a scan"), rows)
+    return table(("method", "mean over the scans", "minimum over the scans"), rows)
 
 
 def _cost_lines(findings: ScanFindings) -> list[str]:
@@ -108,7 +108,7 @@ def _cost_lines(findings: ScanFindings) -> list[str]:
         ]
         for cost in findings.costs
     ]
-    header = ("method", "points", "sectors", "scan [ms]", "processor [ms]", "a sector [ms]", "most memory [MB]")
-    more = ("the paper's sector [ms]", "plain over ours")
-    said = f"Plain: {number(plain)} ms a sector over {findings.plain.sectors} sectors." if findings.plain else ""
-    return [*table((*header, *more), rows), said, ""]
+    header = ("method", "points", "sectors", "scan [ms]", "CPU [ms]", "per sector [ms]", "peak memory [MB]")
+    more = ("the paper's per sector [ms]", "plain / ours")
+    note = f"Plain: {number(plain)} ms per sector over {findings.plain.sectors} sectors." if findings.plain else ""
+    return [*table((*header, *more), rows), note, ""]

@@ -1,4 +1,4 @@
-"""How much an evaluation of scans does."""
+"""Settings of an evaluation of scans."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ __all__ = ["ScanEvaluateSettings"]
 
 @dataclass(frozen=True, slots=True)
 class ScanEvaluateSettings:
-    """Everything beside the scans that decides the numbers."""
+    """All settings that affect the numbers, apart from the scans."""
 
     scenes: int = 35
-    """Made-up scenes, where no scans are given; none of them was learned from."""
+    """Number of synthetic scenes if no scans are given; none of them is used in training."""
     seed: int = 7
-    """Of the scenes and the turns."""
+    """Seed of the scenes and the rotations."""
     turns: int = 8
-    """Turns about z of every scan."""
+    """Number of rotations about z of every scan."""
     repeats: int = 50
-    """Of each measured time; the median counts."""
+    """Number of repeats of each measured time; the median is reported."""
 
     def __post_init__(self) -> None:
         for name, least in (("scenes", 1), ("seed", 0), ("turns", 1), ("repeats", 3)):

@@ -1,4 +1,4 @@
-"""Time and memory of a scan from points in memory to classed sectors, against a straightforward form and the paper."""
+"""Measure time and memory from the points of a scan in memory to classified sectors."""
 
 import importlib.util
 import time
@@ -13,14 +13,14 @@ from bumpymap.lab.evaluate.scan.plain import plain_classes
 from bumpymap.lab.evaluate.timing import peak_bytes
 from bumpymap.scan import StripeModel
 
-__all__ = ["PAPER_SECTOR_MS", "MethodCost", "PlainCost", "method_costs", "plain_cost", "require_plain"]
+__all__ = ["PAPER_SECTOR_MS", "MethodCost", "PlainCost", "method_costs", "plain_cost", "require_libraries"]
 
 PAPER_SECTOR_MS = {"filter": 3.228, "learned": 7.626}
-"""The paper's times a sector."""
+"""The paper's times per sector, ms."""
 
 
-def require_plain(*, simulates: bool) -> None:
-    """Raise UsageError where a library is missing that the evaluation takes: before the work, not after."""
+def require_libraries(*, simulates: bool) -> None:
+    """Raise UsageError if a library that the evaluation needs is not installed, before the work starts."""
     wanted = {"sklearn": "scikit-learn", "skimage": "scikit-image"} | ({"open3d": "open3d"} if simulates else {})
     missing = [name for module, name in wanted.items() if importlib.util.find_spec(module) is None]
     if missing:
@@ -30,42 +30,42 @@ def require_plain(*, simulates: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class MethodCost:
-    """One method on one scan."""
+    """Cost of one method on one scan."""
 
     method: str
     points: int
     sectors: int
     scan_ms: float
-    """By the clock, median of the repeats."""
+    """Wall time, median of the repeats."""
     processor_ms: float
-    """Processor time of all threads, median of the repeats."""
+    """CPU time of all threads, median of the repeats."""
     peak_mb: float
-    """Most memory that Python allocated beside the scan."""
+    """Peak memory that Python allocated, without the scan."""
 
     @property
     def sector_ms(self) -> float:
-        """Processor time a sector."""
+        """CPU time per sector."""
         return self.processor_ms / self.sectors if self.sectors else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class PlainCost:
-    """The plain way on the same scan."""
+    """Cost of the plain implementation on the same scan."""
 
     sectors: int
     processor_ms: float
-    """Of the whole scan, once."""
+    """CPU time of one run over the whole scan."""
 
     @property
     def sector_ms(self) -> float:
-        """Processor time a sector."""
+        """CPU time per sector."""
         return self.processor_ms / self.sectors if self.sectors else float("nan")
 
 
 def method_costs(
     scan: Scan, methods: Mapping[str, Callable[[Scan], ClassedSectors]], repeats: Iterable[int]
 ) -> list[MethodCost]:
-    """Time every method in every repeat, by turns, so that what else the machine does falls on all alike."""
+    """Time all methods alternately in every repeat, so that other load on the machine affects all of them."""
     for classify in methods.values():
         classify(scan)
     clock: dict[str, list[int]] = {name: [] for name in methods}
@@ -91,7 +91,7 @@ def method_costs(
 
 
 def plain_cost(scan: Scan, model: StripeModel) -> PlainCost:
-    """Time the plain way, once."""
+    """Time the plain implementation once."""
     begin = time.process_time_ns()
     sectors, _ = plain_classes(scan, model)
     return PlainCost(sectors, (time.process_time_ns() - begin) / 1e6)

@@ -1,4 +1,4 @@
-"""Trains the network for sectors of a scan and writes it as an ONNX file."""
+"""Train the network for the sectors of a scan and write it as an ONNX file."""
 
 import lazy_loader
 

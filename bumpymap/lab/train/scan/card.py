@@ -1,4 +1,4 @@
-"""The model card: what a scan network is for, how it was made and how good it is, in Markdown."""
+"""Write the model card of a scan network in Markdown: purpose, data, accuracy, limits."""
 
 from dataclasses import dataclass
 
@@ -15,82 +15,64 @@ LABEL_NAMES = {
     1: "dirt", 3: "grass", 4: "tree", 6: "water", 8: "vehicle", 10: "asphalt", 17: "person", 18: "fence", 19: "bush",
     23: "concrete", 27: "barrier", 31: "puddle", 33: "mud", 34: "rubble",
 }  # fmt: skip
-"""RELLIS-3D id -> name, those with a class."""
+"""RELLIS-3D id -> name, for labels with a class."""
 
 
 _LIMITS_OF_SIMULATION = """\
-- The accuracy is that of telling *made* scenes apart. What the simulator does not know (snow, crops,
-  rain, moving things, reflections in water) the network does not know.
-- Mud and water are told from dirt by ruts, by churned ground and by returns that stay away: mud as flat as dry dirt
-  reads as dirt, and so does a puddle of which nothing comes back but its margin.
-- Natural ground is made with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm. Ground
-  rougher than that reads as class 1, whatever grows there.
+- The accuracy is measured on *synthetic* scenes. The network has not seen anything that the simulator lacks (snow,
+  crops, rain, moving objects, reflections in water).
+- Mud and water are distinguished from dirt by ruts, churned ground and missing returns: mud as flat as dry dirt is
+  classified as dirt, and so is a puddle of which only the margin returns light.
+- Natural ground is simulated with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm.
+  Rougher ground is classified as class 1, whatever grows there.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CardFacts:
-    """What the card says of a training beside its settings and scores."""
+    """Facts of a training on its card, in addition to settings and scores."""
 
     learned: tuple[int, ...]
-    """Sectors of each class that it learned from."""
+    """Number of training sectors of each class."""
     parameters: int
-    """Trained numbers."""
+    """Number of trained parameters."""
     size: int
-    """Bytes of the ONNX file."""
+    """Size of the ONNX file, bytes."""
     command: str
-    """The command line of this training, all but where to write."""
+    """The command line of this training, without ``--out``."""
     simulated: bool
-    """Whether the scans were made up."""
+    """Whether the scans were simulated."""
 
 
 def model_card(settings: ScanTrainSettings, evaluation: ScanEvaluation, made: CardFacts) -> str:
-    """Write the card of a training with such settings and scores."""
+    """Return the text of the card of a training."""
     limits = _LIMITS_OF_SIMULATION if made.simulated else ""
     widths = ", ".join(map(str, settings.network.widths))
     return f"""# Scan network
 
-Tells how rough the sectors of one LiDAR scan are: class 0 (smooth) to 2 (rough).
+Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (rough).
 
 - **Use**: `bumpymap scan --method learned`.
-- **Input**: `patches` (batch, 2, 15, 15) float32, the heights of a sector over its plane, in the sector's own polar
+- **Input**: `patches` (batch, 2, 15, 15) float32, the heights of a sector above its plane, in the sector's own polar
   coordinates: once scaled by their own range, once by asinh(h / 5 cm); and `measures` (batch, {len(MEASURES)}):
-  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the number of points against that of
-  the ground in the same ring.
+  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the ratio of the number of points to that
+  of the ground in the same ring.
 - **Output**: `probability` (batch, {CLASSES}) float32.
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
-  {widths} channels, {settings.network.expansion} times wider inside; the measures join before the answer.
-  {made.parameters:,} trained numbers; {made.size:,} bytes of ONNX, opset 17.
-- **Grid**: {grid_record(PolarSettings())}; other grids are refused.
+  {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
+  {made.parameters:,} trained parameters; {made.size:,} bytes of ONNX, opset 17.
+- **Grid**: {grid_record(PolarSettings())}; other grids are rejected.
 - **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data
 
 {_data(settings, made.simulated)}
-Sectors to learn from: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
-{settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut {settings.turns} more
-times after a random turn.
+Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
+{settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
+{settings.turns} more times after a random rotation.
 
-## Accuracy
-
-On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans: {percent(evaluation.every.even_accuracy)}
-with the classes weighted evenly** (training is balanced so), {percent(evaluation.every.accuracy)} of all sectors as
-they come. The paper reports 83.24 % on its own patches, which are not these.
-
-{score_table(evaluation.every, _CLASS_NAMES)}
-
-Of those, the {evaluation.gated.count:,} that the gate lets through (what the network is asked in use):
-{percent(evaluation.gated.even_accuracy)} evenly, {percent(evaluation.gated.accuracy)} as they come.
-
-{score_table(evaluation.gated, _CLASS_NAMES)}
-
-By label, sectors said to be of class 0, 1, 2:
-
-| label | class | 0 | 1 | 2 |
-|---|---|---|---|---|
-{_labels(evaluation)}
-
-## Make it again
+{_accuracy(evaluation)}
+## Reproduce
 
     pip install 'bumpymap[learn,o3d]'
     {made.command} --out scan.onnx
@@ -99,19 +81,41 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 
 ## Limits
 
-{limits}- A sector has one class. Where a kerb, a trunk or the margin of a puddle runs through it, the most
-  frequent label decides what is right; many of the errors are such sectors.
-- A scan says little about ground that few beams reach: beyond 20 m a sector often holds one or two lines.
+{limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
+  frequent label counts as true; many of the errors are such sectors.
+- Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
+"""
+
+
+def _accuracy(evaluation: ScanEvaluation) -> str:
+    return f"""## Accuracy
+
+On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans:
+{percent(evaluation.every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
+{percent(evaluation.every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
+
+{score_table(evaluation.every, _CLASS_NAMES)}
+
+On the {evaluation.gated.count:,} of these that pass the traversability gate (the ones classified in use):
+{percent(evaluation.gated.balanced_accuracy)} balanced accuracy, {percent(evaluation.gated.accuracy)} of all.
+
+{score_table(evaluation.gated, _CLASS_NAMES)}
+
+By label, number of sectors classified as 0, 1, 2:
+
+| label | class | 0 | 1 | 2 |
+|---|---|---|---|---|
+{_labels(evaluation)}
 """
 
 
 def _data(settings: ScanTrainSettings, simulated: bool) -> str:
     if not simulated:
         return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
-    return f"""{settings.scenes} made-up scenes with labels (`bumpymap.lab.worlds.scans`), each seen once by another
-sensor of 32, 64 or 128 lines with range noise of 0.8 to 3 cm, 0.1 to 5 % of lost returns and a tilt of some degrees. No
-real scan was used. The ground of every tenth scene is seen once more from above, without shadows and with blocks heaped
-on half of it. Unseen scenes come from other numbers of the same seed.
+    return f"""{settings.scenes} synthetic scenes with labels (`bumpymap.lab.worlds.scans`), each scanned once by a
+different sensor of 32, 64 or 128 lines with range noise of 0.8 to 3 cm, 0.1 to 5 % of lost returns and a tilt of some
+degrees. No real scan was used. The ground of every tenth scene is sampled once more from above, without shadows and
+with blocks piled on half of it. Unseen scenes have other numbers of the same seed.
 """
 
 
@@ -124,6 +128,6 @@ def _classes() -> str:
 
 def _labels(evaluation: ScanEvaluation) -> str:
     return "\n".join(
-        f"| {LABEL_NAMES[label]} | {CLASS_OF_LABEL[label]} | " + " | ".join(map(str, said)) + " |"
-        for label, said in sorted(evaluation.labels.items(), key=lambda item: (CLASS_OF_LABEL[item[0]], item[0]))
+        f"| {LABEL_NAMES[label]} | {CLASS_OF_LABEL[label]} | " + " | ".join(map(str, counts)) + " |"
+        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (CLASS_OF_LABEL[item[0]], item[0]))
     )

@@ -1,4 +1,4 @@
-"""Training and test sectors: of made-up scenes, or of a labelled data set on disk."""
+"""Training and test sectors, from synthetic scenes or a labelled data set on disk."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -12,7 +12,7 @@ from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import MEASURES, classes_of_labels, network_input, polar_sectors
 
 __all__ = [
-    "LENT",
+    "SWAPPED_MEASURES",
     "UNSEEN",
     "Sectors",
     "draw_epoch",
@@ -26,17 +26,17 @@ __all__ = [
 ]
 
 UNSEEN = 1_000_000
-"""Scenes from this number on are never learned from."""
-LENT = ("coverage",)
-"""Measures that some sectors take from others while learning."""
-_LENT_SHARE = 0.15
-Told = Callable[[int, int], None]
-"""Gets how many scans are done, of how many."""
+"""Scenes from this number on are never used in training."""
+SWAPPED_MEASURES = ("coverage",)
+"""Measures that training swaps between some sectors."""
+_SWAPPED_SHARE = 0.15
+ScanProgress = Callable[[int, int], None]
+"""Called with the number of finished scans and the number of all scans."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sectors:
-    """Sectors whose class is known."""
+    """Sectors with known classes."""
 
     patches: NDArray[np.float32]
     """(n, CHANNELS, pixels, pixels)"""
@@ -49,11 +49,11 @@ class Sectors:
     zone: NDArray[np.int16]
     """(n,)"""
     traversable: NDArray[np.bool_]
-    """(n,) True where the gate lets the sector through."""
+    """(n,) True if the sector passes the traversability gate."""
 
 
 def join(parts: Sequence[Sectors]) -> Sectors:
-    """Put sectors (at least one set) together, in order."""
+    """Concatenate one or more sets of sectors, in order."""
     return Sectors(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Sectors)))
 
 
@@ -65,8 +65,8 @@ def labelled_sectors(scan: Scan, turns: Iterable[float] = ()) -> Sectors:
     scan : Scan
         With labels.
     turns : floats
-        The scan is cut once more after each of these turns [rad] about z, from the x axis on: the same ground in
-        other sectors.
+        The scan is cut once more after rotating it about z by each of these angles [rad], which puts the same ground
+        into other sectors.
     """
     cuts = [polar_sectors(scan)]
     for turn in turns:
@@ -92,7 +92,7 @@ def labelled_sectors(scan: Scan, turns: Iterable[float] = ()) -> Sectors:
 
 
 def scene_scan(seed: int, index: int) -> Scan:
-    """Simulate the scan of one made-up scene; every scene has another sensor."""
+    """Simulate the scan of one synthetic scene; every scene has another sensor."""
     from bumpymap.lab.worlds import draw_sensor, make_scene, simulate_scan
 
     sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
@@ -102,21 +102,21 @@ def scene_scan(seed: int, index: int) -> Scan:
 
 
 def simulated_sectors(
-    seed: int, scenes: Sequence[int], turns: int = 0, keep: Path | None = None, progress: Told | None = None
+    seed: int, scenes: Sequence[int], turns: int = 0, keep: Path | None = None, progress: ScanProgress | None = None
 ) -> Sectors:
-    """Sectors of made-up scenes, in order.
+    """Simulate scenes and return their sectors, in order.
 
     Parameters
     ----------
     seed : int
-        Of the set of scenes.
+        Seed of the set of scenes.
     scenes : ints
-        Which of them.
+        Numbers of the scenes.
     turns : int
-        How often each scan is cut once more after a random turn.
+        Number of additional cuts of each scan, each after a random rotation.
     keep : Path, optional
-        Folder that keeps the sectors of each scene, for a run that goes on after a break.
-    told : callable, optional
+        Folder that caches the sectors of each scene, for resuming an interrupted run.
+    progress : callable, optional
         Called after every scene.
     """
     parts = []
@@ -129,36 +129,36 @@ def simulated_sectors(
         else:
             parts.append(labelled_sectors(scene_scan(seed, index), angles.tolist()))
             if file is not None:
-                _keep(file, parts[-1])
+                _save(file, parts[-1])
         if progress:
             progress(done, len(scenes))
     return join(parts)
 
 
 def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
-    """Sectors of the ground of made-up scenes (at least one), seen all over and partly heaped with blocks, in order."""
-    from bumpymap.lab.worlds import look_down, make_scene
+    """Return the sectors of the ground of one or more scenes, fully visible and partly covered with blocks."""
+    from bumpymap.lab.worlds import make_scene, overhead_scan
 
     parts = []
     for index in scenes:
-        seen = look_down(make_scene(seed, index), index)
+        seen = overhead_scan(make_scene(seed, index), index)
         parts.append(labelled_sectors(Scan(seen.points, seen.intensity, seen.label.astype(np.uint16))))
     return join(parts)
 
 
-def _keep(file: Path, sectors: Sectors) -> None:
+def _save(file: Path, sectors: Sectors) -> None:
     if file.parent.is_symlink():
         raise OutputError(f"{file.parent} is a link and was not touched. Remove it, or choose another --out")
     file.parent.mkdir(parents=True, exist_ok=True)
-    with atomic(file) as beside:
-        np.savez(beside, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
+    with atomic(file) as temporary:
+        np.savez(temporary, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
 
 
 def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Frames of a data set in the layout of RELLIS-3D: those to learn from, and the last fifth of every sequence.
+    """List frames of a data set in the layout of RELLIS-3D: training frames, and the last fifth of every sequence.
 
-    ``folder`` holds sequences (``00000``, ..), is one, or holds ``Rellis-3D``. Neighbouring frames show nearly the
-    same ground, so every tenth is enough of them and no frame near a border is on both sides of it.
+    ``folder`` contains sequences (``00000``, ..), is a sequence, or contains ``Rellis-3D``. Only every tenth frame is
+    used, because neighbouring frames show nearly the same ground; this also separates the two parts of a sequence.
     """
     inner = folder / "Rellis-3D"
     root = inner if inner.is_dir() else folder
@@ -172,12 +172,14 @@ def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
         learn += frames[:border]
         unseen += frames[border:]
     if not learn:
-        raise BadInputError(f"{folder} holds {len(unseen)} frame(s); training needs 2 or more in a sequence")
+        raise BadInputError(f"{folder} contains {len(unseen)} frame(s); training needs 2 or more in a sequence")
     return learn, unseen
 
 
-def folder_sectors(frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: Told | None = None) -> Sectors:
-    """Sectors of labelled frames on disk, in order.
+def folder_sectors(
+    frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: ScanProgress | None = None
+) -> Sectors:
+    """Return the sectors of labelled frames on disk, in order.
 
     Raises
     ------
@@ -190,7 +192,7 @@ def folder_sectors(frames: Sequence[Path], turns: int = 0, seed: int = 1, progre
         if scan.label is None:
             raise BadInputError(
                 f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
-                "beside its folder"
+                "next to its folder"
             )
         angles = np.random.default_rng([seed, done, 3]).uniform(0, 2 * np.pi, turns)
         parts.append(labelled_sectors(scan, angles.tolist()))
@@ -207,11 +209,11 @@ def folder_sectors(frames: Sequence[Path], turns: int = 0, seed: int = 1, progre
 def draw_epoch(
     sectors: Sectors, per_class: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Draw as many sectors of every class that is there, half of them mirrored in azimuth; shuffled.
+    """Draw the same number of sectors of every class that occurs, half of them mirrored in azimuth; shuffled.
 
-    A class with fewer sectors than that gives each of them as often as any other, give or take one. Some sectors take
-    their ``LENT`` measures from others, so that the network does not rest its answer on them alone: how full the
-    pixels are depends on the sensor more than relief does.
+    If a class has fewer sectors, each is drawn equally often, up to a difference of one. Some sectors take their
+    ``SWAPPED_MEASURES`` from others, so that the network does not rely on these measures alone: the share of filled
+    pixels depends more on the sensor than relief does.
     """
     rows = []
     for class_id in np.unique(sectors.class_id):
@@ -223,8 +225,8 @@ def draw_epoch(
     mirrored = rng.uniform(size=len(order)) < 0.5
     patches[mirrored] = patches[mirrored][..., ::-1]
     measures = sectors.measures[order]
-    for name in LENT:
+    for name in SWAPPED_MEASURES:
         column = MEASURES.index(name)
-        takes = np.flatnonzero(rng.uniform(size=len(order)) < _LENT_SHARE)
+        takes = np.flatnonzero(rng.uniform(size=len(order)) < _SWAPPED_SHARE)
         measures[takes, column] = measures[rng.permutation(takes), column]
     return patches, measures, sectors.class_id[order]

@@ -16,26 +16,26 @@ __all__ = ["ScanEvaluation", "evaluate"]
 
 @dataclass(frozen=True, slots=True)
 class ScanEvaluation:
-    """Every score that the model card reports, on unseen scans."""
+    """All scores of the model card, on unseen scans."""
 
     every: Score
     """All sectors with a class."""
     gated: Score
-    """The traversable ones, which the network classes in use."""
+    """The traversable sectors, which are the ones classified in use."""
     labels: dict[int, tuple[int, ...]]
-    """RELLIS-3D id -> sectors said to be of class 0, 1, 2."""
+    """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
     scans: int
     """Number of scans."""
 
 
 def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
-    """Score a trained network on the sectors of so many unseen scans."""
+    """Score a trained network on the sectors of ``scans`` unseen scans."""
     probability = predict(net, torch.from_numpy(unseen.patches), torch.from_numpy(unseen.measures))
-    said = probability.argmax(axis=1)
+    predicted = probability.argmax(axis=1)
     gate = unseen.traversable
     labels = {
-        int(label): tuple(np.bincount(said[unseen.label == label], minlength=CLASSES).tolist())
+        int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
         for label in np.unique(unseen.label)
     }
-    every = count_answers(unseen.class_id, said, CLASSES)
-    return ScanEvaluation(every, count_answers(unseen.class_id[gate], said[gate], CLASSES), labels, scans)
+    every = count_answers(unseen.class_id, predicted, CLASSES)
+    return ScanEvaluation(every, count_answers(unseen.class_id[gate], predicted[gate], CLASSES), labels, scans)

@@ -1,4 +1,4 @@
-"""The scan network as ONNX. No operator's answer for one sector depends on its place in the batch."""
+"""The scan network as ONNX. No operator's result for a sector depends on its position in the batch."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -42,8 +42,8 @@ def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
         narrow = _convolution(graph, block.narrow, relu6(block.filter, relu6(block.widen, x)))
         x = graph.add("Add", [x, narrow]) if block.adds else narrow
     x = graph.add("GlobalAveragePool", [x])
-    beside = relu6(net.beside, graph.add("Unsqueeze", ["measures", plane]))
-    x = relu6(net.hidden, graph.add("Concat", [x, beside], axis=1))
+    joined = relu6(net.measures, graph.add("Unsqueeze", ["measures", plane]))
+    x = relu6(net.hidden, graph.add("Concat", [x, joined], axis=1))
     x = graph.add("Flatten", [graph.conv(net.head, None, x, **_strides(net.head))], axis=1)
     graph.add("Softmax", [x], "probability", axis=1)
     pixels = PolarSettings().pixels

@@ -1,4 +1,4 @@
-"""The whole job: gather sectors, train, score, write the ONNX file and its model card."""
+"""Collect sectors, train and score a scan network; write the ONNX file and its model card."""
 
 import shutil
 from collections.abc import Callable
@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.core import PolarSettings
-from bumpymap.lab.train.output import MadeModel, model_files, model_metadata
+from bumpymap.lab.train.output import TrainedModel, model_files, model_metadata
 from bumpymap.lab.train.scan.card import CardFacts, model_card
 from bumpymap.lab.train.scan.data import (
     UNSEEN,
+    ScanProgress,
     Sectors,
-    Told,
     folder_frames,
     folder_sectors,
     join,
@@ -28,7 +28,7 @@ from bumpymap.scan import SECTOR_VERSION, grid_record
 __all__ = ["UNSEEN_SCENES", "make_scan_model"]
 
 UNSEEN_SCENES = 105
-"""Made-up scenes that the scores are made of: fifteen of every theme."""
+"""Number of synthetic scenes in the scores: fifteen of every theme."""
 
 
 def make_scan_model(
@@ -36,37 +36,37 @@ def make_scan_model(
     out: Path,
     scans: Path | None = None,
     progress: Callable[[EpochReport], None] | None = None,
-    gathered: Told | None = None,
-) -> MadeModel[ScanEvaluation]:
+    scan_progress: ScanProgress | None = None,
+) -> TrainedModel[ScanEvaluation]:
     """Train a network for the sectors of scans and write it.
 
     Parameters
     ----------
     settings : ScanTrainSettings
-        With the scans they decide every byte of the file on one machine.
+        Together with the scans they determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card stands beside it (``.md``); while the job runs, so do a folder of sectors
-        (``.sectors``) and a checkpoint (``.checkpoint``), from which the same call goes on after a break.
+        The ONNX file. The model card is written next to it (``.md``), and while the job runs a folder of sectors
+        (``.sectors``) and a checkpoint (``.checkpoint``), from which the same call resumes after an interruption.
     scans : Path, optional
-        A folder in the layout of RELLIS-3D; None: scenes are simulated, which needs open3d.
-    told : callable, optional
-        Gets a report after every epoch.
-    gathered : callable, optional
-        Called after every scan that was cut into sectors: how many are done, of how many.
+        A folder in the layout of RELLIS-3D. If None, scenes are simulated, which needs open3d.
+    progress : callable, optional
+        Called with a report after every epoch.
+    scan_progress : callable, optional
+        Called with (finished scans, all scans) after every scan that was cut into sectors.
 
     Raises
     ------
     OutputError
         A file cannot be written.
     BadInputError
-        The folder holds no scans with labels.
+        The folder contains no scans with labels.
     UsageError
-        A checkpoint of another training is in the way.
+        A checkpoint of another training exists.
     """
     keep = out.with_name(out.name + ".sectors")
     command = f"bumpymap train --scans {'simulated' if scans is None else 'RELLIS_FOLDER'} {settings.options}"
     with model_files(out) as files:
-        learn, unseen, unseen_scans = _gather(settings, scans, keep, gathered)
+        learn, unseen, unseen_scans = _collect_sectors(settings, scans, keep, scan_progress)
         net = train(settings, learn, files.checkpoint, progress)
         evaluation = evaluate(net, unseen, unseen_scans)
         content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count(), command))
@@ -79,28 +79,28 @@ def make_scan_model(
         )
         files.write(content, model_card(settings, evaluation, made))
         shutil.rmtree(keep, ignore_errors=True)
-    return MadeModel(files.model, files.card, evaluation, net.parameter_count())
+    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
 
 
-def _gather(
-    settings: ScanTrainSettings, scans: Path | None, keep: Path, gathered: Told | None
+def _collect_sectors(
+    settings: ScanTrainSettings, scans: Path | None, keep: Path, scan_progress: ScanProgress | None
 ) -> tuple[Sectors, Sectors, int]:
-    """Sectors to learn from, sectors to be judged by, and how many scans those are of."""
+    """Return training sectors, test sectors and the number of scans of the test sectors."""
     if scans is not None:
         learn, unseen = folder_frames(scans)
         return (
-            folder_sectors(learn, settings.turns, settings.seed, gathered),
-            folder_sectors(unseen, progress=gathered),
+            folder_sectors(learn, settings.turns, settings.seed, scan_progress),
+            folder_sectors(unseen, progress=scan_progress),
             len(unseen),
         )
     unseen_scenes = range(UNSEEN, UNSEEN + UNSEEN_SCENES)
-    learned = [simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, gathered)]
+    learned = [simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, scan_progress)]
     overhead = range(0, settings.scenes - 9, 10)  # every tenth, in every theme
     if overhead:
         learned.append(overhead_sectors(settings.seed, overhead))
     return (
         join(learned),
-        simulated_sectors(settings.seed, unseen_scenes, 0, keep, gathered),
+        simulated_sectors(settings.seed, unseen_scenes, 0, keep, scan_progress),
         UNSEEN_SCENES,
     )
 
@@ -111,7 +111,7 @@ def _metadata(
     network = {"sector_version": SECTOR_VERSION, "grid": grid_record(PolarSettings())}
     training = {"parameters": parameters, "seed": settings.seed, "command": command}
     scores = {
-        "accuracy_even": evaluation.every.even_accuracy,
+        "accuracy_even": evaluation.every.balanced_accuracy,
         "accuracy_unseen": evaluation.every.accuracy,
         "confusion_unseen": evaluation.every.confusion,
         "accuracy_gated": evaluation.gated.accuracy,

@@ -1,4 +1,4 @@
-"""The training of the scan network: settings, data, learning rate."""
+"""Train the scan network: settings, data, learning rate."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,20 +19,20 @@ __all__ = ["ScanTrainSettings", "train"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanTrainSettings(LoopSettings):
-    """Everything that a training depends on, beside the scans themselves."""
+    """All settings that affect a training; the scans come in addition."""
 
     epochs: int = 20
     scenes: int = 300
-    """Made-up scenes to learn from; a data set on disk brings its own frames."""
+    """Number of synthetic training scenes; not used with a data set on disk."""
     turns: int = 2
-    """How often each scan is cut once more after a random turn."""
+    """Number of additional cuts of each scan, each after a random rotation."""
     sectors_per_class: int = 10_000
     """Sectors of each class in every epoch."""
     batch: int = 128
     learning_rate: float = 4e-3
     weight_decay: float = 2e-2
     smoothing: float = 0.05
-    """Share of each answer that is given to the other classes: labels at margins are a matter of taste."""
+    """Label smoothing: share of each label that is spread over the other classes; labels at margins are uncertain."""
     network: ScanNetSettings = field(default_factory=ScanNetSettings)
 
     def __post_init__(self) -> None:
@@ -62,11 +62,11 @@ def train(
     settings : ScanTrainSettings
         The same settings and sectors give the same bits on the same machine and libraries.
     sectors : Sectors
-        To learn from.
+        Training sectors.
     checkpoint : Path, optional
-        Rewritten after every epoch; where it exists already, training goes on from it.
-    told : callable, optional
-        Gets a report after every epoch.
+        Rewritten after every epoch; if it exists, training resumes from it.
+    progress : callable, optional
+        Called with a report after every epoch.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A made-up survey with known truth: for the demo, the tutorial and the tests."""
+"""A synthetic survey with known truth, for the demo, the tutorial and the tests."""
 
 import lazy_loader
 

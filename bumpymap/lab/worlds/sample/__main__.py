@@ -1,4 +1,4 @@
-"""``python -m bumpymap.lab.worlds.sample``: write the sample survey. Says nothing unless it fails."""
+"""``python -m bumpymap.lab.worlds.sample``: write the sample survey. Prints nothing unless it fails."""
 
 from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write quarry.laz and quarry_part.ply; ``arguments`` of the command line, None: those of the process."""
+    """Write quarry.laz and quarry_part.ply; ``arguments`` default to those of the process."""
     parser = ArgumentParser(
         "python -m bumpymap.lab.worlds.sample",
-        description="Make a survey of a quarry that does not exist: quarry.laz and quarry_part.ply.",
+        description="Make a survey of a synthetic quarry: quarry.laz and quarry_part.ply.",
         formatter_class=ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="0 or more; another seed, another site")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="0 or more; determines the site")
     given = parser.parse_args(arguments)
     if given.seed < 0:
         parser.error(f"--seed is {given.seed}; it must be 0 or more")

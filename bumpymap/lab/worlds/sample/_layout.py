@@ -1,7 +1,7 @@
-"""Where things are on the made-up quarry: distances to each feature in local metres (x east, y north from the corner).
+"""Layout of the synthetic quarry: distances to each feature in local metres (x east, y north from the corner).
 
-A feature is a core, where its surface is exact, and a blend of a few metres around it, which belongs to no zone.
-Every ``outside_*`` function gives metres outside the core: zero or less inside.
+A feature has a core, in which its surface is exact, and a blend of a few metres around it, which belongs to no zone.
+Every ``outside_*`` function returns the distance from the core in metres: zero or less inside.
 """
 
 import numpy as np
@@ -40,10 +40,10 @@ RUTS = (84.0, EAST_WEST)
 PAD = (58.4, 44.3, 76.4, 59.3)
 """West, south, east, north edge of the concrete pad; no edge lies on a border of 3 m tiles."""
 KERB_BAND = 2.9
-"""The zone 'step' reaches this far to both sides of the pad's edge, m."""
+"""The zone 'step' extends this far to both sides of the pad's edge, m."""
 RAMP = (12.0, 50.0, 26.0, 76.0)
 LANDING_NORTH = 85.0
-"""The ramp runs out level until here, where it meets the upper bench, m."""
+"""Northern end of the level landing of the ramp, at the upper bench, m."""
 BANK_WIDTH = 12.0
 STOCKPILES = ((42.6, 46.5, 6.2), (47.2, 51.6, 4.2))
 """x, y and radius of the gravel heaps, m."""
@@ -69,7 +69,7 @@ def along_bank(x: Floats, y: Floats) -> Floats:
 
 
 def outside_box(x: Floats, y: Floats, box: tuple[float, float, float, float]) -> Floats:
-    """Distance to a west, south, east, north box, m; negative inside, where it is minus the distance to the edge."""
+    """Distance to a (west, south, east, north) box, m; inside it is minus the distance to the edge."""
     west, south, east, north = box
     from_x, from_y = np.maximum(west - x, x - east), np.maximum(south - y, y - north)
     corner = np.hypot(np.maximum(from_x, 0.0), np.maximum(from_y, 0.0))
@@ -87,13 +87,13 @@ def outside_spur(x: Floats, y: Floats) -> Floats:
 
 
 def outside_pond(x: Floats, y: Floats) -> Floats:
-    """Roughly the distance to the 10 x 8 m ellipse of the pond, m; its sign is exact."""
+    """Approximate distance to the 10 x 8 m ellipse of the pond, m; the sign is exact."""
     x0, y0, half_x, half_y = _POND
     return (np.hypot((x - x0) / half_x, (y - y0) / half_y) - 1.0) * half_y
 
 
 def outside_rubble(x: Floats, y: Floats) -> Floats:
-    """Roughly the distance to the lobed outline of the rubble field, m; its sign is exact."""
+    """Approximate distance to the lobed outline of the rubble field, m; the sign is exact."""
     x0, y0, half_x, half_y = _RUBBLE
     angle = np.arctan2((y - y0) / half_y, (x - x0) / half_x)
     lobes = 1.0 + 0.07 * np.sin(3.0 * angle + 0.8) + 0.05 * np.sin(7.0 * angle)

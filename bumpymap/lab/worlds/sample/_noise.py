@@ -1,6 +1,6 @@
-"""Seeded closed forms that the made-up quarry is built of: smooth steps, sums of sines, blocks thrown on the ground.
+"""Seeded closed forms for the synthetic quarry: smooth steps, sums of sines, scattered blocks.
 
-Nothing is stored on a raster: every value is a formula of the place, so a height is exact at any coordinate.
+Nothing is stored on a raster: every value is a formula of the coordinates, so heights are exact everywhere.
 """
 
 from collections.abc import Callable
@@ -22,12 +22,12 @@ def smooth_step(value: Floats, start: float, end: float) -> Floats:
     ----------
     value : array (n,) float64
     start, end : float
-        In the unit of ``value``; ``end`` below ``start`` gives a fall.
+        In the unit of ``value``; with ``end`` below ``start`` the step falls.
 
     Returns
     -------
     array (n,) float64
-        0..1, exactly 0 and 1 outside the two ends.
+        0..1, exactly 0 or 1 beyond the two ends.
     """
     share = np.clip((value - start) / (end - start), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
@@ -35,12 +35,12 @@ def smooth_step(value: Floats, start: float, end: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class WaveField:
-    """A random surface: plane sine waves in all directions, longer ones higher, directions spread evenly."""
+    """A random surface: sum of plane sine waves in evenly spread directions; longer waves are higher."""
 
     east: tuple[float, ...]
-    """Angular frequency to the east of each wave, rad/m."""
+    """Angular frequency of each wave to the east, rad/m."""
     north: tuple[float, ...]
-    """The same to the north, rad/m."""
+    """Angular frequency of each wave to the north, rad/m."""
     phase: tuple[float, ...]
     """rad."""
     amplitude: tuple[float, ...]
@@ -59,7 +59,7 @@ class WaveField:
         deviation : float
             Standard deviation of the heights over a wide area, m.
         waves : int
-            How many.
+            Number of waves.
         """
         rng = np.random.default_rng(key)
         steps = (np.arange(waves) + rng.random(waves)) / waves
@@ -76,7 +76,7 @@ class WaveField:
         )
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
-        """Heights (n,) at local coordinates, m."""
+        """Return heights (n,) at local coordinates, m."""
         total = np.zeros(np.broadcast(x, y).shape)
         for east, north, phase, amplitude in zip(self.east, self.north, self.phase, self.amplitude, strict=True):
             total += amplitude * np.sin(east * x + north * y + phase)
@@ -85,7 +85,7 @@ class WaveField:
 
 @dataclass(frozen=True, slots=True)
 class BlockLayer:
-    """Angular stones of about one size: at most one for each cell of a lattice, anywhere in it, turned at random."""
+    """Angular stones of similar size: at most one per lattice cell, at a random position and angle."""
 
     key: int
     """Seed of the layer."""
@@ -97,19 +97,19 @@ class BlockLayer:
     """Height of the tallest stone, m."""
 
     def height(self, x: Floats, y: Floats, share: Callable[[Floats, Floats], Floats]) -> Floats:
-        """Height of the stone at each place, 0 between stones.
+        """Return the height of the stone at each position, 0 between stones.
 
         Parameters
         ----------
         x, y : array (n,) float64
             Local coordinates, m.
         share : callable
-            Probability that a stone lies there, by the stone's centre.
+            Probability of a stone as a function of its centre.
 
         Returns
         -------
         array (n,) float64
-            m. No stone reaches past the cells around its own, so nine cells are looked at.
+            m. A stone extends at most into the neighbouring cells, so nine cells are examined.
         """
         column, line = np.floor(x / self.cell).astype(np.int64), np.floor(y / self.cell).astype(np.int64)
         top = np.zeros(x.shape)
@@ -126,7 +126,7 @@ class BlockLayer:
         line: NDArray[np.int64],
         share: Callable[[Floats, Floats], Floats],
     ) -> Floats:
-        """Height above the ground of the stone of one cell, seen from each place, (n,) m."""
+        """Return the height of the stone of one cell at each position, (n,) m."""
         draw = [_uniform(column, line, self.key + number) for number in range(8)]
         centre_x, centre_y = (column + draw[0]) * self.cell, (line + draw[1]) * self.cell
         half_length, half_width = self.cell * (0.25 + 0.3 * draw[2]), self.cell * (0.2 + 0.2 * draw[3])
@@ -141,7 +141,7 @@ class BlockLayer:
 
 
 def _uniform(column: NDArray[np.int64], line: NDArray[np.int64], key: int) -> Floats:
-    """Uniform number 0..1 (n,) of a lattice cell: integer mixing with odd constants, the same on every machine."""
+    """Hash lattice cells to uniform numbers 0..1 (n,), identical on all machines."""
     mixed = column.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + line.astype(np.uint64) * np.uint64(
         0xC2B2AE3D27D4EB4F
     )

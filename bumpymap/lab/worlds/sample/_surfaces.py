@@ -1,4 +1,4 @@
-"""The surfaces of the made-up quarry, laid one over the other: heights above the datum in metres, closed forms only."""
+"""The surfaces of the synthetic quarry, overlaid in order: heights above the datum in metres, closed forms only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ DATUM = 412.0
 CROWN = 0.02
 """Cross fall of the road to both sides of its centreline, m/m."""
 WASHBOARD_AMPLITUDE = 0.02
-"""Half of crest to trough, m."""
+"""Half of the crest-to-trough height, m."""
 WASHBOARD_LENGTH = 0.7
 """Crest to crest along the easting, m."""
 RUT_DEPTH = 0.16
-"""m, mean along the rut."""
+"""Mean depth along the rut, m."""
 KERB_HEIGHT = 0.25
-"""The pad stands this far above its apron on all four sides, m."""
+"""Height of the pad above its apron on all four sides, m."""
 RAMP_SLOPE_DEG = 15.0
 BENCH_HEIGHT = 7.0
-"""Upper ground over quarry floor, m."""
+"""Height of the upper bench above the quarry floor, m."""
 _RUT_OFFSETS = (-3.8, -1.4, 1.4, 3.8)
 _RUT_WIDTH = 0.24
 
 
 @dataclass(frozen=True, slots=True)
 class _Roughness:
-    """Seeded fields of one site."""
+    """Seeded random fields of one site."""
 
     floor: WaveField
     road: WaveField
@@ -58,34 +58,34 @@ def _roughness(seed: int) -> _Roughness:
 
 
 def relief(seed: int, x: Floats, y: Floats) -> Floats:
-    """Height of the ground, (n,) m, at local coordinates ``x``, ``y`` (n,) m."""
+    """Return the height of the ground, (n,) m, at local coordinates ``x``, ``y`` (n,) m."""
     z = _open_ground(seed, x, y)
-    z = _over(z, x, y, lay.outside_stockpile(x, y) < 0.0, lambda z, x, y: z + _stockpile(seed, x, y))
-    z = _over(z, x, y, _stone_share(x, y, 2.0) > 0.0, lambda z, x, y: z + _rubble(seed, x, y))
-    z = _over(z, x, y, lay.outside_pond(x, y) < lay.BLEND["pond"], _pond)
-    z = _over(z, x, y, lay.outside_box(x, y, lay.PAD) < lay.BLEND["pad"], _pad)
-    z = _over(z, x, y, lay.outside_ramp(x, y) < lay.BLEND["ramp"], _ramp)
-    z = _over(z, x, y, lay.outside_spur(x, y) < lay.BLEND["spur"], lambda z, x, y: _spur(seed, z, x, y))
+    z = _overlay(z, x, y, lay.outside_stockpile(x, y) < 0.0, lambda z, x, y: z + _stockpile(seed, x, y))
+    z = _overlay(z, x, y, _stone_share(x, y, 2.0) > 0.0, lambda z, x, y: z + _rubble(seed, x, y))
+    z = _overlay(z, x, y, lay.outside_pond(x, y) < lay.BLEND["pond"], _pond)
+    z = _overlay(z, x, y, lay.outside_box(x, y, lay.PAD) < lay.BLEND["pad"], _pad)
+    z = _overlay(z, x, y, lay.outside_ramp(x, y) < lay.BLEND["ramp"], _ramp)
+    z = _overlay(z, x, y, lay.outside_spur(x, y) < lay.BLEND["spur"], lambda z, x, y: _spur(seed, z, x, y))
     near_road = np.abs(lay.road_offset(x, y)) < lay.ROAD_HALF_WIDTH + lay.BLEND["road"]
-    return _over(z, x, y, near_road, lambda z, x, y: _road(seed, z, x, y))
+    return _overlay(z, x, y, near_road, lambda z, x, y: _road(seed, z, x, y))
 
 
-def _over(
+def _overlay(
     z: Floats, x: Floats, y: Floats, where: np.ndarray, surface: Callable[[Floats, Floats, Floats], Floats]
 ) -> Floats:
-    """Lay a surface over the ground where it can matter, and evaluate it nowhere else."""
+    """Overlay a surface on the ground where ``where`` is True, and evaluate it only there."""
     if where.any():
         z[where] = surface(z[where], x[where], y[where])
     return z
 
 
 def _base(x: Floats, y: Floats) -> Floats:
-    """Give the quarry floor without roughness: a plane that drains to the south-west."""
+    """Return the quarry floor without roughness: a plane that falls to the south-west."""
     return DATUM + 0.012 * x + 0.006 * y
 
 
 def _meadow_share(x: Floats, y: Floats) -> Floats:
-    """Give 1 on grown ground (south strip, upper bench), 0 on the worked floor."""
+    """Return 1 on vegetated ground (south strip, upper bench), 0 on the quarry floor."""
     south = smooth_step(lay.road_offset(x, y), -6.0, -9.0)
     return np.maximum(south, smooth_step(lay.along_bank(x, y), lay.BANK_WIDTH - 1.5, lay.BANK_WIDTH))
 
@@ -97,10 +97,10 @@ def _open_ground(seed: int, x: Floats, y: Floats) -> Floats:
     faces = 3.7 * smooth_step(north, 0.0, 5.0) + (BENCH_HEIGHT - 3.7) * smooth_step(north, 7.0, lay.BANK_WIDTH)
     meadow = _meadow_share(x, y)
     z = _base(x, y) + faces + 0.5 * smooth_step(lay.road_offset(x, y), -7.0, -22.0)
-    z = _over(z, x, y, meadow < 1.0, lambda z, x, y: z + (1.0 - _meadow_share(x, y)) * rough.floor(x, y))
+    z = _overlay(z, x, y, meadow < 1.0, lambda z, x, y: z + (1.0 - _meadow_share(x, y)) * rough.floor(x, y))
     grown = rough.undulation
-    z = _over(z, x, y, meadow > 0.0, lambda z, x, y: z + _meadow_share(x, y) * (grown(x, y) + rough.tussocks(x, y)))
-    return _over(z, x, y, (north > -1.0) & (north < lay.BANK_WIDTH), lambda z, x, y: z + _rock(seed, x, y))
+    z = _overlay(z, x, y, meadow > 0.0, lambda z, x, y: z + _meadow_share(x, y) * (grown(x, y) + rough.tussocks(x, y)))
+    return _overlay(z, x, y, (north > -1.0) & (north < lay.BANK_WIDTH), lambda z, x, y: z + _rock(seed, x, y))
 
 
 def _rock(seed: int, x: Floats, y: Floats) -> Floats:
@@ -122,9 +122,9 @@ def _stockpile(seed: int, x: Floats, y: Floats) -> Floats:
 
 
 def _stone_share(x: Floats, y: Floats, reach: float = 0.0) -> Floats:
-    """Probability of a stone per lattice cell: dense in the rubble field, thinner around it and below the wall.
+    """Return the probability of a stone per lattice cell: high in the rubble field, lower around it and below the wall.
 
-    ``reach`` [m] widens both, to find all places that a stone from inside may touch.
+    ``reach`` [m] widens both areas, to find all positions that a stone inside may cover.
     """
     field = smooth_step(lay.outside_rubble(x, y), 4.0 + reach, 0.0)
     north = lay.along_bank(x, y)
@@ -140,7 +140,7 @@ def _rubble(seed: int, x: Floats, y: Floats) -> Floats:
 
 
 def _pond(z: Floats, x: Floats, y: Floats) -> Floats:
-    """Give a sump that sinks 0.9 m below the floor; nothing is measured inside its shore."""
+    """Return a pond 0.9 m below the floor; surveys have no points inside its shore."""
     share = smooth_step(lay.outside_pond(x, y), lay.BLEND["pond"], -1.0)
     return (1.0 - share) * z + share * (_base(x, y) - 0.9)
 
@@ -154,7 +154,7 @@ def _pad(z: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def _ramp(z: Floats, x: Floats, y: Floats) -> Floats:
-    """Give exactly a plane of ``RAMP_SLOPE_DEG`` that climbs to the north, with a level landing at the top."""
+    """Return an exact plane of ``RAMP_SLOPE_DEG`` that climbs to the north, with a level landing at the top."""
     share = smooth_step(lay.outside_ramp(x, y), lay.BLEND["ramp"], 0.0)
     climb = np.clip(y - lay.RAMP[1], 0.0, lay.RAMP[3] - lay.RAMP[1])
     plane: Floats = DATUM + 0.75 + np.tan(np.radians(RAMP_SLOPE_DEG)) * climb
@@ -162,7 +162,7 @@ def _ramp(z: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def _spur(seed: int, z: Floats, x: Floats, y: Floats) -> Floats:
-    """Graded way from the road to the ramp; its blend stops at the ramp's toe."""
+    """Graded track from the road to the ramp; its blend stops at the ramp's toe."""
     share = smooth_step(lay.outside_spur(x, y), lay.BLEND["spur"], 0.0) * smooth_step(y, lay.RAMP[1], lay.RAMP[1] - 3.0)
     return (1.0 - share) * z + share * (DATUM + 0.75 + 0.006 * (y - lay.RAMP[1]) + _roughness(seed).road(x, y))
 

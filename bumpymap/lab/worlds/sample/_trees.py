@@ -1,4 +1,4 @@
-"""Trees on the meadows of the made-up quarry: where they stand, and the height of a crown above a place."""
+"""Trees on the meadows of the synthetic quarry: positions and crown heights."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Tree:
     northing: float
     """m."""
     radius: float
-    """Of the crown, m."""
+    """Radius of the crown, m."""
     height: float
     """Top above the ground at the trunk, m."""
     is_conifer: bool
@@ -33,16 +33,16 @@ class Tree:
 def plant(
     seed: int, corner: tuple[float, float], may_stand: Callable[[Floats, Floats], NDArray[np.bool_]]
 ) -> tuple[Tree, ...]:
-    """Draw trees that do not touch each other.
+    """Draw random trees that do not touch each other.
 
     Parameters
     ----------
     seed : int
-        Of the site.
+        Seed of the site.
     corner : (float, float)
         Easting and northing of the local origin, m.
     may_stand : callable
-        Local x, y (n,) to True where a trunk may stand.
+        Function of local x, y (n,) that is True where a trunk may stand.
     """
     rng = np.random.default_rng((seed, 101))
     candidates = rng.random((400, 2)) * (lay.EAST_WEST, lay.NORTH_SOUTH)
@@ -65,7 +65,7 @@ def plant(
 
 
 def crown_over(trees: Iterable[Tree], easting: Floats, northing: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Top and bottom of the crown above each place.
+    """Return top and bottom of the crown above each position.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def crown_over(trees: Iterable[Tree], easting: Floats, northing: Floats) -> tupl
     Returns
     -------
     top, bottom : array (n,) float64
-        m above the ground at the trunk; NaN where no crown is.
+        m above the ground at the trunk; NaN without a crown.
     tree : array (n,) int64
-        Which tree; -1 where none.
+        Index of the tree; -1 without a crown.
     """
     top, bottom = np.full(easting.shape, np.nan), np.full(easting.shape, np.nan)
     which = np.full(easting.shape, -1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Write the made-up survey: a LAZ file, and a PLY file of a part of it. Same points, same bytes."""
+"""Write the synthetic survey: a LAZ file, and a PLY file of a part of it. The same points give the same bytes."""
 
 import datetime as dt
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ __all__ = ["SampleFiles", "make_quarry_survey", "part_bounds", "write_laz", "wri
 
 _FLOWN_ON = dt.date(2024, 5, 14)
 _FIRST_PULSE = 3.994e8
-"""GPS time less 1e9 of the first pulse, on that day, s."""
+"""GPS time of the first pulse, on that day, minus 1e9 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class SampleFiles:
-    """What ``make_quarry_survey`` wrote."""
+    """Paths of the files written by ``make_quarry_survey``."""
 
     survey: Path
     """LAZ of the whole site."""
@@ -32,7 +32,7 @@ class SampleFiles:
 
 
 def part_bounds(site: QuarrySite) -> Bounds:
-    """Part of the site in the PLY file, m: washboard, floor and a corner of the pad."""
+    """Return the bounds of the PLY file, m: washboard, floor and a corner of the pad."""
     box = site.bounds
     return Bounds(box.west + 48.0, box.south + 27.0, box.west + 69.0, box.south + 48.0)
 
@@ -43,13 +43,13 @@ def make_quarry_survey(folder: Path, seed: int = 1, density: float = 100.0, area
     Parameters
     ----------
     folder : Path
-        Made where it is missing; files of these names are replaced.
+        Created if it does not exist; existing files are replaced.
     seed : int
         Seed of ``QuarrySite`` and of the flight.
     density : float
         Mean points per square metre.
     area : Bounds, optional
-        Part of the site to survey, m; the whole where not given.
+        Part of the site to survey, m; the whole site by default.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def make_quarry_survey(folder: Path, seed: int = 1, density: float = 100.0, area
     OutputError
         The folder cannot be written.
     ValueError
-        No survey comes of these settings.
+        The settings are invalid or give too few points.
     """
     site = QuarrySite(seed)
     points = sample_survey(site, density, area)

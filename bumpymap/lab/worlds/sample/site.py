@@ -1,4 +1,4 @@
-"""A made-up quarry whose relief is known in closed form: the truth that measured layers are checked against."""
+"""A synthetic quarry with relief in closed form: ground truth for tests of measured layers."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -32,9 +32,9 @@ Zone = Literal[
     "outside",
 ]
 ZONES: tuple[Zone, ...] = get_args(Zone)
-"""'transition' is where one surface fades into the next; 'outside' is beyond the site."""
+"""'transition' is the blend between two surfaces; 'outside' is beyond the site."""
 EPSG = 32632
-"""CRS of the site: WGS 84 / UTM zone 32N, metres. The place itself is arbitrary."""
+"""CRS of the site: WGS 84 / UTM zone 32N, metres. The location is arbitrary."""
 
 _CORNER = (512_340.0, 5_403_210.0)
 
@@ -43,7 +43,7 @@ _CORNER = (512_340.0, 5_403_210.0)
 class QuarrySite:
     """A quarry of 126 x 102 m: road, washboard, ruts, rubble, pad with kerb, ramp, bench wall, meadow, pond, trees.
 
-    The seed changes stones, waves and trees; the zones stay where they are.
+    The seed changes stones, waves and trees, but not the zones.
     """
 
     seed: int = 1
@@ -54,13 +54,13 @@ class QuarrySite:
 
     @property
     def bounds(self) -> Bounds:
-        """Extent of the site, m; whole 3 m tiles."""
+        """Extent of the site, m; a whole number of 3 m tiles."""
         west, south = _CORNER
         return Bounds(west, south, west + lay.EAST_WEST, south + lay.NORTH_SOUTH)
 
     @property
     def trees(self) -> tuple[Tree, ...]:
-        """The trees; their crowns are no ground."""
+        """The trees; their crowns do not belong to the ground."""
         return _trees(self.seed)
 
     def height(self, easting: Floats, northing: Floats) -> Floats:
@@ -69,31 +69,31 @@ class QuarrySite:
         Parameters
         ----------
         easting, northing : array float64
-            m; any shapes that broadcast.
+            m; shapes must broadcast.
 
         Returns
         -------
         array float64
-            Upward, m. Continuous but for the kerb of the pad; trees do not count.
+            Upward, m, without trees. Continuous except at the kerb of the pad.
         """
         x, y = _local(easting, northing)
         return relief(self.seed, x.ravel(), y.ravel()).reshape(x.shape)
 
     def is_water(self, easting: Floats, northing: Floats) -> NDArray[np.bool_]:
-        """Tell where the pond lies, which no survey measures."""
+        """Return True in the pond, where surveys have no points."""
         return lay.outside_pond(*_local(easting, northing)) <= 0.0
 
     def zone_at(self, easting: Floats, northing: Floats) -> NDArray[np.str_]:
-        """Name of the zone at each place, one of ``ZONES``."""
+        """Return the zone at each position, one of ``ZONES``."""
         x, y = _local(easting, northing)
         return np.array(ZONES)[_zone_code(x, y)]
 
     def zone_bounds(self, zone: Zone) -> Bounds:
-        """Smallest box of quarter metres around a zone (the two meadows share one)."""
+        """Return the bounding box of a zone, in steps of 0.25 m (the two meadows share one)."""
         x, y = np.meshgrid(np.arange(0.125, lay.EAST_WEST, 0.25), np.arange(0.125, lay.NORTH_SOUTH, 0.25))
         line, column = np.nonzero(_zone_code(x, y) == ZONES.index(zone))
         if line.size == 0:
-            raise ValueError(f"no place of the site is '{zone}'; ask for one of {', '.join(ZONES[:-1])}")
+            raise ValueError(f"the site has no zone '{zone}'; choose one of {', '.join(ZONES[:-1])}")
         west, south = _CORNER
         return Bounds(
             west + 0.25 * int(column.min()),
@@ -103,18 +103,18 @@ class QuarrySite:
         )
 
     def tiles_inside(self, zone: Zone, grid: Grid | None = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Tiles that lie wholly inside one zone and under no tree.
+        """Return the tiles that lie wholly inside one zone and not under a tree.
 
         Parameters
         ----------
         zone : Zone
         grid : Grid, optional
-            Tiles of 3 m where not given.
+            Tiles of 3 m by default.
 
         Returns
         -------
         col, row : array (k,) int64
-            Judged at 31 x 31 places of each tile, its edges included.
+            Tested at 31 x 31 positions of each tile, including its edges.
         """
         size = (grid or Grid()).tile_size
         box = self.bounds
@@ -123,7 +123,7 @@ class QuarrySite:
             np.arange(np.floor(box.south / size), np.ceil(box.north / size)),
         )
         west, south = col.ravel() * size, row.ravel() * size
-        for places in (3, 31):  # a coarse look first: most tiles are elsewhere
+        for places in (3, 31):  # coarse test first, which excludes most tiles
             inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
             easting, northing = np.broadcast_arrays(
                 west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
@@ -135,7 +135,7 @@ class QuarrySite:
 
 
 def _local(easting: Floats, northing: Floats) -> tuple[Floats, Floats]:
-    """Coordinates from the south-west corner, m, both of the common shape."""
+    """Return coordinates relative to the south-west corner, m, broadcast to a common shape."""
     x, y = np.broadcast_arrays(np.asarray(easting, np.float64), np.asarray(northing, np.float64))
     return x - _CORNER[0], y - _CORNER[1]
 
@@ -146,7 +146,7 @@ def _trees(seed: int) -> tuple[Tree, ...]:
 
 
 def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
-    """Index into ``ZONES``; later features lie over earlier ones, as their surfaces do."""
+    """Return the index into ``ZONES``; later features cover earlier ones, like their surfaces."""
     code = np.full(x.shape, ZONES.index("floor"), dtype=np.int64)
     north, offset, pad = lay.along_bank(x, y), lay.road_offset(x, y), lay.outside_box(x, y, lay.PAD)
 

@@ -1,7 +1,7 @@
-"""The drone survey of the made-up quarry: overlapping flight lines of zigzag sweeps, noise, crowns, errors.
+"""The drone survey of the synthetic quarry: overlapping flight lines of zigzag sweeps, noise, crowns, errors.
 
-The order of points is the order of flight. Every random number is drawn before a point is dropped, so the survey of a
-smaller area holds the same ground points as that part of the whole.
+Points are in the order of flight. All random numbers are drawn before points are dropped, so the survey of a smaller
+area contains the same ground points as that part of the whole survey.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -20,13 +20,13 @@ __all__ = ["NOISE_SIGMA", "SCALE", "STRAYS", "SurveyPoints", "sample_survey"]
 SCALE = 0.001
 """Coordinates are whole millimetres."""
 NOISE_SIGMA = 0.008
-"""Standard deviation of the height of a ground point about the true relief, m; normal. Positions carry no noise."""
+"""Standard deviation of the normal noise of ground heights, m. Horizontal positions have no noise."""
 STRAYS = 8
-"""Points without any flag, tens of metres above (5) or below (3) the ground."""
+"""Number of unflagged outliers, tens of metres above (5) or below (3) the ground."""
 NOISE_POINTS = 60
-"""Points of class 7, metres off the ground."""
+"""Number of points of class 7, metres off the ground."""
 WITHHELD_POINTS = 40
-"""Points with the withheld flag, decimetres to metres off the ground."""
+"""Number of points with the withheld flag, decimetres to metres off the ground."""
 
 _LINES = 6
 _HALF_SWATH = 13.0
@@ -39,7 +39,7 @@ UNASSIGNED, GROUND, TREE, NOISE = 1, 2, 5, 7
 
 @dataclass(frozen=True, slots=True)
 class SurveyPoints:
-    """A survey, one row a point, in the order of flight."""
+    """A survey, one row per point, in the order of flight."""
 
     easting: NDArray[np.float64]
     """(n,) m, on the millimetre steps of the file."""
@@ -50,9 +50,9 @@ class SurveyPoints:
     classification: NDArray[np.uint8]
     """(n,) LAS class: 1 unassigned, 2 ground, 5 tree, 7 noise."""
     withheld: NDArray[np.bool_]
-    """(n,) True where the point must not be used."""
+    """(n,) True if the point must not be used."""
     is_stray: NDArray[np.bool_]
-    """(n,) True where the height is far off though nothing in a file says so."""
+    """(n,) True if the height is far off although the file does not flag the point."""
     line: NDArray[np.uint16]
     """(n,) flight line, from 1."""
     gps_time: NDArray[np.float64]
@@ -60,17 +60,17 @@ class SurveyPoints:
 
     @property
     def is_true_ground(self) -> NDArray[np.bool_]:
-        """(n,) True where the height is the relief's, within the noise."""
+        """(n,) True if the height is that of the relief, within the noise."""
         usable: NDArray[np.bool_] = (self.classification == GROUND) & ~self.withheld & ~self.is_stray
         return usable
 
     def select(self, keep: NDArray[np.bool_]) -> Self:
-        """Return the points where ``keep`` (n,) is True."""
+        """Return the points for which ``keep`` (n,) is True."""
         return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
 
 def sample_survey(site: QuarrySite, density: float = 100.0, area: Bounds | None = None) -> SurveyPoints:
-    """Fly over the site.
+    """Simulate a survey flight over the site.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def sample_survey(site: QuarrySite, density: float = 100.0, area: Bounds | None 
     density : float
         Mean points per square metre of the whole site; it varies from place to place by a factor of about three.
     area : Bounds, optional
-        Keep this part only, m.
+        Keep only this part, m.
 
     Returns
     -------
@@ -102,12 +102,12 @@ def sample_survey(site: QuarrySite, density: float = 100.0, area: Bounds | None 
 
 
 def _fly_line(site: QuarrySite, number: int, density: float, area: Bounds) -> SurveyPoints:
-    """Points of one flight line inside the area."""
+    """Return the points of one flight line inside the area."""
     rng = np.random.default_rng((site.seed, 200 + number))
     easting, northing, pulse = _sweep(rng, site.bounds, number, density)
     ground_noise = NOISE_SIGMA * rng.standard_normal(easting.size)
     crown_draw, crown_depth = rng.random(easting.size), rng.exponential(0.5, easting.size)
-    easting, northing = _on_steps(easting, site.bounds.west), _on_steps(northing, site.bounds.south)
+    easting, northing = _quantised(easting, site.bounds.west), _quantised(northing, site.bounds.south)
     keep = (easting >= area.west) & (easting < area.east) & (northing >= area.south) & (northing < area.north)
     keep &= ~site.is_water(easting, northing) & (rng.random(easting.size) > 0.01)
     easting, northing = easting[keep], northing[keep]
@@ -117,7 +117,7 @@ def _fly_line(site: QuarrySite, number: int, density: float, area: Bounds) -> Su
     return SurveyPoints(
         easting=easting,
         northing=northing,
-        upward=_on_steps(upward, 0.0),
+        upward=_quantised(upward, 0.0),
         classification=np.where(is_tree, TREE, GROUND).astype(np.uint8),
         withheld=none,
         is_stray=none,
@@ -129,9 +129,9 @@ def _fly_line(site: QuarrySite, number: int, density: float, area: Bounds) -> Su
 def _sweep(
     rng: np.random.Generator, box: Bounds, number: int, density: float
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Where the pulses of a line meet the ground, in the order they were sent, inside the site.
+    """Return the positions at which the pulses of a line hit the ground inside the site, in the order of the pulses.
 
-    The drone's speed swings by a quarter, it rolls a little, and starts and ends at ragged places; odd lines fly west.
+    The drone's speed varies by a quarter, it rolls a little, and its start and end points vary; odd lines fly west.
     """
     width, pitch = box.east - box.west, (box.north - box.south) / _LINES
     swept = 2.0 * _HALF_SWATH * _LINES - 2.0 * (_HALF_SWATH - pitch / 2.0)
@@ -156,7 +156,7 @@ def _sweep(
 def _canopy(
     site: QuarrySite, easting: Floats, northing: Floats, draw: Floats, depth: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Heights of crown points (n,) m, and where a pulse stopped in a crown (n,)."""
+    """Return heights of crown points (n,) m, and True (n,) for pulses that stop in a crown."""
     top, bottom, tree = crown_over(site.trees, easting, northing)
     is_tree = (tree >= 0) & (draw < _CANOPY_SHARE)
     trunk = np.array([(t.easting, t.northing) for t in site.trees])
@@ -165,7 +165,7 @@ def _canopy(
 
 
 def _add_errors(points: SurveyPoints, seed: int) -> SurveyPoints:
-    """Move some ground points off the ground: unflagged strays, class 7, withheld."""
+    """Move some ground points off the ground: unflagged outliers, class 7, withheld."""
     rng = np.random.default_rng((seed, 300))
     ground = np.flatnonzero(points.classification == GROUND)
     chosen = rng.choice(ground, STRAYS + NOISE_POINTS + WITHHELD_POINTS, replace=False)
@@ -182,13 +182,13 @@ def _add_errors(points: SurveyPoints, seed: int) -> SurveyPoints:
     is_withheld[withheld] = True
     return replace(
         points,
-        upward=_on_steps(upward, 0.0),
+        upward=_quantised(upward, 0.0),
         classification=classification,
         is_stray=is_stray,
         withheld=is_withheld,
     )
 
 
-def _on_steps(value: Floats, origin: float) -> Floats:
-    """Round to the file's steps, and give the very float that a reader of the file computes."""
+def _quantised(value: Floats, origin: float) -> Floats:
+    """Round to the file's resolution and return the exact float that a reader of the file computes."""
     return np.rint((value - origin) / SCALE) * SCALE + origin

@@ -1,4 +1,4 @@
-"""Labelled outdoor scenes and a simulated LiDAR that scans them. Only ``lidar`` imports open3d."""
+"""Labelled outdoor scenes and a simulated LiDAR. Only ``lidar`` imports open3d."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Random fields that repeat: made once on a small square, looked up anywhere, turned so that no repeat lines up."""
+"""Periodic random fields: computed once on a small square, sampled anywhere, rotated so that periods do not align."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ Floats = NDArray[np.float64]
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number whose logarithm is uniform."""
+    """Draw a number with a uniform logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def smoothstep(t: Floats) -> Floats:
-    """Rise from 0 to 1 while t does, with level ends."""
+    """Rise from 0 to 1 for t from 0 to 1, with level ends."""
     t = np.clip(t, 0.0, 1.0)
     risen: Floats = t * t * (3.0 - 2.0 * t)
     return risen
@@ -29,12 +29,12 @@ class Field:
     values: NDArray[np.float32]
     """(n, n) one period; n is a power of two."""
     step_m: float
-    """Between values, m."""
+    """Distance between values, m."""
     turn: tuple[float, float]
-    """Cosine and sine of the angle by which the square lies turned."""
+    """Cosine and sine of the angle by which the square is rotated."""
 
     def at(self, x: Floats, y: Floats) -> Floats:
-        """Bilinear values at places in metres."""
+        """Return bilinear values at positions in metres."""
         last = len(self.values) - 1
         u = (self.turn[0] * x + self.turn[1] * y) / self.step_m
         v = (self.turn[0] * y - self.turn[1] * x) / self.step_m
@@ -49,9 +49,9 @@ class Field:
 
 
 def make_field(rng: np.random.Generator, size: int, step_m: float, hurst: float, waves_m: tuple[float, float]) -> Field:
-    """Make a field of ``size`` (a power of two) squared values, with waves between two lengths.
+    """Make a field of ``size`` x ``size`` values (a power of two), with waves between two lengths.
 
-    Its power spectral density falls as k^-(2 hurst + 2): natural ground has hurst of 0.3 to 0.9.
+    Its power spectral density falls as k^-(2 hurst + 2); natural ground has a Hurst exponent of 0.3 to 0.9.
     """
     k = np.hypot(np.fft.fftfreq(size, step_m)[:, None], np.fft.rfftfreq(size, step_m)[None, :])
     inside = (k >= 1 / waves_m[1]) & (k <= 1 / waves_m[0])

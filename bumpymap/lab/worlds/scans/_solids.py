@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.worlds.scans._fields import Floats
 
-__all__ = ["Soup", "boxes", "leaves", "ribbon", "stones", "tube"]
+__all__ = ["Triangles", "boxes", "leaves", "ribbon", "stones", "tube"]
 
-Soup = NDArray[np.float32]
+Triangles = NDArray[np.float32]
 
 _BOX = np.array(
     [
@@ -44,20 +44,20 @@ def _icosahedron() -> Floats:
 _BALL = _icosahedron()
 
 
-def boxes(sizes: Floats, bases: Floats, turns: Floats) -> Soup:
-    """Make boxes of ``sizes`` (n, 3) standing on ``bases`` (n, 3), turned about z by ``turns`` (n,)."""
+def boxes(sizes: Floats, bases: Floats, turns: Floats) -> Triangles:
+    """Make boxes of ``sizes`` (n, 3) standing on ``bases`` (n, 3), rotated about z by ``turns`` (n,)."""
     shaped = _BOX[None] * sizes[:, None, None, :]
     return (_turn(shaped, turns) + bases[:, None, None, :]).reshape(-1, 3, 3).astype(np.float32)
 
 
 def _turn(shapes: Floats, turns: Floats) -> Floats:
-    """Turn shapes (n, ..., 3) about z by angles (n,)."""
+    """Rotate shapes (n, ..., 3) about z by angles (n,)."""
     cos, sin = (part.reshape(-1, *[1] * (shapes.ndim - 2)) for part in (np.cos(turns), np.sin(turns)))
     x, y = shapes[..., 0], shapes[..., 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y, shapes[..., 2]], axis=-1)
 
 
-def tube(start: Floats, end: Floats, start_radius: float, end_radius: float, sides: int = 8) -> Soup:
+def tube(start: Floats, end: Floats, start_radius: float, end_radius: float, sides: int = 8) -> Triangles:
     """Make a round bar between two points (3,), open at its ends."""
     along = end - start
     across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 * np.linalg.norm(along) else [0.0, 1.0, 0.0])
@@ -72,16 +72,16 @@ def tube(start: Floats, end: Floats, start_radius: float, end_radius: float, sid
     return np.concatenate([first, second]).astype(np.float32)
 
 
-def ribbon(points: Floats, height_m: float) -> Soup:
-    """Make an upright band along ``points`` (n, 3), its lower edge on them."""
+def ribbon(points: Floats, height_m: float) -> Triangles:
+    """Make an upright band along ``points`` (n, 3), which form its lower edge."""
     top = points + np.array([0.0, 0.0, height_m])
     first = np.stack([points[:-1], points[1:], top[:-1]], axis=1)
     second = np.stack([points[1:], top[1:], top[:-1]], axis=1)
     return np.concatenate([first, second]).astype(np.float32)
 
 
-def stones(rng: np.random.Generator, middles: Floats, radii: Floats) -> Soup:
-    """Make angular stones about ``middles`` (n, 3) with half axes ``radii`` (n, 3)."""
+def stones(rng: np.random.Generator, middles: Floats, radii: Floats) -> Triangles:
+    """Make angular stones with centres ``middles`` (n, 3) and half axes ``radii`` (n, 3)."""
     count = len(middles)
     corners, face = np.unique(np.round(_BALL.reshape(-1, 3), 9), axis=0, return_inverse=True)
     shaken = corners[None] * rng.uniform(0.75, 1.25, (count, len(corners), 1))
@@ -89,11 +89,11 @@ def stones(rng: np.random.Generator, middles: Floats, radii: Floats) -> Soup:
     return (_turn(shapes, rng.uniform(0, 2 * np.pi, count)) + middles[:, None, None, :]).reshape(-1, 3, 3).astype("f4")
 
 
-def leaves(rng: np.random.Generator, middle: Floats, radii: Floats, count: int, free_path_m: float) -> Soup:
-    """Scatter leaves, as loose triangles, in an ellipsoid, denser outwards.
+def leaves(rng: np.random.Generator, middle: Floats, radii: Floats, count: int, free_path_m: float) -> Triangles:
+    """Scatter leaves, as separate triangles, in an ellipsoid, denser towards its surface.
 
-    They are as large as it takes for a beam to go ``free_path_m`` between two of them on average: for convex
-    surfaces any way up, that is 1 over their number in a cubic metre times half their area.
+    Their size gives beams a mean free path of ``free_path_m``. For randomly oriented flat triangles the mean free path
+    is 1 / (number per cubic metre x half their area).
     """
     way = rng.standard_normal((count, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)

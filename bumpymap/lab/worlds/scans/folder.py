@@ -1,4 +1,4 @@
-"""Scans on disk in the layout of RELLIS-3D: what its users have, and what the trainer reads."""
+"""Write scans in the folder layout of RELLIS-3D, which the training reads."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,9 +12,9 @@ from bumpymap.lab.worlds.scans.sensor import Sensor, draw_sensor
 __all__ = ["LABELS", "POINTS", "write_folder", "write_frame"]
 
 POINTS = "os1_cloud_node_kitti_bin"
-"""Folder of a sequence with points: little-endian float32 x, y, z, intensity."""
+"""Subfolder of a sequence with points: little-endian float32 x, y, z, intensity."""
 LABELS = "os1_cloud_node_semantickitti_label_id"
-"""Folder of a sequence with labels: little-endian uint32, one a point."""
+"""Subfolder of a sequence with labels: little-endian uint32, one per point."""
 
 
 def write_frame(sequence: Path, number: int, scan: SimulatedScan) -> None:
@@ -34,20 +34,20 @@ def write_folder(
     Parameters
     ----------
     root : Path
-        Gets a folder ``Rellis-3D``.
+        A folder ``Rellis-3D`` is made in it.
     seed : int
-        Of the scenes.
+        Seed of the scenes.
     scenes : ints
-        Which scenes of that seed, one frame each.
+        Numbers of the scenes, one frame each.
     sequence : str
         Name of the sequence's folder.
     sensor : Sensor, optional
-        None draws another for each scene.
+        None draws a random sensor for each scene.
 
     Returns
     -------
     Path
-        The folder ``Rellis-3D``: what ``bumpymap train --scans`` takes.
+        The folder ``Rellis-3D``, for ``bumpymap train --scans``.
     """
     folder = root / "Rellis-3D"
     for number, index in enumerate(scenes):

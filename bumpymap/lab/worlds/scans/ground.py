@@ -1,4 +1,4 @@
-"""The ground of a scene: heights and labels anywhere, and the mesh that beams hit."""
+"""The ground of a scene: heights and labels at any position, and a mesh for ray casting."""
 
 from dataclasses import dataclass
 
@@ -7,50 +7,50 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.worlds.scans._fields import Field, Floats, smoothstep
 from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.regions import Region, Way
+from bumpymap.lab.worlds.scans.regions import Region, Road
 
 __all__ = ["GroundSample", "SceneGround", "ground_mesh"]
 
 _START_M = 0.4
-"""Where the mesh begins."""
+"""Inner radius of the mesh."""
 _STEP = 0.01
-"""Between corners of the mesh, share of their distance."""
+"""Vertex spacing of the mesh, as a share of the distance."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundSample:
-    """What the ground is at some places."""
+    """Height and label of the ground at some positions."""
 
     z: Floats
-    """(n,) m; of the soil, not of the grass on it."""
+    """(n,) m; height of the soil, without grass."""
     label: NDArray[np.uint8]
     """(n,) RELLIS-3D id."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneGround:
-    """Hills, bumps and fine relief, with regions of other ground laid over them in order."""
+    """Hills, bumps and fine relief, overlaid by regions of other ground in order."""
 
     hills: Field
     hills_m: float
     """Standard deviation of hills, waves of 25 m and more."""
     bumps: Field
     bumps_m: float
-    """Standard deviation of bumps, waves of 2 to 20 m; ways are graded and have none."""
+    """Standard deviation of bumps, waves of 2 to 20 m; roads are graded and have none."""
     fine: Field
     """Waves under 2 m."""
     cover: Label
-    """Of what no region covers: grass or dirt."""
+    """Label outside all regions: grass or dirt."""
     cover_rough_m: float
     regions: tuple[Region, ...]
     grass_m: float
-    """How tall the grass stands on average."""
+    """Mean height of the grass."""
     grass_tufts: Field
     grass_path_m: float
-    """Mean way of a beam through grass before a blade stops it."""
+    """Mean path of a beam through grass before a blade stops it."""
 
     def sample(self, x: Floats, y: Floats) -> GroundSample:
-        """Heights and labels at places in metres from the origin."""
+        """Return heights and labels at positions in metres from the origin."""
         bumps = self.bumps_m * self.bumps.at(x, y)
         z = self.hills_m * self.hills.at(x, y) + bumps
         label = np.full(x.shape, self.cover, np.uint8)
@@ -59,7 +59,7 @@ class SceneGround:
         for region in self.regions:
             reach = region.reach(x, y)
             inside = reach < 1.0
-            if isinstance(region, Way):
+            if isinstance(region, Road):
                 z -= bumps * smoothstep(2.0 - reach)
                 relief[inside], floor[inside] = 0.0, -np.inf
                 relief += region.relief(x, y)
@@ -72,13 +72,13 @@ class SceneGround:
                 relief *= 1 - share
             label[inside] = region.label
             rough[inside] = region.rough_m
-            if isinstance(region, Way) and region.kerb_m > 0:
+            if isinstance(region, Road) and region.kerb_m > 0:
                 kerb = region.on_kerb(region.across(x, y)) > 0
                 label[kerb], rough[kerb] = Label.CONCRETE, 0.002
         return GroundSample(z + np.maximum(relief + rough * self.fine.at(x, y), floor), label)
 
     def grass_height(self, x: Floats, y: Floats) -> Floats:
-        """How tall grass would stand there, m."""
+        """Return the height of grass at each position, m."""
         tall: Floats = self.grass_m * np.clip(1.0 + 0.4 * self.grass_tufts.at(x, y), 0.15, 1.8)
         return tall
 
@@ -86,10 +86,10 @@ class SceneGround:
 def ground_mesh(
     ground: SceneGround, rng: np.random.Generator, end_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Mesh the ground around the origin: (n, 3) corners and (m, 3) triangles.
+    """Mesh the ground around the origin: (n, 3) vertices and (m, 3) triangles.
 
-    Rings widen with the distance, as beams do: 5 cm near 5 m, 50 cm near 50 m. Corners are shaken within their cells,
-    so that no line of the mesh agrees with a line of the scan.
+    The spacing grows with the distance, like that of the beams: 5 cm near 5 m, 50 cm near 50 m. Vertices are jittered
+    within their cells, so that no line of the mesh coincides with a scan line.
     """
     around = round(2 * np.pi / _STEP)
     rings = int(np.log(end_m / _START_M) / _STEP)

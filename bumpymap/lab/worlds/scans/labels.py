@@ -1,13 +1,13 @@
-"""Semantic ids of RELLIS-3D, and how surfaces of each answer a laser near 900 nm."""
+"""Semantic ids of RELLIS-3D, and the reflection of their surfaces near 900 nm."""
 
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = ["ANSWERS", "Answer", "Label"]
+__all__ = ["REFLECTIONS", "Label", "Reflection"]
 
 
 class Label(IntEnum):
-    """Ids as the data set writes them into its ``.label`` files."""
+    """Ids of the ``.label`` files of the data set."""
 
     VOID = 0
     DIRT = 1
@@ -27,29 +27,29 @@ class Label(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """How a surface sends light back."""
+class Reflection:
+    """Reflection of a laser pulse by a surface."""
 
     reflectivity: tuple[float, float]
-    """From and to, share of the light; each scene draws its own."""
-    mirror: tuple[float, float] = (0.0, 0.0)
-    """Share of the pulses that a smooth wet or painted surface throws away, from and to."""
+    """Range of the reflectivity, 0..1; each scene draws its own value."""
+    specular_loss: tuple[float, float] = (0.0, 0.0)
+    """Range of the share of pulses that a smooth wet or painted surface reflects away from the sensor."""
 
 
-ANSWERS = {
-    Label.DIRT: Answer((0.2, 0.4)),
-    Label.GRASS: Answer((0.3, 0.6)),
-    Label.TREE: Answer((0.3, 0.6)),
-    Label.WATER: Answer((0.05, 0.2), (0.75, 0.97)),
-    Label.VEHICLE: Answer((0.2, 0.7), (0.05, 0.35)),
-    Label.ASPHALT: Answer((0.1, 0.25)),
-    Label.PERSON: Answer((0.2, 0.6)),
-    Label.FENCE: Answer((0.2, 0.5)),
-    Label.BUSH: Answer((0.3, 0.6)),
-    Label.CONCRETE: Answer((0.25, 0.5)),
-    Label.BARRIER: Answer((0.25, 0.5)),
-    Label.PUDDLE: Answer((0.05, 0.25), (0.7, 0.95)),
-    Label.MUD: Answer((0.1, 0.25), (0.05, 0.4)),
-    Label.RUBBLE: Answer((0.2, 0.45)),
+REFLECTIONS = {
+    Label.DIRT: Reflection((0.2, 0.4)),
+    Label.GRASS: Reflection((0.3, 0.6)),
+    Label.TREE: Reflection((0.3, 0.6)),
+    Label.WATER: Reflection((0.05, 0.2), (0.75, 0.97)),
+    Label.VEHICLE: Reflection((0.2, 0.7), (0.05, 0.35)),
+    Label.ASPHALT: Reflection((0.1, 0.25)),
+    Label.PERSON: Reflection((0.2, 0.6)),
+    Label.FENCE: Reflection((0.2, 0.5)),
+    Label.BUSH: Reflection((0.3, 0.6)),
+    Label.CONCRETE: Reflection((0.25, 0.5)),
+    Label.BARRIER: Reflection((0.25, 0.5)),
+    Label.PUDDLE: Reflection((0.05, 0.25), (0.7, 0.95)),
+    Label.MUD: Reflection((0.1, 0.25), (0.05, 0.4)),
+    Label.RUBBLE: Reflection((0.2, 0.45)),
 }
-"""Open water sends little back at the low angles of a ground robot, wet mud less than dry dirt."""
+"""Open water returns little light at the low angles of a ground robot, wet mud less than dry dirt."""

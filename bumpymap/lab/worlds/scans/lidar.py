@@ -1,8 +1,8 @@
-"""The LiDAR: casts beams into a scene and adds the errors of real returns.
+"""Simulate a LiDAR: cast beams into a scene and add the errors of real returns.
 
-What a beam meets is geometry (open3d casts the rays). What comes back is physics in three short rules: grass is a layer
-in which a beam is stopped after a random way; light falls with the square of the distance and with the angle, and what
-comes back too weak is no return; smooth wet surfaces throw pulses away.
+open3d casts the rays. The returns follow three rules: grass is a layer in which a beam is stopped after a random
+distance; the signal falls with the square of the distance and with the angle of incidence, and a weak signal gives no
+return; smooth wet surfaces reflect pulses away.
 """
 
 from dataclasses import dataclass
@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 from bumpymap.core import UsageError
 from bumpymap.lab.worlds.scans._fields import Floats
 from bumpymap.lab.worlds.scans.ground import ground_mesh
-from bumpymap.lab.worlds.scans.labels import ANSWERS, Label
+from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
 from bumpymap.lab.worlds.scans.scene import Scene
 from bumpymap.lab.worlds.scans.sensor import Sensor
 
 __all__ = ["SimulatedScan", "load_open3d", "simulate_scan"]
 
 _MARGIN_M = 5.0
-"""The ground goes on this much beyond the longest range."""
+"""The ground extends this far beyond the maximum range."""
 _LEAST_COSINE = 0.05
-"""No ground is so smooth that grazing light sees less of it."""
+"""Lower bound of the cosine of the angle of incidence, because real ground is never perfectly smooth."""
 
 
 def load_open3d(what: str) -> Any:
-    """Import the library that casts rays: where it is installed, a library of the system may still be missing.
+    """Import open3d, which casts the rays. Even if it is installed, system libraries that it needs may be missing.
 
     Parameters
     ----------
     what : str
-        What needs it, for the message.
+        What needs it, for the error message.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def load_open3d(what: str) -> Any:
         if isinstance(error, ModuleNotFoundError) and error.name == "open3d":
             raise UsageError(f"{what} needs open3d. Install it with: pip install 'bumpymap[o3d]'") from error
         raise UsageError(
-            f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs libraries of the system. "
+            f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs system libraries. "
             "On Debian and Ubuntu: sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6"
         ) from error
     return open3d
@@ -53,53 +53,53 @@ def load_open3d(what: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedScan:
-    """One turn of the sensor, line by line; a beam without return is at (0, 0, 0), as drivers write it."""
+    """One rotation of the sensor, line by line; a beam without return is at (0, 0, 0), as sensor drivers write it."""
 
     points: NDArray[np.float32]
     """(lines * columns, 3) sensor frame, m."""
     intensity: NDArray[np.float32]
-    """(lines * columns,) reflectivity as seen, 0..1."""
+    """(lines * columns,) apparent reflectivity, 0..1."""
     label: NDArray[np.uint32]
     """(lines * columns,) RELLIS-3D id; 0 without return."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Hits:
-    """What the beams meet."""
+    """Surfaces that the beams hit."""
 
     distance: Floats
-    """(n,) m; inf where nothing is met."""
+    """(n,) m; inf without a hit."""
     cosine: Floats
-    """(n,) between beam and normal, 0..1."""
+    """(n,) cosine of the angle between beam and normal, 0..1."""
     label: NDArray[np.uint32]
     """(n,)"""
-    turf: NDArray[np.bool_]
-    """(n,) True on ground that grass covers."""
+    on_grass: NDArray[np.bool_]
+    """(n,) True on grass-covered ground."""
 
 
 def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
-    """Simulate one turn of the sensor in a scene.
+    """Simulate one rotation of the sensor in a scene.
 
     Parameters
     ----------
     scene : Scene
-        The sensor stands ``height_m`` over its origin.
+        The sensor is ``height_m`` above its origin.
     sensor : Sensor
         Beams, noise, tilt.
     seed : int
-        Of noise and lost returns. The same arguments give the same bits on the same machine.
+        Seed of noise and lost returns. The same arguments give the same bits on the same machine.
 
     Returns
     -------
     SimulatedScan
-        One row a beam.
+        One row per beam.
     """
     rng = np.random.default_rng([*scene.seed, seed, 1])
     rays = sensor.directions()
     level = rays @ sensor.to_level().T
     eye = np.array([0.0, 0.0, float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m])
     hits = _in_grass(scene, _cast(scene, sensor, eye, level, rng), eye, level, rng)
-    seen, intensity = _answers(hits, sensor, rng)
+    seen, intensity = _returns(hits, sensor, rng)
     distance = np.where(seen, hits.distance, 0.0)
     distance = np.where(seen, distance + sensor.noise_m * rng.standard_normal(len(rays)), 0.0)
     return SimulatedScan(
@@ -136,33 +136,33 @@ def _cast(scene: Scene, sensor: Sensor, eye: Floats, level: Floats, rng: np.rand
 
 
 def _in_grass(scene: Scene, hits: _Hits, eye: Floats, level: Floats, rng: np.random.Generator) -> _Hits:
-    """Stop beams on their way through the grass: the way into it is exponential with a mean of ``grass_path_m``."""
+    """Stop beams inside the grass after an exponentially distributed path with mean ``grass_path_m``."""
     ground = scene.ground
-    way = rng.exponential(ground.grass_path_m, len(level))
-    rows = np.flatnonzero(hits.turf)
+    path = rng.exponential(ground.grass_path_m, len(level))
+    rows = np.flatnonzero(hits.on_grass)
     foot = eye + hits.distance[rows, None] * level[rows]
     inside = ground.grass_height(foot[:, 0], foot[:, 1]) / np.maximum(hits.cosine[rows], _LEAST_COSINE)
     inside = np.minimum(inside, 0.9 * hits.distance[rows])
     distance, cosine = hits.distance.copy(), hits.cosine.copy()
-    stopped = way[rows] < inside
-    distance[rows] -= np.where(stopped, inside - way[rows], 0.0)
-    cosine[rows] = np.where(stopped, 0.5, cosine[rows])  # blades stand any way
-    return _Hits(distance, cosine, hits.label, hits.turf)
+    stopped = path[rows] < inside
+    distance[rows] -= np.where(stopped, inside - path[rows], 0.0)
+    cosine[rows] = np.where(stopped, 0.5, cosine[rows])  # mean over random orientations of blades
+    return _Hits(distance, cosine, hits.label, hits.on_grass)
 
 
-def _answers(hits: _Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.bool_], Floats]:
-    """Which beams come back, and how bright."""
-    dark = np.zeros(256)
-    thrown = np.zeros(256)
-    for label, answer in ANSWERS.items():
-        dark[label] = rng.uniform(*answer.reflectivity)
-        thrown[label] = rng.uniform(*answer.mirror)
+def _returns(hits: _Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.bool_], Floats]:
+    """Return which beams have a return, and their intensity."""
+    reflectivity = np.zeros(256)
+    lost = np.zeros(256)
+    for label, reflection in REFLECTIONS.items():
+        reflectivity[label] = rng.uniform(*reflection.reflectivity)
+        lost[label] = rng.uniform(*reflection.specular_loss)
     count = len(hits.distance)
-    bright = dark[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)
+    bright = reflectivity[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)
     near = np.where(np.isfinite(hits.distance), np.maximum(hits.distance, 0.1), np.inf)
     strength = bright / 0.1 * (sensor.reach_m / near) ** 2
-    # A mirror throws more away the flatter the light comes.
-    kept = 1.0 - thrown[hits.label] * (1.0 - 0.5 * hits.cosine)
+    # Specular loss increases at grazing incidence.
+    kept = 1.0 - lost[hits.label] * (1.0 - 0.5 * hits.cosine)
     seen = strength > np.exp(rng.normal(0.0, 0.35, count))
     seen &= (rng.uniform(size=count) < kept) & (rng.uniform(size=count) >= sensor.lost)
     return seen & (near <= sensor.end_m) & (near > 0.3), bright

@@ -5,15 +5,15 @@ from collections.abc import Callable
 import numpy as np
 
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
-from bumpymap.lab.worlds.scans._solids import Soup, boxes, ribbon, stones, tube
+from bumpymap.lab.worlds.scans._solids import Triangles, boxes, ribbon, stones, tube
 
 __all__ = ["Height", "barrier", "block_field", "fence", "person", "stone_field", "vehicle"]
 
 Height = Callable[[Floats, Floats], Floats]
-"""Eastings and northings (n,) [m] -> heights of the ground (n,) [m]."""
+"""Function of eastings and northings (n,) [m] that returns heights of the ground (n,) [m]."""
 
 
-def person(rng: np.random.Generator, base: Floats) -> Soup:
+def person(rng: np.random.Generator, base: Floats) -> Triangles:
     """Make a standing or walking person: legs, body, arms, head."""
     tall, turn, stride = rng.uniform(1.5, 1.95), rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.3)
     ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -43,7 +43,7 @@ _MODELS = np.array(
 )
 
 
-def vehicle(rng: np.random.Generator, base: Floats) -> Soup:
+def vehicle(rng: np.random.Generator, base: Floats) -> Triangles:
     """Make a car, jeep, pickup, van, truck or buggy on four wheels."""
     long, wide, tall, back, front, body, clear = _MODELS[rng.integers(len(_MODELS))] * rng.uniform(0.93, 1.07, 7)
     turn = rng.uniform(0, 2 * np.pi)
@@ -66,7 +66,7 @@ def vehicle(rng: np.random.Generator, base: Floats) -> Soup:
 
 
 def _line(rng: np.random.Generator, middle: Floats, length_m: float, step_m: float) -> Floats:
-    """Places (n, 2) along a slightly bent line through ``middle`` (2,)."""
+    """Return points (n, 2) along a slightly bent line through ``middle`` (2,)."""
     count = max(3, int(length_m / step_m) + 1)
     bearing = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.03, count - 1))
     steps = step_m * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
@@ -75,8 +75,8 @@ def _line(rng: np.random.Generator, middle: Floats, length_m: float, step_m: flo
     return moved
 
 
-def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Soup:
-    """Set posts with boards, pickets or wire between them, 8 to 40 m long."""
+def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:
+    """Make a fence: posts with boards, pickets or wire between them, 8 to 40 m long."""
     places = _line(rng, middle, rng.uniform(8, 40), rng.uniform(1.8, 3.0))
     feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
     tall, thick = rng.uniform(0.9, 2.0), rng.uniform(0.03, 0.07)
@@ -101,8 +101,8 @@ def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Soup:
     return np.concatenate(parts)
 
 
-def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Soup:
-    """Set concrete blocks in a row, low and wide below, or a crash rail on posts; 6 to 30 m long."""
+def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:
+    """Make a row of low concrete blocks with a wide base, or a crash rail on posts, 6 to 30 m long."""
     step = rng.uniform(1.5, 3.5)
     places = _line(rng, middle, rng.uniform(6, 30), step)
     feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
@@ -124,8 +124,8 @@ def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Soup:
     return np.concatenate(parts)
 
 
-def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Soup:
-    """Lay stones at ``places`` (n, 2), partly sunk: many small ones, few large ones."""
+def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make partly buried stones at ``places`` (n, 2): many small ones, few large ones."""
     largest = log_uniform(rng, 0.3, 0.8)
     size = largest * np.clip(rng.pareto(2.0, len(places)) * 0.25 + 0.25, 0.0, 1.0)
     radii = size[:, None] * rng.uniform([0.6, 0.6, 0.4], [1.2, 1.2, 0.9], (len(places), 3))
@@ -133,13 +133,13 @@ def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Sou
     return stones(rng, np.column_stack([places, z]), radii)
 
 
-def block_field(rng: np.random.Generator, places: Floats, height: Height) -> Soup:
-    """Heap blocks as of a demolished wall: of one width of 0.2 to 0.8 m, side by side, each as high as it happens."""
+def block_field(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make rubble like that of a demolished wall: adjacent blocks of one width of 0.2 to 0.8 m and random heights."""
     if not len(places):
         return np.empty((0, 3, 3), np.float32)
     low, high = places.min(axis=0), places.max(axis=0)
     wide = max(log_uniform(rng, 0.2, 0.8), float(np.sqrt(np.prod(high - low) / _MOST_BLOCKS)))
-    cells = np.unique(np.floor(places / wide), axis=0)  # where a place fell: gaps are left between
+    cells = np.unique(np.floor(places / wide), axis=0)  # occupied cells only, so that gaps remain
     middle = (cells + 0.5) * wide + rng.uniform(-0.1, 0.1, cells.shape) * wide
     sizes = np.full((len(cells), 3), 1.05 * wide)
     sizes[:, 2] = rng.uniform(0.0, log_uniform(rng, 0.25, 0.9), len(cells)) + 0.1

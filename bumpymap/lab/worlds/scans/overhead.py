@@ -1,6 +1,7 @@
-"""Ground seen without shadows, as from a mast or a slope, with heaps of blocks on part of it.
+"""Ground sampled without shadows, as from a mast or a slope, with piles of blocks on part of it.
 
-From a low sensor blocks hide one another, so its scans never show how relief of 20 cm looks where every pixel is full.
+Seen from a low sensor, blocks hide one another, so its scans do not contain rough ground in which every pixel is
+filled.
 """
 
 import numpy as np
@@ -10,27 +11,27 @@ from bumpymap.lab.worlds.scans.labels import Label
 from bumpymap.lab.worlds.scans.lidar import SimulatedScan
 from bumpymap.lab.worlds.scans.scene import Scene
 
-__all__ = ["look_down"]
+__all__ = ["overhead_scan"]
 
 _START_M = 4.0
 _TABLE = 128
-"""Blocks in a row until their heights repeat."""
+"""Number of blocks in a row after which heights repeat."""
 
 
-def look_down(scene: Scene, seed: int) -> SimulatedScan:
-    """Sample the ground of a scene, without what stands on it, evenly over distance and azimuth.
+def overhead_scan(scene: Scene, seed: int) -> SimulatedScan:
+    """Sample the ground of a scene, without objects, evenly over distance and azimuth.
 
     Parameters
     ----------
     scene : Scene
-        Its ground is used; beyond a straight line, blocks of one width of 0.2 to 0.8 m lie on it side by side.
+        Its ground is used; beyond a straight line, adjacent blocks of one width of 0.2 to 0.8 m are added.
     seed : int
         The same arguments give the same bits.
 
     Returns
     -------
     SimulatedScan
-        Every row is a point; water, whose lost returns are not told here, has no label.
+        Every row is a point; water has no label, because its lost returns are not simulated here.
     """
     rng = np.random.default_rng([*scene.seed, seed, 5])
     count = int(log_uniform(rng, 2e4, 1.2e5))

@@ -1,26 +1,26 @@
-"""Trees, bushes and herbs: stems, and leaves with air between them."""
+"""Trees, bushes and herbs: stems and loose leaves."""
 
 import numpy as np
 
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
-from bumpymap.lab.worlds.scans._solids import Soup, leaves, tube
+from bumpymap.lab.worlds.scans._solids import Triangles, leaves, tube
 
 __all__ = ["bush", "herb", "tree"]
 
 
 def _leaf_count(base: Floats, volume_m3: float) -> int:
-    """How many leaves to draw: fewer where the sensor cannot tell them apart."""
+    """Return the number of leaves to draw; fewer at distances at which the sensor cannot resolve them."""
     distance = float(np.hypot(base[0], base[1]))
     dense, most = (700.0, 7000) if distance < 15 else (150.0, 2500) if distance < 35 else (40.0, 900)
     return int(np.clip(dense * volume_m3, 60, most))
 
 
-def _cloud(rng: np.random.Generator, middle: Floats, radii: Floats, base: Floats, free_path_m: float) -> Soup:
+def _cloud(rng: np.random.Generator, middle: Floats, radii: Floats, base: Floats, free_path_m: float) -> Triangles:
     volume = 4 / 3 * np.pi * float(np.prod(radii))
     return leaves(rng, middle, radii, _leaf_count(base, volume), free_path_m)
 
 
-def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
+def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
     """Make a bush on ``base`` (3,): a few lobes of leaves down to the ground, on thin stems."""
     width = height_m * rng.uniform(0.35, 0.75)
     path = log_uniform(rng, 0.12, 0.45)
@@ -35,15 +35,15 @@ def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
     return np.concatenate(parts)
 
 
-def herb(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
+def herb(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
     """Make a low plant on ``base`` (3,): a fern, a seedling, a tussock."""
     wide = height_m * rng.uniform(0.4, 1.0)
     middle = base + np.array([0.0, 0.0, 0.5 * height_m])
     return leaves(rng, middle, np.array([wide, wide, 0.5 * height_m]), 60, log_uniform(rng, 0.1, 0.5))
 
 
-def tree(rng: np.random.Generator, base: Floats, height_m: float) -> Soup:
-    """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a cone of branches from further down."""
+def tree(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
+    """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a conifer with lower branches."""
     thick = height_m * rng.uniform(0.012, 0.028) + 0.03
     lean = np.array([rng.normal(0, 0.04), rng.normal(0, 0.04), 1.0]) * height_m
     foot = base - np.array([0.0, 0.0, 0.2])

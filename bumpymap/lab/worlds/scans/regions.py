@@ -1,6 +1,6 @@
-"""Where another kind of ground begins: blobs and ways, with what happens to the heights inside.
+"""Regions with another kind of ground: blobs and roads, with their relief.
 
-Each region knows its ``reach`` at a place: below 1 inside, 1 on its margin, growing outwards.
+The ``reach`` of a region is a normalised distance: below 1 inside, 1 on its margin, increasing outwards.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
 from bumpymap.lab.worlds.scans.labels import Label
 
-__all__ = ["Blob", "Region", "Way", "make_blob", "make_way", "ruts"]
+__all__ = ["Blob", "Region", "Road", "make_blob", "make_road", "ruts"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +27,14 @@ class Blob:
     rough_m: float
     """Standard deviation of waves shorter than 2 m."""
     level_m: float | None = None
-    """Height of what is as level as water; None for ground."""
+    """Height of a level surface such as water; None for ground."""
     pool_m: float = math.inf
-    """Water stands in what is deeper than this below the ground around."""
+    """Depth below the surrounding ground from which hollows contain water."""
     tracks: tuple[tuple[float, float, float, float], ...] = ()
     """Wheel tracks through it: bearing, distance from the centre [m], depth [m], width of a rut [m]."""
 
     def reach(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the centre over the radius in that direction; over twice the radius only roughly."""
+        """Distance from the centre divided by the radius in that direction; approximate beyond twice the radius."""
         east, north = x - self.centre[0], y - self.centre[1]
         away: Floats = np.hypot(east, north) / self.radius_m
         near = away < 2.0 + sum(amplitude for amplitude, _ in self.waves)
@@ -46,7 +46,7 @@ class Blob:
         return away
 
     def relief(self, x: Floats, y: Floats) -> Floats:
-        """Heights of the wheel tracks, m; they fade out at the margin."""
+        """Return the relief of the wheel tracks, m; they fade out at the margin."""
         whole = np.zeros_like(x)
         if not self.tracks:
             return whole
@@ -63,27 +63,27 @@ class Blob:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Road:
     """A road or a track that winds across the scene."""
 
     label: Label
     bearing: tuple[float, float]
     """Cosine and sine of its direction."""
     offset_m: float
-    """How far its middle passes from the origin."""
+    """Distance of its centreline from the origin."""
     bends: tuple[tuple[float, float, float], ...]
     """Amplitude [m], wave number [rad/m] and phase of its bends."""
     half_width_m: float
     rough_m: float
     crown_m: float = 0.0
-    """How much the middle lies above the sides."""
+    """Height of the centreline above the sides."""
     rut_m: float = 0.0
     """Depth of the two wheel ruts."""
     kerb_m: float = 0.0
-    """Height of concrete kerbs on both sides; 0 without."""
+    """Height of concrete kerbs on both sides; 0 without kerbs."""
 
     def across(self, x: Floats, y: Floats) -> Floats:
-        """Signed distance from the middle line, m."""
+        """Signed distance from the centreline, m."""
         along = x * self.bearing[0] + y * self.bearing[1]
         side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
         slope = np.zeros_like(x)
@@ -94,11 +94,11 @@ class Way:
         return away
 
     def reach(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the middle over half the width."""
+        """Distance from the centreline divided by half the width."""
         return np.abs(self.across(x, y)) / self.half_width_m
 
     def relief(self, x: Floats, y: Floats) -> Floats:
-        """Heights of crown, ruts and kerbs, m."""
+        """Return the relief of crown, ruts and kerbs, m."""
         across = self.across(x, y)
         surface = self.crown_m * np.clip(1 - (across / self.half_width_m) ** 2, 0.0, 1.0)
         if self.rut_m > 0:
@@ -108,17 +108,17 @@ class Way:
         return surface
 
     def on_kerb(self, across: Floats) -> Floats:
-        """1 on a kerb, 0 elsewhere."""
+        """Return 1 on a kerb, 0 elsewhere."""
         beyond = np.abs(across) - self.half_width_m
         on: Floats = ((beyond >= 0) & (beyond < 0.25)).astype(np.float64)
         return on if self.kerb_m > 0 else np.zeros_like(across)
 
 
-Region = Blob | Way
+Region = Blob | Road
 
 
 def ruts(across: Floats, depth_m: float, width_m: float) -> Floats:
-    """Two grooves 1.5 m apart with low banks beside them."""
+    """Return the relief of two grooves 1.5 m apart with low banks, m."""
     surface = np.zeros_like(across)
     for middle in (-0.75, 0.75):
         away = (across - middle) / width_m
@@ -134,7 +134,7 @@ def make_blob(
     rough_m: float,
     level_m: float | None = None,
 ) -> Blob:
-    """Draw the margin of a blob; mud gets wheel tracks all over, with water in the deepest."""
+    """Draw a random blob; mud gets wheel tracks all over, with water in the deepest ones."""
     waves = tuple((float(rng.uniform(0, 0.3 / n)), float(rng.uniform(0, 2 * np.pi))) for n in (2, 3, 4, 5))
     pool = math.inf
     tracks: tuple[tuple[float, float, float, float], ...] = ()
@@ -154,8 +154,8 @@ def make_blob(
     return Blob(label, centre, radius_m, waves, rough_m, level_m, pool, tracks)
 
 
-def make_way(rng: np.random.Generator, label: Label, offset_m: float) -> Way:
-    """Draw a road of asphalt or concrete, or a track of dirt."""
+def make_road(rng: np.random.Generator, label: Label, offset_m: float) -> Road:
+    """Draw a random road of asphalt or concrete, or a dirt track."""
     bearing = rng.uniform(0, 2 * np.pi)
     bends = tuple(
         (float(rng.uniform(0, 5)), 2 * np.pi / float(rng.uniform(60, 150)), float(rng.uniform(0, 2 * np.pi)))
@@ -164,7 +164,7 @@ def make_way(rng: np.random.Generator, label: Label, offset_m: float) -> Way:
     line = (float(np.cos(bearing)), float(np.sin(bearing)))
     if label == Label.DIRT:
         width, rough = float(rng.uniform(1.3, 2.5)), log_uniform(rng, 0.004, 0.025)
-        return Way(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.07))
+        return Road(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.07))
     kerb = float(rng.uniform(0.08, 0.16)) if rng.uniform() < 0.4 else 0.0
     width, rough = float(rng.uniform(2.5, 5.5)), log_uniform(rng, 0.001, 0.005)
-    return Way(label, line, offset_m, bends, width, rough, float(rng.uniform(0.02, 0.1)), 0.0, kerb)
+    return Road(label, line, offset_m, bends, width, rough, float(rng.uniform(0.02, 0.1)), 0.0, kerb)

@@ -1,4 +1,4 @@
-"""Scenes: ground with regions on it and things standing on it, drawn from one seed. The sensor stands at the origin."""
+"""Scenes: ground with regions and objects, drawn from one seed. The sensor is at the origin."""
 
 from dataclasses import dataclass, field
 
@@ -6,28 +6,28 @@ import numpy as np
 
 from bumpymap.core import UsageError
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform, make_field
-from bumpymap.lab.worlds.scans._solids import Soup
+from bumpymap.lab.worlds.scans._solids import Triangles
 from bumpymap.lab.worlds.scans.ground import SceneGround
 from bumpymap.lab.worlds.scans.labels import Label
 from bumpymap.lab.worlds.scans.objects import barrier, block_field, fence, person, stone_field, vehicle
 from bumpymap.lab.worlds.scans.plants import bush, herb, tree
-from bumpymap.lab.worlds.scans.regions import Blob, Region, make_blob, make_way
+from bumpymap.lab.worlds.scans.regions import Blob, Region, make_blob, make_road
 
 __all__ = ["THEMES", "Scene", "Theme", "make_scene"]
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """How much of what a scene holds: upper ends, each scene draws from 0 to them (regions: whole numbers)."""
+    """Maximum numbers of regions and objects; each scene draws its numbers between 0 and these."""
 
-    ways: int = 1
+    roads: int = 1
     mud: int = 1
     water: int = 0
     puddles: int = 2
     rubble: int = 0
     bare: int = 1
     herbs: int = 40
-    """Low plants that annotators take for grass."""
+    """Low plants that annotators label as grass."""
     bushes: int = 25
     trees: int = 12
     persons: int = 3
@@ -35,13 +35,13 @@ class Theme:
     fences: int = 1
     barriers: int = 1
     grassy: float = 0.7
-    """Probability that grass, not dirt, covers what no region does."""
+    """Probability that the ground outside all regions is grass and not dirt."""
     floor_m: tuple[float, float] = (0.003, 0.03)
-    """Standard deviation of roots, tussocks and clods on grass and dirt, from and to, m."""
+    """Range of the standard deviation of roots, tussocks and clods on grass and dirt, m."""
 
 
 THEMES = {
-    "meadow": Theme(ways=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0),
+    "meadow": Theme(roads=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0),
     "forest": Theme(mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04)),
     "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
     "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
@@ -50,21 +50,21 @@ THEMES = {
     ),
     "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
     "yard": Theme(
-        mud=0, ways=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
+        mud=0, roads=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A place outdoors."""
+    """An outdoor scene."""
 
     theme: str
     ground: SceneGround
-    things: tuple[tuple[Label, Soup], ...]
-    """What stands on the ground: label and triangles (m, 3, 3), m."""
+    things: tuple[tuple[Label, Triangles], ...]
+    """Objects on the ground: label and triangles (m, 3, 3), m."""
     seed: tuple[int, ...] = field(default=())
-    """What it was drawn from."""
+    """Seed from which it was drawn."""
 
 
 def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
@@ -73,9 +73,9 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     Parameters
     ----------
     seed, index : int
-        Of the set of scenes, and of the scene in it. The same pair gives the same bits.
+        Seed of the set of scenes, and number of the scene. The same pair gives the same bits.
     theme : str, optional
-        One of ``THEMES``; None takes them in turn.
+        One of ``THEMES``; None cycles through them.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _up_to(rng: np.random.Generator, most: float) -> int:
 
 
 def _place(rng: np.random.Generator, nearest: float, farthest: float) -> tuple[float, float]:
-    """Draw a place; the distance is drawn evenly, so that near ground is as varied as far ground."""
+    """Draw a random position with uniform distance, so that near ground is as varied as far ground."""
     away, bearing = rng.uniform(nearest, farthest), rng.uniform(0, 2 * np.pi)
     return float(away * np.cos(bearing)), float(away * np.sin(bearing))
 
@@ -126,15 +126,15 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> SceneGround:
             make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
             for _ in range(_up_to(rng, most))
         ]
-    for number in range(_up_to(rng, theme.ways)):
+    for number in range(_up_to(rng, theme.roads)):
         label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
-        regions.append(make_way(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
+        regions.append(make_road(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
     regions += _draw_water(rng, theme, bare)
     return SceneGround(**{**{name: getattr(bare, name) for name in bare.__slots__}, "regions": tuple(regions)})
 
 
 def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> list[Region]:
-    """Ponds and puddles, each as level as its lowest bank; the robot stands in none."""
+    """Draw ponds and puddles, each level with its lowest bank and none at the robot's position."""
     drawn: list[Region] = []
     origin = np.zeros(1)
     kinds = [(Label.WATER, (6.0, 28.0), (8, 40))] * _up_to(rng, theme.water)
@@ -151,11 +151,11 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
     return drawn
 
 
-def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Soup]]:
+def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Triangles]]:
     def height(x: Floats, y: Floats) -> Floats:
         return ground.sample(x, y).z
 
-    things: list[tuple[Label, Soup]] = []
+    things: list[tuple[Label, Triangles]] = []
     for label, places in (
         (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0)),
         (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0)),
@@ -175,7 +175,7 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
     return [(label, soup) for label, soup in things if len(soup)]
 
 
-def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Soup:
+def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Triangles:
     match label:
         case Label.GRASS:
             return herb(rng, base, log_uniform(rng, 0.1, 0.4))
@@ -189,7 +189,7 @@ def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Soup:
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:
-    """Places (count, 2), many of them in clumps: plants grow and people stand together."""
+    """Draw positions (count, 2), many of them in clusters, as of plants and people."""
     spots: list[tuple[float, float]] = []
     while len(spots) < count:
         x, y = _place(rng, nearest, farthest)
@@ -203,7 +203,7 @@ def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float
 
 
 def _inside(rng: np.random.Generator, blob: Blob, ground: SceneGround) -> Floats:
-    """Places in a blob for its stones, not under the robot and not where a way or a puddle lies over it."""
+    """Draw positions for the stones of a blob, not under the robot and not on a road or puddle that covers it."""
     count = int(4 * blob.radius_m**2 * rng.uniform(1.0, 2.5))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
     x, y = places[:, 0], places[:, 1]

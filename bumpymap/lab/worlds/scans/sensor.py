@@ -1,4 +1,4 @@
-"""Spinning LiDARs: which way their beams go and how well they measure."""
+"""Spinning LiDARs: beam directions and accuracy."""
 
 from dataclasses import dataclass, replace
 
@@ -22,21 +22,21 @@ class Sensor:
     highest_deg: float = 22.5
     """Elevation of the highest line."""
     height_m: float = 1.4
-    """Above the ground that the robot stands on."""
+    """Height above the ground at the robot's position."""
     noise_m: float = 0.015
     """Standard deviation of a range."""
     end_m: float = 110.0
-    """No range is longer."""
+    """Maximum range."""
     reach_m: float = 60.0
-    """Where a surface of reflectivity 0.1, hit squarely, answers every other pulse."""
+    """Range at which a surface of reflectivity 0.1 at normal incidence returns every other pulse."""
     lost: float = 0.005
-    """Share of the pulses that get lost for no reason of the scene."""
+    """Share of the pulses that are lost independently of the scene."""
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     """Roll about the x axis, then pitch about the y axis, of the robot on its ground."""
 
     def __post_init__(self) -> None:
         if self.lines < 2 or self.columns < 8:
-            raise UsageError(f"a sensor of {self.lines} lines and {self.columns} columns; it has 2 and 8 at least")
+            raise UsageError(f"a sensor has {self.lines} lines and {self.columns} columns; it needs at least 2 and 8")
         if not -90.0 < self.lowest_deg < self.highest_deg < 90.0:
             raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} deg; they must rise within -90 to 90")
         if not (min(self.height_m, self.reach_m) > 0 and self.noise_m >= 0 and self.end_m > 1 and 0 <= self.lost < 1):
@@ -54,7 +54,7 @@ class Sensor:
         return rays.reshape(-1, 3)
 
     def to_level(self) -> NDArray[np.float64]:
-        """Return the rotation (3, 3) that takes vectors of the sensor's frame to a frame with z plumb."""
+        """Return the rotation (3, 3) from the sensor's frame to a frame with vertical z axis."""
         roll, pitch = np.radians(self.tilt_deg)
         about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
         about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
@@ -72,13 +72,13 @@ SENSORS = {
     "128_wide": Sensor(lines=128, columns=1024, lowest_deg=-45.0, highest_deg=45.0, height_m=0.8, reach_m=25.0),
     "32_sparse": Sensor(lines=32, lowest_deg=-25.0, highest_deg=15.0, height_m=1.2),
 }
-"""Names of settings after what is on the market: lines and how far they open."""
+"""Typical sensors on the market, named by number of lines and vertical field of view."""
 _COMMON = {"64_narrow": 3.0, "64_dense": 3.0, "32_sparse": 0.5, "64_wide": 2.5, "128_wide": 4.0}
-"""Weights of those that are drawn more or less often than the others."""
+"""Weights of sensors that are drawn more or less often than the others."""
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
-    """Draw one of ``SENSORS``, mounted and built a little differently: two fifths are the wide ones of low robots."""
+    """Draw one of ``SENSORS`` with small variations; two fifths are the wide ones of low robots."""
     names = list(SENSORS)
     weight = np.array([_COMMON.get(name, 1.5) for name in names])
     sensor = SENSORS[names[rng.choice(len(names), p=weight / weight.sum())]]

@@ -1,4 +1,4 @@
-"""Seeded ground of many kinds, as a surface, a heightmap or the points that a survey has of it."""
+"""Seeded ground of many kinds, as a surface, a heightmap or the points of a simulated survey."""
 
 import lazy_loader
 

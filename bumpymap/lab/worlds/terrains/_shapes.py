@@ -1,9 +1,9 @@
-"""The recipes: what each kind of ground looks like, in metres.
+"""The shape functions: surfaces of each kind of ground, in metres.
 
-Each recipe gives a surface over the square of a tile, sampled finer than a pixel. Sizes along the ground are those of
-the real thing; heights are drawn over a wide range, from what no vehicle feels to what stops one, because a
-calibration has to know both. Lengths follow what is published on unpaved roads, fields and quarries: washboard of 0.4
-to 1.6 m, wheel ruts 1.2 to 1.8 m apart, furrows of 0.4 to 1 m.
+Each function returns a surface over the square of a tile, sampled finer than a pixel. Horizontal sizes are realistic;
+heights cover a wide range, from imperceptible to impassable, because a calibration needs both. Lengths follow
+publications on unpaved roads, fields and quarries: washboard of 0.4 to 1.6 m, wheel ruts 1.2 to 1.8 m apart, furrows
+of 0.4 to 1 m.
 """
 
 from collections.abc import Callable
@@ -21,18 +21,18 @@ Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
 """(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""
 
 _LONGEST_WAVE = 6.0
-"""Fractal ground has no wave longer than this, m: a tile's plane takes it off."""
+"""Longest wave of fractal ground, m; longer ones would be removed with the tile's plane."""
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number whose logarithm is uniform."""
+    """Draw a number with a uniform logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def fractal(rng: np.random.Generator, x: Floats, hurst: float, rms: float) -> Floats:
-    """Self-affine ground: power spectral density k^-(2 H + 2), standard deviation ``rms`` [m] about its own plane.
+    """Make self-affine ground: power spectral density k^-(2 H + 2), standard deviation ``rms`` [m] about its plane.
 
-    Made on a square four times as wide, of which a corner is used, so that opposite edges know nothing of each other.
+    It is a corner of a square four times as wide, so that opposite edges are independent.
     """
     n = x.shape[0]
     wide, step = 4 * n, float(x[0, 1] - x[0, 0])
@@ -51,14 +51,14 @@ def fractal(rng: np.random.Generator, x: Floats, hurst: float, rms: float) -> Fl
 
 
 def _across(rng: np.random.Generator, x: Floats, y: Floats) -> Floats:
-    """Distance from a line through the middle, at a random bearing, m."""
+    """Return the distance from a line through the centre at a random bearing, m."""
     turn = rng.uniform(0, 2 * np.pi)
     away: Floats = np.cos(turn) * x + np.sin(turn) * y
     return away
 
 
 def _spots(rng: np.random.Generator, count: int, x: Floats) -> Floats:
-    """Draw places in and just beside the tile, (count, 2), m."""
+    """Draw random positions in and just outside the tile, (count, 2), m."""
     half = 1.1 * float(np.abs(x).max())
     return rng.uniform(-half, half, (count, 2))
 
@@ -85,7 +85,7 @@ def _fractal(hurst: float) -> Shape:
 
 
 def _washboard(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
-    """Waves across the way, 4 to 60 mm high either way and no steeper than traffic leaves them."""
+    """Transverse waves with an amplitude of 4 to 60 mm, no steeper than traffic makes them."""
     length = log_uniform(rng, 0.4, 1.6)
     height = log_uniform(rng, 0.004, min(0.06, 0.08 * length))
     phase = 2 * np.pi * _across(rng, x, y) / length + rng.uniform(0, 2 * np.pi)
@@ -94,7 +94,7 @@ def _washboard(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Fl
 
 
 def _ruts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
-    """Two grooves with low banks beside them, 3 cm to 0.6 m deep."""
+    """Two grooves with low banks, 3 cm to 0.6 m deep."""
     away = _across(rng, x, y)
     gap, width, depth = rng.uniform(1.2, 1.8), rng.uniform(0.1, 0.2), log_uniform(rng, 0.03, 0.6)
     middle = rng.uniform(-0.6, 0.6)
@@ -167,7 +167,7 @@ def _tufts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats
 
 
 def _margin(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
-    """Where smooth ground meets rough ground inside one tile."""
+    """Border between smooth and rough ground inside one tile."""
     away = _across(rng, x, y)
     rough = 1 / (1 + np.exp(-np.clip((away - rng.uniform(-0.8, 0.8)) / rng.uniform(0.05, 0.4), -50, 50)))
     wild = fractal(rng, x, rng.uniform(0.2, 0.8), log_uniform(rng, 0.02, 0.5))
@@ -200,7 +200,7 @@ SHAPES: dict[str, Shape] = {
     "margin": _margin,
     "ditch": _ditch,
 }
-"""Name -> recipe."""
+"""Name -> shape function."""
 
 ON_ROUGH_GROUND = frozenset({"washboard", "ruts", "potholes", "stones", "kerb", "steps", "tufts", "ditch"})
-"""Kinds that describe a thing and not the ground around it; that is fractal, 1 to 12 mm."""
+"""Kinds that describe a feature only; fractal ground of 1 to 12 mm is added to them."""

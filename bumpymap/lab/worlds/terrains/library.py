@@ -1,4 +1,4 @@
-"""Terrains: one draw of a kind, on a slope, as a fine surface and as the heightmap that a perfect survey has of it."""
+"""Terrains: random ground of one kind on a slope, as a fine surface and as the heightmap of a perfect survey."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ __all__ = ["FINE", "KINDS", "Terrain", "make_terrain"]
 Floats = NDArray[np.float64]
 
 KINDS = tuple(SHAPES)
-"""Every kind of ground: the paper's four textures first."""
+"""All kinds of ground, starting with the paper's four textures."""
 FINE = 4
-"""Samples of the surface along the side of a pixel."""
+"""Number of samples of the surface along the side of a pixel."""
 _GENTLE_DEG = 8.0
 _STEEP = 1.2
 """Half of the terrains lie on slopes up to this multiple of ``slope_limit_deg``, the others on gentle ones."""
@@ -38,7 +38,7 @@ class Terrain:
 
     @property
     def heights(self) -> Floats:
-        """(pixels, pixels) mean height of each pixel, m; north row first: a survey without noise and without end."""
+        """(pixels, pixels) mean height of each pixel, m; north row first; as from a perfect, noise-free survey."""
         means: Floats = self.surface.reshape(self.pixels, FINE, self.pixels, FINE).mean(axis=(1, 3))
         return means
 
@@ -62,11 +62,11 @@ def make_terrain(
     kind : str
         One of ``KINDS``.
     seed, index : int
-        Of the library, and of the terrain in its kind.
+        Seed of the library, and number of the terrain in its kind.
     height_scale : float
-        Multiplies all heights: a small vehicle is calibrated on lower ground.
+        Factor on all heights; a small vehicle is calibrated on lower ground.
     slope_limit_deg : float
-        Of the vehicle, degrees: half of the terrains reach slopes a little beyond.
+        Slope limit of the vehicle, degrees; slopes of half of the terrains range to slightly beyond it.
     tile_size : float
         m.
     pixels : int
@@ -75,7 +75,7 @@ def make_terrain(
     Raises
     ------
     UsageError
-        No such kind, or too few pixels.
+        The kind is unknown, or there are too few pixels.
     """
     if kind not in SHAPES:
         raise UsageError(f"terrain kind is '{kind}'; it must be one of {', '.join(KINDS)}")

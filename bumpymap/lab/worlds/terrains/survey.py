@@ -1,4 +1,4 @@
-"""The survey of a terrain: points at random places, with the errors of a scanner or of photogrammetry."""
+"""Simulate the survey of a terrain: points at random positions, with the errors of a scanner or of photogrammetry."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class ScanEffects:
     noise_m: float = 0.0
     """Standard deviation of the heights."""
     noise_length_m: float = 0.0
-    """Distance over which errors are alike (photogrammetry, flight lines); 0: each point has its own."""
+    """Correlation length of the errors (photogrammetry, flight lines); 0: errors are independent."""
     hole_share: float = 0.0
     """Share of the tile without points, in round holes of 0.2 to 0.5 m radius; 0..1."""
     smoothing_m: float = 0.0
@@ -41,7 +41,7 @@ class ScanEffects:
 
 @dataclass(frozen=True, slots=True)
 class TerrainPoints:
-    """Points (n,) of a tile whose south-west corner is the origin, m."""
+    """Points (n,) of a tile with its south-west corner at the origin, m."""
 
     easting: Floats
     northing: Floats
@@ -66,7 +66,7 @@ def survey_terrain(terrain: Terrain, effects: ScanEffects, rng: np.random.Genera
 def _noise(
     where: Floats, shape: tuple[int, ...], step: float, effects: ScanEffects, rng: np.random.Generator
 ) -> Floats:
-    """Errors of the heights of points at ``where`` (2, n), in samples of the surface."""
+    """Draw height errors of points at ``where`` (2, n), in samples of the surface."""
     if effects.noise_length_m <= 0:
         return np.asarray(effects.noise_m * rng.standard_normal(where.shape[1]))
     sigma = effects.noise_length_m / step
@@ -78,14 +78,14 @@ def _noise(
 
 
 def _blurred_sd(sigma: float) -> float:
-    """Return the standard deviation of white noise of one after the blur: the kernel's norm, not that of one draw."""
+    """Return the standard deviation of unit white noise after the blur, computed from the kernel."""
     impulse = np.zeros(2 * int(np.ceil(4 * sigma)) + 1)
     impulse[len(impulse) // 2] = 1.0
     return float((gaussian_filter(impulse, sigma, mode="constant") ** 2).sum())
 
 
 def _in_holes(place: Floats, share: float, side: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which points (2, n) lie in holes; holes are added until they cover about that share of the tile."""
+    """Return which points (2, n) lie in holes; holes are added until they cover about ``share`` of the points."""
     gone = np.zeros(place.shape[1], np.bool_)
     while share > 0 and gone.size and gone.mean() < share:
         middle, radius = rng.uniform(0.0, side, (2, 1)), rng.uniform(0.2, 0.5)

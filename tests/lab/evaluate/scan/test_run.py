@@ -10,8 +10,8 @@ from bumpymap.cli import main
 from bumpymap.core import Scan
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.evaluate.scan.plain import plain_classes
-from bumpymap.lab.evaluate.scan.timing import require_plain
-from bumpymap.lab.evaluate.scan.turning import kept_share, turned
+from bumpymap.lab.evaluate.scan.timing import require_libraries
+from bumpymap.lab.evaluate.scan.turning import kept_share, turn_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 
 
@@ -47,7 +47,7 @@ def test_a_report_holds_both_methods(drive, tmp_path):
     assert smooth["stripes"][0] > rough["stripes"][0]
     assert all(cost["points"] == 131_072 and cost["scan_ms"] > 0 for cost in record["costs"])
     text = (out / "report.md").read_text()
-    assert "Beside the labels" not in text
+    assert "Compared with labels" not in text
     assert "nan" not in text
     again = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)])
     assert again.exit_code != 0
@@ -63,10 +63,10 @@ def test_an_empty_drive_says_so(tmp_path):
 
 def test_a_turn_keeps_distances_and_comes_round():
     scan = Scan(ground(3)[:, :3])
-    quarter = turned(scan, np.pi / 2)
+    quarter = turn_scan(scan, np.pi / 2)
     assert quarter.points[:, 0] == pytest.approx(-scan.points[:, 1], abs=1e-5)
     assert quarter.points[:, 2] == pytest.approx(scan.points[:, 2])
-    assert turned(quarter, -np.pi / 2).points == pytest.approx(scan.points, abs=1e-5)
+    assert turn_scan(quarter, -np.pi / 2).points == pytest.approx(scan.points, abs=1e-5)
 
 
 def test_the_kept_share_tells_a_grid_that_stands_still():
@@ -97,6 +97,6 @@ def test_the_plain_way_finds_much_the_same():
 def test_a_missing_library_is_named_with_what_brings_it(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(UsageError, match=r"scikit-learn and scikit-image: pip install 'bumpymap\[scan\]'"):
-        require_plain(simulates=False)
+        require_libraries(simulates=False)
     with pytest.raises(UsageError, match=r"open3d: pip install 'bumpymap\[scan,o3d\]'"):
-        require_plain(simulates=True)
+        require_libraries(simulates=True)

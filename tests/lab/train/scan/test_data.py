@@ -11,7 +11,7 @@ from bumpymap.core.scan_types import Scan
 from bumpymap.lab import Sensor, write_folder
 from bumpymap.lab.train.scan import data
 from bumpymap.lab.train.scan.data import (
-    LENT,
+    SWAPPED_MEASURES,
     Sectors,
     draw_epoch,
     folder_frames,
@@ -163,7 +163,7 @@ def test_some_measures_are_lent_and_others_never():
     who = measures[:, MEASURES.index("distance")]
     for column, name in enumerate(MEASURES):
         foreign = (measures[:, column] != who).mean()
-        assert 0.1 < foreign < 0.2 if name in LENT else foreign == 0
+        assert 0.1 < foreign < 0.2 if name in SWAPPED_MEASURES else foreign == 0
         assert_array_equal(np.sort(measures[:, column]), np.sort(who))  # lent, not made up
 
 

@@ -149,8 +149,8 @@ def test_scores():
     score = count_answers(np.array([0, 0, 0, 0, 1, 2]), np.array([0, 0, 0, 1, 1, 0]), 3)
     assert score.confusion == ((3, 1, 0), (0, 1, 0), (1, 0, 0))
     assert score.accuracy == 4 / 6
-    assert score.even_accuracy == pytest.approx((0.75 + 1 + 0) / 3)
-    assert count_answers(np.array([0, 0]), np.array([0, 1]), 3).even_accuracy == 0.5  # a class that is not there
+    assert score.balanced_accuracy == pytest.approx((0.75 + 1 + 0) / 3)
+    assert count_answers(np.array([0, 0]), np.array([0, 1]), 3).balanced_accuracy == 0.5  # a class that is not there
 
 
 @pytest.mark.open3d
@@ -169,7 +169,7 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
     assert model.metadata["command"].startswith("bumpymap train --scans RELLIS_FOLDER --seed 1 --epochs 2")
     card = made.card.read_text(encoding="utf-8")
     assert f"{100 * made.evaluation.every.accuracy:.2f} % of all sectors" in card
-    assert "made-up" not in card
+    assert "synthetic" not in card
     again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)
     assert again.model.read_bytes() == out.read_bytes()
 
@@ -178,7 +178,7 @@ def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
     monkeypatch.setattr(make, "UNSEEN_SCENES", 2)
     monkeypatch.setattr(make, "simulated_sectors", lambda _seed, scenes, *_rest: _sectors(scenes[0]))
     made = make_scan_model(replace(SMALL, scenes=3), tmp_path / "m.onnx")
-    assert "3 made-up scenes" in made.card.read_text(encoding="utf-8")
+    assert "3 synthetic scenes" in made.card.read_text(encoding="utf-8")
     assert made.evaluation.scans == 2
     assert ScanModel.load(made.model).metadata["sector_version"] == str(SECTOR_VERSION)
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.overhead import look_down
+from bumpymap.lab.worlds.scans.overhead import overhead_scan
 from bumpymap.lab.worlds.scans.regions import Blob
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 
@@ -21,7 +21,7 @@ def level():
 
 def test_the_seed_decides_every_bit():
     scene = make_scene(2, 4)
-    one, two, other = (look_down(scene, seed) for seed in (1, 1, 2))
+    one, two, other = (overhead_scan(scene, seed) for seed in (1, 1, 2))
     for name in ("points", "intensity", "label"):
         assert_array_equal(getattr(one, name), getattr(two, name))
     assert len(one.points) != len(other.points)
@@ -29,7 +29,7 @@ def test_the_seed_decides_every_bit():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
-    seen = look_down(level, seed)
+    seen = overhead_scan(level, seed)
     heap = seen.label == Label.RUBBLE
     assert set(np.unique(seen.label)) == {Label.RUBBLE, Label.DIRT}
     assert 0.2 < heap.mean() < 0.8
@@ -46,7 +46,7 @@ def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
 
 def test_grass_stands_on_the_ground(level):
     ground = replace(level.ground, cover=Label.GRASS, grass_m=0.3, grass_path_m=0.1)
-    seen = look_down(replace(level, ground=ground), 1)
+    seen = overhead_scan(replace(level, ground=ground), 1)
     grass = seen.label == Label.GRASS
     assert seen.points[grass, 2].std() > 0.05
     assert np.ptp(seen.points[grass, 2]) < 2 * 0.3 + 0.3
@@ -54,5 +54,5 @@ def test_grass_stands_on_the_ground(level):
 
 def test_water_has_no_label(level):
     pond = Blob(Label.WATER, (0.0, 0.0), 200.0, (), 0.0, 0.0)
-    seen = look_down(replace(level, ground=replace(level.ground, regions=(pond,))), 1)
+    seen = overhead_scan(replace(level, ground=replace(level.ground, regions=(pond,))), 1)
     assert set(np.unique(seen.label)) == {Label.VOID, Label.RUBBLE}

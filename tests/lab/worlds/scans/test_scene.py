@@ -10,10 +10,10 @@ from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.scans._fields import make_field
 from bumpymap.lab.worlds.scans._solids import boxes, leaves, ribbon, stones, tube
 from bumpymap.lab.worlds.scans.ground import ground_mesh
-from bumpymap.lab.worlds.scans.labels import ANSWERS, Label
+from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
 from bumpymap.lab.worlds.scans.objects import block_field
 from bumpymap.lab.worlds.scans.plants import herb
-from bumpymap.lab.worlds.scans.regions import make_blob, make_way
+from bumpymap.lab.worlds.scans.regions import make_blob, make_road
 from bumpymap.lab.worlds.scans.scene import THEMES, make_scene
 
 AREA = np.linspace(-30, 30, 121)
@@ -45,7 +45,7 @@ def test_all_labels_turn_up_and_all_have_an_answer_to_light():
     for index in range(2 * len(THEMES)):
         scene = make_scene(8, index)
         found |= {label for label, _ in scene.things} | set(scene.ground.sample(X, Y).label.tolist())
-    assert found == set(ANSWERS) == set(Label) - {Label.VOID}
+    assert found == set(REFLECTIONS) == set(Label) - {Label.VOID}
 
 
 def test_nothing_but_ground_is_nearer_than_the_robot_is_wide():
@@ -57,7 +57,7 @@ def test_nothing_but_ground_is_nearer_than_the_robot_is_wide():
 
 def test_a_scene_without_anything_is_no_error(monkeypatch):
     monkeypatch.setitem(THEMES, "bare", replace(THEMES["meadow"], bushes=0, trees=0, persons=0, vehicles=0, fences=0))
-    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, herbs=0, ways=0, mud=0, puddles=0, bare=0))
+    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, herbs=0, roads=0, mud=0, puddles=0, bare=0))
     scene = make_scene(1, 1, "bare")
     assert scene.things == ()
     assert set(scene.ground.sample(X, Y).label) == {Label.GRASS}
@@ -81,7 +81,7 @@ def test_water_is_level_and_ground_is_not():
 def test_roads_are_graded_and_tracks_have_ruts_150_cm_apart():
     rng = np.random.default_rng(5)
     scene = make_scene(1, 0, "meadow")
-    way = replace(make_way(rng, Label.DIRT, 0.0), bearing=(1.0, 0.0), bends=(), rut_m=0.2, rough_m=0.0)
+    way = replace(make_road(rng, Label.DIRT, 0.0), bearing=(1.0, 0.0), bends=(), rut_m=0.2, rough_m=0.0)
     ground = replace(scene.ground, regions=(way,), hills_m=0.0, cover_rough_m=0.0, bumps_m=0.1)
     y = np.linspace(-1.2, 1.2, 2401)
     across = ground.sample(np.zeros_like(y), y).z
@@ -93,7 +93,7 @@ def test_roads_are_graded_and_tracks_have_ruts_150_cm_apart():
 
 
 def test_a_kerb_is_a_step_of_concrete():
-    way = replace(make_way(np.random.default_rng(5), Label.ASPHALT, 0.0), bearing=(1.0, 0.0), bends=(), kerb_m=0.12)
+    way = replace(make_road(np.random.default_rng(5), Label.ASPHALT, 0.0), bearing=(1.0, 0.0), bends=(), kerb_m=0.12)
     way = replace(way, crown_m=0.0)
     ground = replace(make_scene(1, 0, "meadow").ground, regions=(way,), hills_m=0.0, bumps_m=0.0)
     y = way.half_width_m + np.array([-0.1, 0.1, 0.4])

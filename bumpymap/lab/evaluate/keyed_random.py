@@ -1,22 +1,22 @@
-"""Random numbers by key (a tile, a point of a tile): they do not depend on what else is drawn."""
+"""Random numbers by key (a tile, a point of a tile), independent of other draws."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["chance"]
+__all__ = ["uniform_by_key"]
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 
 
-def chance(seed: int, *keys: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Evenly spread numbers in [0, 1) for things named by whole numbers (splitmix64).
+def uniform_by_key(seed: int, *keys: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Return uniform random numbers in [0, 1) for integer keys (splitmix64).
 
     Parameters
     ----------
     seed : int
     keys : arrays (n,)
-        Together they name a thing; the same names give the same number.
+        Components of each key; the same key gives the same number.
     """
     state = np.full(len(keys[0]), seed, np.uint64)
     for key in keys:

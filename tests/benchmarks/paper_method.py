@@ -1,10 +1,10 @@
-"""Time the tiles of a survey one by one, as the paper works, and all at once, as bumpymap does.
+"""Time the tiles of a survey one by one with the paper's method, and all at once with bumpymap.
 
-python tests/benchmarks/paper_way.py SURVEY [--tiles 200]
+python tests/benchmarks/paper_method.py SURVEY [--tiles 200]
 
-Both get the same points, already read and cut into tiles. ``run.py`` holds both to one thread (OMP_NUM_THREADS=1). The
-paper's way is kept cheap where its code is dear: no picture files, and our small texture network in place of ResNet-50
-on 224 x 224 pixels.
+Both get the same points, already read and split into tiles. ``run.py`` limits both to one thread (OMP_NUM_THREADS=1).
+Expensive parts of the paper's code are left out: no image files are written, and the small texture network of bumpymap
+replaces ResNet-50 on 224 x 224 pixels.
 """
 
 import argparse
@@ -36,12 +36,12 @@ Points = NDArray[np.float64]
 
 _SIZE, _PIXELS = 3.0, 15
 _THRESHOLD = 0.1
-"""Points within this of a plane are its inliers, as in ``FeatureSettings``, m."""
+"""Maximum distance of inliers from a plane, as in ``FeatureSettings``, m."""
 _ITERATIONS = 1000
-"""Planes that open3d tries, as in its own examples."""
+"""Number of planes that open3d tries, as in its own examples."""
 _LEAST_POINTS = 30
 _REACH = 14
-"""Tiles are taken from so many to each side of the middle."""
+"""Maximum distance of chosen tiles from the central tile, in tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Cut:
     col: NDArray[np.int64]
     row: NDArray[np.int64]
     points: list[Points]
-    """One (n, 3) array a tile, in random order: sorted ones would favour a sampler that looks at the first points."""
+    """One (n, 3) array per tile, in random order: a sorted order would favour a sampler that uses the first points."""
 
 
 def cut(path: Path, tiles: int) -> Cut:
@@ -73,7 +73,7 @@ def cut(path: Path, tiles: int) -> Cut:
 
 
 def paper_heightmap(points: Points, west: float, south: float) -> NDArray[np.uint8]:
-    """Make the paper's patch: heights scaled to 0..255, the last point of a pixel wins, (15, 15)."""
+    """Make the paper's patch (15, 15): heights scaled to 0..255; the last point of each pixel is used."""
     low, high = points[:, 2].min(), points[:, 2].max()
     scaled = (points[:, 2] - low) / (high - low) * 255
     col = ((points[:, 0] - west) / _SIZE * (_PIXELS - 1)).astype(int)
@@ -84,7 +84,7 @@ def paper_heightmap(points: Points, west: float, south: float) -> NDArray[np.uin
 
 
 def open3d_residual(points: Points) -> float:
-    """Mean distance of the points to the plane that open3d finds, m."""
+    """Return the mean distance of the points to the plane that open3d finds, m."""
     import open3d
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
@@ -93,19 +93,19 @@ def open3d_residual(points: Points) -> float:
 
 
 def planes() -> dict[str, Callable[[Points], float]]:
-    """List the ways to a plane that work here: open3d is a large package that needs libraries of the system."""
-    ways: dict[str, Callable[[Points], float]] = {"open3d": open3d_residual, "sklearn": sklearn_residual}
-    for name in tuple(ways):
+    """Return the plane fits that are available here; open3d is a large package that needs system libraries."""
+    methods: dict[str, Callable[[Points], float]] = {"open3d": open3d_residual, "sklearn": sklearn_residual}
+    for name in tuple(methods):
         try:
             importlib.import_module(name)
         except (ImportError, OSError) as error:
             sys.stderr.write(f"{name} is left out: {error}\n")
-            del ways[name]
-    return ways
+            del methods[name]
+    return methods
 
 
 def sklearn_residual(points: Points) -> float:
-    """Mean distance of the points to the plane that scikit-learn finds, m."""
+    """Return the mean distance of the points to the plane that scikit-learn finds, m."""
     from sklearn.linear_model import RANSACRegressor
 
     found = RANSACRegressor(residual_threshold=_THRESHOLD, random_state=1).fit(points[:, :2], points[:, 2])
@@ -115,13 +115,13 @@ def sklearn_residual(points: Points) -> float:
 
 
 def paper_parts(tiles: Cut) -> dict[str, list[float]]:
-    """Time each step of the paper's way on each tile, s."""
+    """Time each step of the paper's method on each tile, s."""
     runtime = onnx_runtime()
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
     network = runtime.InferenceSession(TextureModel.shipped().content, options)
     seconds: dict[str, list[float]] = {}
-    ways = planes()
+    methods = planes()
 
     def timed(step: str, work: Callable[..., Any], *given: Any) -> Any:
         started = time.perf_counter()
@@ -135,14 +135,14 @@ def paper_parts(tiles: Cut) -> dict[str, list[float]]:
             local = points - points.mean(axis=0)
             patch = timed("heightmap", paper_heightmap, points, col * _SIZE, row * _SIZE)
             timed("variance", np.var, points[:, 2])
-            for name, residual in ways.items():
+            for name, residual in methods.items():
                 timed(name, residual, local)
             timed("class", network.run, None, {"patches": (patch / 255).astype(np.float32)[None, None]})
     return seconds
 
 
 def ours(tiles: Cut, rounds: int) -> float:
-    """Time bumpymap on the same tiles together: measure, classify, rate; median of some rounds, s."""
+    """Time bumpymap on all tiles at once: measure, classify, rate; median of the rounds, s."""
     points = np.concatenate(tiles.points)
     block = TilePoints(
         grid=Grid(_SIZE, _PIXELS),
@@ -165,7 +165,7 @@ def ours(tiles: Cut, rounds: int) -> float:
 
 
 def main() -> None:
-    """Print one line of JSON: ms a tile of both ways, and of each step of the paper's."""
+    """Print one line of JSON: ms per tile of both methods, and of each step of the paper's."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("survey", type=Path, help="LAS or LAZ, in metres")
     parser.add_argument("--tiles", type=int, default=200)
@@ -175,14 +175,14 @@ def main() -> None:
         parser.error(f"{given.survey} has no tile of {_LEAST_POINTS} points near its middle; name another survey")
     mean = {step: 1e3 * statistics.fmean(seconds) for step, seconds in paper_parts(tiles).items()}
     common = mean["heightmap"] + mean["variance"] + mean["class"]
-    ways = {name: common + mean[name] for name in ("open3d", "sklearn") if name in mean}
+    methods = {name: common + mean[name] for name in ("open3d", "sklearn") if name in mean}
     print(
         json.dumps(
             {
                 "tiles": len(tiles.points),
                 "points_per_tile": round(statistics.fmean(map(len, tiles.points))),
                 "ours_ms": 1e3 * ours(tiles, 9) / len(tiles.points),
-                "ways_ms": {**ways, "both": sum(ways.values()) - common * (len(ways) - 1)},
+                "methods_ms": {**methods, "both": sum(methods.values()) - common * (len(methods) - 1)},
                 "steps_ms": mean,
             }
         )

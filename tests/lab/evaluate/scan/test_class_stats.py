@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import Scan
-from bumpymap.lab.evaluate.scan.tally import ClassedSectorTable, accuracy_of, class_rows, join_sectors
+from bumpymap.lab.evaluate.scan.class_stats import ClassedSectorTable, accuracy_of, class_rows, join_sectors
 from bumpymap.scan import classify_filter, polar_sectors
 
 TABLE = ClassedSectorTable(

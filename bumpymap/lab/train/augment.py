@@ -1,8 +1,8 @@
-"""Alter patches as a survey would: noise, holes, blur, brightness, rotation.
+"""Data augmentation of patches with the effects of a survey: rotation, brightness, blur, noise, holes.
 
-Each function takes patches scaled to [0, 1] and one strength per patch, and works on all patches at once. ``alter``
-runs them in the order in which a survey does: the ground lies at some angle, the sensor blurs and adds noise, pixels
-stay empty and are filled, the plane is taken off, the rest is scaled.
+Each function takes patches scaled to [0, 1] and one strength per patch, and works on all patches at once. ``augment``
+applies them in the order in which a survey does: rotate the ground, change brightness, blur, add noise, empty pixels
+and fill them, remove the plane and scale.
 """
 
 from dataclasses import dataclass, replace
@@ -17,9 +17,9 @@ __all__ = [
     "KINDS",
     "LIGHT",
     "NONE",
-    "Alterations",
+    "Augmentation",
     "add_noise",
-    "alter",
+    "augment",
     "blur",
     "brighten",
     "fill_holes",
@@ -31,48 +31,48 @@ _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Alterations:
-    """How strong alterations may become; each patch draws its own strengths from 0 to these. Zero switches one off."""
+class Augmentation:
+    """Maximum strengths; each patch draws its own strengths between 0 and these. Zero switches an effect off."""
 
     brightness: float = 0.3
-    """Heights h become ``gain * h**exp(b) + offset``, b up to this either way. Gain and offset are those of survey
-    units; scaling takes them out again, so b is what the network feels."""
+    """Heights h become ``gain * h**exp(b) + offset``, with abs(b) up to this. The final scaling removes gain and
+    offset, so only b affects the network."""
     rotation: float = 1.0
-    """Share of a full turn, any angle; corners are filled by mirroring. Patches may be flipped too."""
+    """Rotation as a share of a full turn; corners are filled by mirroring. Half of the patches are also flipped."""
     blur: float = 0.7
     """Standard deviation of a Gaussian, px."""
     noise: float = 0.05
     """Standard deviation of white noise, share of the z range."""
     holes: float = 0.4
-    """Share of the pixels that are emptied one by one; a round hole of up to 2.5 px radius comes on top."""
+    """Share of the pixels that are emptied independently; a round hole of up to 2.5 px radius is added."""
     chance: float = 1.0
-    """Probability that a patch undergoes an alteration, each on its own."""
+    """Probability of each effect on a patch, drawn independently."""
 
-    def only(self, name: str) -> "Alterations":
-        """Return a copy with every alteration but one switched off."""
+    def only(self, name: str) -> "Augmentation":
+        """Return a copy with all effects but one switched off."""
         return replace(NONE, **{name: getattr(self, name)})
 
 
 KINDS = ("brightness", "rotation", "blur", "noise", "holes")
-ALL = Alterations()
-"""Every alteration to every patch: what networks are judged by."""
-LIGHT = Alterations(chance=0.5)
-"""Some alterations to most patches; networks learn from a few such patches too."""
-NONE = Alterations(0.0, 0.0, 0.0, 0.0, 0.0)
+ALL = Augmentation()
+"""All effects on every patch, as in the evaluation of networks."""
+LIGHT = Augmentation(chance=0.5)
+"""Each effect on half of the patches; training uses a few such patches."""
+NONE = Augmentation(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def alter(patches: NDArray[np.float32], settings: Alterations, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Alter each patch in its own way, then prepare it as a survey's patch is prepared.
+def augment(patches: NDArray[np.float32], settings: Augmentation, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Augment each patch with its own strengths, then prepare it like a patch of a survey.
 
     Parameters
     ----------
     patches : array (n, pixels, pixels) float32
         Scaled to [0, 1].
-    settings : Alterations
-        Upper ends of the strengths.
+    settings : Augmentation
+        Maximum strengths.
     rng : numpy Generator
-        The same state gives the same bits; every alteration draws its numbers even where it is off, so that
-        switching one off leaves the others as they are.
+        The same state gives the same bits. Every effect draws its random numbers even if it is off, so switching one
+        off does not change the others.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def alter(patches: NDArray[np.float32], settings: Alterations, rng: np.random.Ge
 
 
 def rotate(patches: _Floats, angle: _Floats) -> _Floats:
-    """Turn each patch about its centre by ``angle`` (n,) rad: bilinear, half-sample mirroring beyond the border."""
+    """Rotate each patch about its centre by ``angle`` (n,) rad: bilinear, half-sample mirroring beyond the border."""
     count, pixels, _ = patches.shape
     axis = np.arange(pixels) - (pixels - 1) / 2
     cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
@@ -111,13 +111,13 @@ def rotate(patches: _Floats, angle: _Floats) -> _Floats:
 
 
 def _mirror(position: _Floats, pixels: int) -> _Floats:
-    """Fold positions [px] into 0 .. pixels - 1 at the outer edges of the first and the last pixel."""
+    """Mirror positions [px] into 0 .. pixels - 1 at the outer edges of the first and the last pixel."""
     folded = np.mod(position + 0.5, 2 * pixels)
     return np.clip(np.minimum(folded, 2 * pixels - folded) - 0.5, 0, pixels - 1)
 
 
 def brighten(patches: _Floats, strength: _Floats, rng: np.random.Generator) -> _Floats:
-    """Change gain, offset and, by a power of up to ``exp(strength)`` either way, the balance of high and low ground."""
+    """Change gain and offset, and raise heights to a power between ``exp(-strength)`` and ``exp(strength)``."""
     sign = rng.choice([-1.0, 1.0], len(patches))
     gain, offset = rng.uniform(0.5, 2.0, (2, len(patches), 1, 1))
     power = np.exp(sign * strength)[:, None, None]
@@ -144,7 +144,7 @@ def add_noise(patches: _Floats, deviation: _Floats, rng: np.random.Generator) ->
 
 
 def punch_holes(patches: _Floats, share: _Floats, radius: _Floats, rng: np.random.Generator) -> _Floats:
-    """Empty (NaN) a ``share`` (n,) of the pixels one by one, and a round hole of up to ``radius`` (n,) px."""
+    """Set to NaN a random ``share`` (n,) of the pixels, and a round hole of up to ``radius`` (n,) px."""
     count, pixels, _ = patches.shape
     empty = rng.uniform(size=patches.shape) < share[:, None, None]
     centre = rng.uniform(0, pixels - 1, (2, count, 1, 1))
@@ -156,9 +156,9 @@ def punch_holes(patches: _Floats, share: _Floats, radius: _Floats, rng: np.rando
 
 
 def fill_holes(patches: _Floats) -> _Floats:
-    """Fill NaN with the mean of the known ones among 8 neighbours, ring by ring: the rule of the features.
+    """Fill NaN with the mean of the known pixels among 8 neighbours, ring by ring, as for patches of a survey.
 
-    A patch must hold at least one known pixel.
+    A patch must contain at least one known pixel.
     """
     filled: _Floats = patches.copy()
     pixels = patches.shape[-1]

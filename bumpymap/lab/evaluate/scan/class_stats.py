@@ -18,12 +18,12 @@ _MEASURES = ("stripes", "variance", "residual")
 
 @dataclass(frozen=True, slots=True)
 class ClassedSectorTable:
-    """The sectors of many scans that the gate lets through: one row each."""
+    """The traversable sectors of many scans, one row each."""
 
     class_id: dict[str, NDArray[np.uint8]]
     """Method -> (n,) class."""
     truth: NDArray[np.int16]
-    """(n,) class of the most frequent label; -1 without one."""
+    """(n,) class of the most frequent label; -1 without a label."""
     stripes: Floats
     """(n,)"""
     variance: Floats
@@ -34,12 +34,12 @@ class ClassedSectorTable:
 
 @dataclass(frozen=True, slots=True)
 class ScanClassRow:
-    """The sectors of one class, as one method has it."""
+    """Statistics of the sectors that one method assigns to a class."""
 
     class_id: int
     sectors: int
     share: float
-    """Of the sectors that the gate lets through, 0..1."""
+    """Share of the traversable sectors, 0..1."""
     stripes: tuple[float, float]
     """Median and mean; NaN without sectors."""
     variance: tuple[float, float]
@@ -53,15 +53,15 @@ class Accuracy:
     """Agreement of classes with labels."""
 
     confusion: list[list[int]]
-    """``[class of the label][class that was found]``, sectors."""
+    """``[class of the label][predicted class]``, number of sectors."""
     right: float
-    """Share of right answers; NaN without labels."""
+    """Accuracy; NaN without labels."""
     even: float
-    """The same if every class that is there were as frequent."""
+    """Balanced accuracy over the classes that occur; NaN without labels."""
 
 
 def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> ClassedSectorTable:
-    """Gather the traversable sectors of one or more scans, classed by the same methods; the filter is one of them."""
+    """Collect the traversable sectors of one or more scans, classified by the same methods, one of them the filter."""
     stacks = [next(iter(methods.values())).sectors for methods in classed]
     open_to = [stack.traversable for stack in stacks]
 
@@ -90,7 +90,7 @@ def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
 
 
 def class_rows(table: ClassedSectorTable, method: str) -> list[ScanClassRow]:
-    """Sum up the sectors of each class."""
+    """Summarise the sectors of each class."""
     class_id = table.class_id[method]
     rows = []
     for number in range(CLASSES):

@@ -1,17 +1,17 @@
-"""Alterations: each against an independent answer, all together as properties."""
+"""Augmentation: each against an independent answer, all together as properties."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
-from bumpymap.lab.train.alter import (
+from bumpymap.lab.train.augment import (
     ALL,
     KINDS,
     NONE,
-    Alterations,
+    Augmentation,
     add_noise,
-    alter,
+    augment,
     blur,
     brighten,
     fill_holes,
@@ -28,12 +28,12 @@ def patches():
 
 
 def test_no_alteration_changes_nothing(patches):
-    assert_allclose(alter(patches, NONE, np.random.default_rng(1)), patches, atol=1e-6)
+    assert_allclose(augment(patches, NONE, np.random.default_rng(1)), patches, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_alteration_changes_something_and_keeps_the_scale(patches, kind):
-    altered = alter(patches, ALL.only(kind), np.random.default_rng(1))
+    altered = augment(patches, ALL.only(kind), np.random.default_rng(1))
     assert altered.dtype == np.float32
     assert_array_equal(altered.min(axis=(1, 2)), 0)
     assert_array_equal(altered.max(axis=(1, 2)), 1)
@@ -41,14 +41,16 @@ def test_each_alteration_changes_something_and_keeps_the_scale(patches, kind):
 
 
 def test_all_alterations_are_seeded(patches):
-    first, again, other = (alter(patches, ALL, np.random.default_rng(s)) for s in (3, 3, 4))
+    first, again, other = (augment(patches, ALL, np.random.default_rng(s)) for s in (3, 3, 4))
     assert_array_equal(first, again)
     assert np.abs(first - other).mean() > 0.05
 
 
 def test_chance_spares_some_patches(patches):
     many = np.tile(patches, (20, 1, 1))
-    altered = alter(many, Alterations(rotation=0, brightness=0, holes=0, blur=0, chance=0.25), np.random.default_rng(2))
+    altered = augment(
+        many, Augmentation(rotation=0, brightness=0, holes=0, blur=0, chance=0.25), np.random.default_rng(2)
+    )
     spared = np.abs(altered - many).max(axis=(1, 2)) < 1e-5
     assert 0.65 < spared.mean() < 0.85
 
