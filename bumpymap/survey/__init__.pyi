@@ -24,6 +24,8 @@ from .engine.resource_estimate import (
     estimate as estimate,
 )
 from .pipeline import (
-    MapResult as MapResult,
     map_surveys as map_surveys,
+)
+from .result import (
+    MapResult as MapResult,
 )

@@ -4,12 +4,12 @@ The plan is the same everywhere: ranges of chunks are read, a catalogue says whe
 groups of blocks are finished, and one collector keeps what comes of it. Who does the tasks is up to an executor.
 """
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
+from bumpymap.core import Progress, Stopwatch, decide_ground
 from bumpymap.readers import Chunk, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
 from bumpymap.survey.engine.budget import Budget
@@ -20,22 +20,10 @@ from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.workspace import Workspace
-from bumpytiles import BlockKey, Pack, TileWindow
+from bumpymap.survey.inputs import SurveyInputs
+from bumpytiles import BlockKey, Pack
 
-__all__ = ["Executor", "Inputs", "ReadPlan", "run_engine"]
-
-
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """The files of a run, and what to do where they cannot be mapped."""
-
-    readers: Sequence[SurveyReader]
-    refuse: Callable[[SurveyReader, BadInputError], None]
-    """Called with a bad file; raises, or notes that it is skipped."""
-    check_window: Callable[[TileWindow], None]
-    """Raises where a map of that window cannot be made."""
-    skip_bad: bool
-    """Whether ``refuse`` may return."""
+__all__ = ["Executor", "ReadPlan", "run_engine"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +64,7 @@ class Executor(Protocol):
 
 
 def run_engine(
-    inputs: Inputs, work: BlockWork, space: Workspace, budget: Budget, executor: Executor, progress: Progress,
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, budget: Budget, executor: Executor, progress: Progress,
     clock: Stopwatch,
 ) -> MeasuredTiles:  # fmt: skip
     """Read and measure what is not there yet.
@@ -99,12 +87,12 @@ def run_engine(
 
 
 def _read_and_measure(
-    inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress, clock: Stopwatch
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress, clock: Stopwatch
 ) -> dict[str, Any]:
     with clock.stage("read"):
         collector = _read(inputs, work, space, executor, progress)
     refuse_no_points(inputs.readers, collector.stats)
-    inputs.check_window(collector.window())
+    inputs.check_window(work.grid, collector.window())
     with clock.stage("measure"):
         ground_only = _decide(work, collector, executor)
         _finish(collector, space, executor, progress, ground_only=ground_only)
@@ -113,13 +101,15 @@ def _read_and_measure(
     return {"ground_only": ground_only, "dropped": dropped, "points": counted}
 
 
-def _read(inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress) -> ResultCollector:
+def _read(
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress
+) -> ResultCollector:
     readers = inputs.readers
     chunks = [reader.chunks(space.run_spec["cut"]["chunk_points"]) for reader in readers]
     total = sum(reader.info.point_count for reader in readers)
     checkpoints = Checkpoints(space, work.kinds)
     counts = [len(own) for own in chunks]
-    collector = ResultCollector(readers, counts, checkpoints, inputs.refuse, skip_bad=inputs.skip_bad)
+    collector = ResultCollector(readers, counts, checkpoints, inputs.skip, skip_bad=inputs.skip_bad)
     unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
     progress.start("reading points", total)
     progress.advance(sum(part.points for part in read))
