@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._ending import Ended, end_of
+from bumpymap.cli._exit_code import RunInterrupted, exit_code_of
 from bumpymap.core import Terminated, interruptible
 
 __all__ = ["main"]
@@ -59,7 +59,7 @@ class _LazyGroup(click.Group):
             terminated = isinstance(end, Terminated)
             said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
             message = " ".join(said + getattr(end, "__notes__", []))
-            raise Ended(message, _TERMINATED if terminated else _INTERRUPTED) from None
+            raise RunInterrupted(message, _TERMINATED if terminated else _INTERRUPTED) from None
 
     def main(
         self,
@@ -69,7 +69,7 @@ class _LazyGroup(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`.
+        """Run the words of a command line; a failure becomes one message and the exit code, see `exit_code_of`.
 
         ``obj`` of the context is True where the words are those of the process, which is then the command's own.
         """
@@ -78,7 +78,7 @@ class _LazyGroup(click.Group):
         run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
         if not standalone_mode:
             return run()
-        sys.exit(end_of(run, words))
+        sys.exit(exit_code_of(run, words))
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

@@ -7,15 +7,15 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
 
-from bumpymap.cli._text import complain
+from bumpymap.cli._text import print_error
 
-__all__ = ["emit", "keeping_the_log", "set_up_logging"]
+__all__ = ["emit", "restored_logging", "set_up_logging"]
 
 
 def emit(event: str, **facts: Any) -> None:
     """Print one event with the time that it happened at."""
     time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    complain(json.dumps({"time": time, "event": event, **facts}))
+    print_error(json.dumps({"time": time, "event": event, **facts}))
 
 
 class _Handler(logging.Handler):
@@ -35,11 +35,11 @@ class _Handler(logging.Handler):
         if self._as_json:
             emit(level, message=message, logger=record.name)
         else:
-            complain(f"{level.capitalize()}: {message}")
+            print_error(f"{level.capitalize()}: {message}")
 
 
 @contextmanager
-def keeping_the_log() -> Iterator[None]:
+def restored_logging() -> Iterator[None]:
     """Leave the log as it was for a caller that goes on after a command."""
     logger = logging.getLogger("bumpymap")
     before = logger.handlers, logger.level, logger.propagate

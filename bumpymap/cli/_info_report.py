@@ -19,7 +19,7 @@ from bumpymap.core import (
     vertical_of,
 )
 from bumpymap.readers import PointSummary, SurveyInfo
-from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, made_for, size_options
+from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, models_for, size_options
 from bumpytiles import Bounds, Grid
 
 __all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
@@ -77,7 +77,9 @@ class Report:
             said.append("no usable points (all are withheld, noise or without return): nothing to map")
         said += self._spread() + self._unknown()
         if size_options(self.grid):
-            said.append(f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {made_for(self.grid)}")
+            said.append(
+                f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
+            )
         summary = self.summary
         if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
             share = summary.ground_tiles / summary.tiles
@@ -93,7 +95,7 @@ class Report:
         """Say how many tiles will be unknown; from a header alone, whether it promises enough points."""
         settings = FeatureSettings()
         if self.outcome is not None:
-            said = advise(self.outcome, self.grid, settings, foretold=True)
+            said = advise(self.outcome, self.grid, settings, before_run=True)
             return [said] if said else []
         if self.dropped is not None or self.density is None:
             return []

@@ -9,10 +9,10 @@ from click.core import ParameterSource
 from bumpymap.core import Clash, refuse_clashes
 
 __all__ = [
-    "joined",
-    "option",
+    "given_options",
+    "merge_settings",
+    "option_name",
     "output_options",
-    "typed",
     "workers_option",
 ]
 
@@ -35,7 +35,7 @@ def workers_option(default: str) -> Callable[[_Command], _Command]:
     return click.option("--workers", type=click.IntRange(min=1), metavar="N", help=text)
 
 
-def typed(options: Mapping[str, Any]) -> dict[str, Any]:
+def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Choose the options that were given on the command line: 0 and an empty text count, a default does not.
 
     Parameters
@@ -47,12 +47,12 @@ def typed(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
 
 
-def option(name: str) -> str:
+def option_name(name: str) -> str:
     """Spell an option of a setting."""
     return f"--{name.replace('_', '-')}"
 
 
-def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
+def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Join the settings of a file and those typed, which win: also over what contradicts them.
 
     Raises
@@ -61,7 +61,7 @@ def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[C
         Settings of one origin contradict each other.
     """
     refuse_clashes(from_file, clashes)
-    refuse_clashes(given, clashes, option)
+    refuse_clashes(given, clashes, option_name)
     both = from_file | given
     lost = {name for clash in clashes if clash.held(both) for name in (clash.first, clash.second) if name not in given}
     return {name: value for name, value in both.items() if name not in lost}

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from bumpymap.cli._events import emit
-from bumpymap.cli._text import complain, error_console, safe
-from bumpymap.core import Progress as Told
+from bumpymap.cli._text import error_console, escape, print_error
+from bumpymap.core import Progress as BaseProgress
 
 __all__ = ["Clock", "CommandProgress", "EventProgress", "LineProgress", "show_progress"]
 
@@ -19,7 +19,7 @@ Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
 
 
-class CommandProgress(Told, Protocol):
+class CommandProgress(BaseProgress, Protocol):
     """Told how far a run is, and now and then what came of a step."""
 
     def note(self, text: str, event: str, **facts: Any) -> None:
@@ -50,7 +50,7 @@ class _Bars:
         """Begin a stage: a new bar."""
         if self._bars.tasks and self._bars.tasks[-1].total is None:
             self._bars.update(self._bars.tasks[-1].id, total=1, completed=1)
-        self._task = self._bars.add_task(safe(stage), total=total)
+        self._task = self._bars.add_task(escape(stage), total=total)
 
     def advance(self, steps: int) -> None:
         """Go further along the bar of this stage."""
@@ -59,10 +59,10 @@ class _Bars:
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line above the bars."""
-        complain(text)
+        print_error(text)
 
 
-class _Counted:
+class _StepCounter:
     """Counts the steps of a stage; `tick` tells of them."""
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
@@ -80,30 +80,30 @@ class _Counted:
         with self._lock:
             self._done += steps
 
-    def _seen(self) -> tuple[str, int, int | None, float]:
+    def _state(self) -> tuple[str, int, int | None, float]:
         with self._lock:
             return self._stage, self._done, self._total, self._clock() - self._begun
 
 
-class LineProgress(_Counted):
+class LineProgress(_StepCounter):
     """A plain line each time it is asked: time since the run began, stage, share."""
 
     def tick(self) -> None:
         """Print a line."""
-        stage, done, total, seconds = self._seen()
+        stage, done, total, seconds = self._state()
         if not stage:
             return
         minutes, seconds = divmod(int(seconds), 60)
         since = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
         counted = f"{done:,}" if not total else f"{min(done / total, 1.0):.0%} ({done:,} of {total:,})"
-        complain(f"{since} {stage}: {counted}")
+        print_error(f"{since} {stage}: {counted}")
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line."""
-        complain(text)
+        print_error(text)
 
 
-class EventProgress(_Counted):
+class EventProgress(_StepCounter):
     """Events: one when a stage begins, one each time it is asked."""
 
     def start(self, stage: str, total: int | None) -> None:
@@ -113,7 +113,7 @@ class EventProgress(_Counted):
 
     def tick(self) -> None:
         """Tell of the steps."""
-        stage, done, total, seconds = self._seen()
+        stage, done, total, seconds = self._state()
         if stage:
             share = round(min(done / total, 1.0), 4) if total else None
             emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
@@ -139,21 +139,21 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         return
     if as_json:
         events = EventProgress()
-        with _ticking(events.tick, _EVENT_SECONDS):
+        with _calling_every(events.tick, _EVENT_SECONDS):
             yield events
         return
     console = error_console()
     if not console.is_terminal:
         lines = LineProgress()
-        with _ticking(lines.tick, _LINE_SECONDS):
+        with _calling_every(lines.tick, _LINE_SECONDS):
             yield lines
         return
-    with _drawn(console) as bars:
+    with _moving_bars(console) as bars:
         yield bars
 
 
 @contextmanager
-def _drawn(console: Console) -> Iterator[_Bars]:
+def _moving_bars(console: Console) -> Iterator[_Bars]:
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
     with suppress(RuntimeError):  # no thread to be had: the run goes on without moving bars
@@ -165,7 +165,7 @@ def _drawn(console: Console) -> Iterator[_Bars]:
 
 
 @contextmanager
-def _ticking(tick: Callable[[], None], seconds: float) -> Iterator[None]:
+def _calling_every(tick: Callable[[], None], seconds: float) -> Iterator[None]:
     """Call something every so many seconds during the body of a ``with``, from another thread."""
     ended = Event()
 

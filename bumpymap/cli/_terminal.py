@@ -9,7 +9,7 @@ import click
 
 from bumpymap.core import why_no_path
 
-__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "telling_how_to_go_on"]
+__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "interrupt_note"]
 
 DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
@@ -45,7 +45,7 @@ LOCATION = _Location(path_type=Path)
 
 
 @contextmanager
-def telling_how_to_go_on(note: str) -> Iterator[None]:
+def interrupt_note(note: str) -> Iterator[None]:
     """Say on Ctrl-C or SIGTERM what is kept; the group of commands prints it and exits."""
     try:
         yield

@@ -23,21 +23,21 @@ from bumpymap.core import OutputError
 
 __all__ = [
     "LostOutputError",
-    "complain",
     "error_console",
+    "escape",
     "flush",
-    "safe",
-    "say",
-    "say_json",
-    "say_labelled",
-    "say_table",
+    "print_error",
+    "print_json",
+    "print_labelled",
+    "print_line",
+    "print_table",
 ]
 
 _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Unicode categories: controls, marks without a shape (directions of writing among them), surrogates, line breaks."""
 
 
-LOST_READER = 141
+BROKEN_PIPE = 141
 """What shells expect of a program whose reader has left (SIGPIPE), as after ``| head -1``."""
 
 
@@ -49,10 +49,10 @@ class LostOutputError(OutputError):
             f"cannot write to standard output: {error.strerror}. What was printed is cut off; send it elsewhere"
         )
         if error.errno == errno.EPIPE:  # nothing went wrong
-            self.exit_code = LOST_READER
+            self.exit_code = BROKEN_PIPE
 
 
-def safe(text: str) -> str:
+def escape(text: str) -> str:
     r"""Escape what a terminal would act on.
 
     Parameters
@@ -65,14 +65,14 @@ def safe(text: str) -> str:
     str
         Printable, in one line.
     """
-    return text if text.isprintable() else "".join(map(_shown, text))
+    return text if text.isprintable() else "".join(map(_escaped, text))
 
 
-def _spelled(text: str) -> str:
-    return safe(as_options(text))
+def _as_shown(text: str) -> str:
+    return escape(as_options(text))
 
 
-def _shown(letter: str) -> str:
+def _escaped(letter: str) -> str:
     if unicodedata.category(letter) not in _SHOWN_ESCAPED:
         return letter
     if "\udc80" <= letter <= "\udcff":
@@ -80,17 +80,17 @@ def _shown(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
 
 
-def say(text: str = "", style: str = "") -> None:
+def print_line(text: str = "", style: str = "") -> None:
     """Print one line to standard output; ``style`` is rich's, for terminals."""
-    _print(Text(_spelled(text), style))
+    _print(Text(_as_shown(text), style))
 
 
-def say_labelled(label: str, text: str, style: str) -> None:
+def print_labelled(label: str, text: str, style: str) -> None:
     """Print a line whose beginning is styled."""
-    _print(Text(safe(label), style).append(_spelled(text), "default"))
+    _print(Text(escape(label), style).append(_as_shown(text), "default"))
 
 
-def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
+def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
     """Print a table: numbers under titles, the first column to the left; else names, indented, and what they name."""
     if titles:
         table = Table(box=None, pad_edge=False)
@@ -101,23 +101,23 @@ def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None
         table.add_column(style="cyan", no_wrap=True)
         table.add_column(overflow="fold")
     for row in rows:
-        first, *others = (Text(_spelled(cell)) for cell in row)
+        first, *others = (Text(_as_shown(cell)) for cell in row)
         table.add_row(first if titles else Text("  ").append_text(first), *others)
     _print(table)
 
 
-def say_json(record: Any, indent: int | None = None) -> None:
+def print_json(record: Any, indent: int | None = None) -> None:
     """Print JSON to standard output, in ASCII."""
     _write(as_options(json.dumps(record, indent=indent)) + "\n")
 
 
-def complain(text: str) -> None:
+def print_error(text: str) -> None:
     """Print one line to standard error, if that still takes any: a run does not end for want of a reader."""
     stream = sys.stderr
     if stream is None:
         return
     try:
-        stream.write(_encodable(_spelled(text), stream) + "\n")
+        stream.write(_encodable(_as_shown(text), stream) + "\n")
         stream.flush()
     except (OSError, ValueError):  # full, or closed
         _silence(stream)
@@ -129,7 +129,7 @@ def flush() -> None:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
-        raise _lost(error) from error
+        raise _stdout_error(error) from error
 
 
 def error_console() -> Console:
@@ -159,10 +159,10 @@ def _write(text: str) -> None:
         stream.write(_encodable(text, stream))
         stream.flush()
     except OSError as error:
-        raise _lost(error) from error
+        raise _stdout_error(error) from error
 
 
-def _lost(error: OSError) -> LostOutputError:
+def _stdout_error(error: OSError) -> LostOutputError:
     _silence(sys.stdout)
     return LostOutputError(error)
 

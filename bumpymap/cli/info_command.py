@@ -14,7 +14,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
-from bumpymap.cli._text import say, say_json, say_labelled, say_table
+from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
 from bumpymap.core import Ground, MapConfig, ZUnit
 
 if TYPE_CHECKING:
@@ -89,22 +89,22 @@ def command(
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
-        look = partial(_look, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
+        look = partial(_inspect, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
         reports = [look(path) for path in paths]
-    together = _together(reports)
+    together = _why_not_together(reports)
     forecast = None if together else estimated(reports, budget)
     if as_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(together)}
-        say_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
+        print_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
-        _show(reports, together or _one_map(surveys, reports, whole))
+        _show(reports, together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
             _show_run(forecast, grid, memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
 
-def _look(
+def _inspect(
     path: Path | str,
     options: "ReadOptions",
     ground: Ground,
@@ -117,7 +117,7 @@ def _look(
     from bumpymap.core import BadInputError, FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey
 
-    given = tuple(_given(options, ground))
+    given = tuple(_map_options(options, ground))
     try:
         reader = open_survey(path, options)
         if whole is None:
@@ -132,7 +132,7 @@ def _look(
         return Report(path, grid, error=str(error))
 
 
-def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
+def _map_options(options: "ReadOptions", ground: Ground) -> Iterator[str]:
     """Give the options that ``map`` wants as well."""
     if options.crs is not None:
         yield from ("--crs", options.crs)
@@ -144,7 +144,7 @@ def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
         yield from ("--ground", ground)
 
 
-def _together(reports: "list[Report]") -> list[str]:
+def _why_not_together(reports: "list[Report]") -> list[str]:
     """Why the files cannot be mapped in one run, in lines; empty where they can."""
     from bumpymap.core import BadInputError, common_georeference
 
@@ -157,7 +157,7 @@ def _together(reports: "list[Report]") -> list[str]:
     return []
 
 
-def _one_map(
+def _advise_one_map(
     surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointSummaryBuilder | None"
 ) -> list[str]:
     """Say how several files make one map; empty for one file, or where one is bad."""
@@ -175,7 +175,7 @@ def _one_map(
     if summary is None:
         return [said]
     outcome = outcome_of(summary, reports[0].ground)
-    advice = advise(outcome, reports[0].grid, FeatureSettings(), foretold=True)
+    advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
     return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", said]
 
 
@@ -183,19 +183,19 @@ def _show(reports: "list[Report]", together: list[str]) -> None:
     from bumpymap.cli._info_report import as_rows
 
     for report in reports:
-        say(str(report.path), "bold")
-        say_table(as_rows(report))
+        print_line(str(report.path), "bold")
+        print_table(as_rows(report))
         # Not in the table: commands must come out in one line, to be copied.
         for need in report.needs():
             label = "cannot be read" if report.error else "to map it"
-            say_labelled(f"  {label}: ", need, "yellow")
-        say()
+            print_labelled(f"  {label}: ", need, "yellow")
+        print_line()
     for number, line in enumerate(together):
-        say(line if number else f"together: {line}", "bold")
+        print_line(line if number else f"together: {line}", "bold")
 
 
 def _show_run(forecast: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
     from bumpymap.cli._info_report import run_rows
 
-    say(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
-    say_table(run_rows(forecast, grid))
+    print_line(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
+    print_table(run_rows(forecast, grid))

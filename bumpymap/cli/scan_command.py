@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import joined, option, output_options, typed
+from bumpymap.cli._options import given_options, merge_settings, option_name, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
 from bumpymap.core import ONE_VEHICLE, Compat, UsageError
@@ -107,17 +107,17 @@ def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -
     from bumpymap.core import read_settings_file
     from bumpymap.scan import ScanConfig
 
-    options = typed(given)
+    options = given_options(given)
     if fit is not None:
         wrong = [name for name in _NOT_OF_A_FIT if name in options]
         if wrong:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option(wrong[0])}")
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
     settings = read_settings_file(config_file, ScanConfig) if config_file else {}
     polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
     radius = options.pop("robot_radius", None)
     if "products" in options:
         options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
-    settings = joined(settings, options, [ONE_VEHICLE])
+    settings = merge_settings(settings, options, [ONE_VEHICLE])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):

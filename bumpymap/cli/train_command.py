@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import option, output_options, typed
+from bumpymap.cli._options import given_options, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import FILE, telling_how_to_go_on
-from bumpymap.cli._text import say, say_json
+from bumpymap.cli._terminal import FILE, interrupt_note
+from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
 
 if TYPE_CHECKING:
@@ -75,15 +75,15 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)
-    options = typed(given)
-    _refuse_foreign(options, scans)
+    options = given_options(given)
+    _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     note = "Give the same command again to continue after the last complete epoch."
-    with telling_how_to_go_on(note), show_progress(quiet=quiet, as_json=log_json) as progress:
+    with interrupt_note(note), show_progress(quiet=quiet, as_json=log_json) as progress:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
         else:
@@ -91,15 +91,15 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     if quiet:
         return
     if log_json:
-        say_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
+        print_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
         return
     for line in lines:
-        say(line)
+        print_line(line)
 
 
-def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
+def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
     """Refuse options of the other network: they would have no effect."""
-    foreign = [option(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
+    foreign = [option_name(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
     if foreign and scans is None:
         raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
     if foreign:

@@ -8,7 +8,7 @@ from typing import Literal
 from bumpymap.core import REASON_TEXT, FeatureSettings, Reason
 from bumpytiles import Grid
 
-__all__ = ["Measured", "Outcome", "advise", "enough_points", "made_for", "size_options"]
+__all__ = ["Measured", "Outcome", "advise", "enough_points", "models_for", "size_options"]
 
 Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
 _FEW = 0.1
@@ -53,7 +53,7 @@ def enough_points(grid: Grid, settings: FeatureSettings) -> int:
     return max(settings.min_points, math.ceil(for_coverage))
 
 
-def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold: bool) -> str:
+def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_run: bool) -> str:
     """Say in one line which share of the tiles is unknown, why, and what would help; nothing where it is few.
 
     Parameters
@@ -69,8 +69,8 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold:
     if outcome.share <= _FEW:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
-    head = f"{outcome.share:.0%} of the tiles {'will be' if foretold else 'are'} unknown"
-    head = f"about {head}" if foretold else head
+    head = f"{outcome.share:.0%} of the tiles {'will be' if before_run else 'are'} unknown"
+    head = f"about {head}" if before_run else head
     why, help_ = {
         Reason.TOO_MANY_HOLES: _holes,
         Reason.OUTLIER_RELIEF: _outliers,
@@ -78,7 +78,7 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold:
     return f"{head}, mostly because of {REASON_TEXT[most]}: {why}. {help_}"
 
 
-def made_for(grid: Grid) -> str:
+def models_for(grid: Grid) -> str:
     """Say how to get what tiles of another size want: a calibration and a network."""
     size = size_options(grid)
     return (
@@ -126,7 +126,7 @@ def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
     option = size_options(larger) + ("" if outcome.measured == "points" else " --ground all")
     return (
         f"A denser survey would help, or larger tiles: bumpymap info {option} says what they would give; they need "
-        f"{made_for(larger)}"
+        f"{models_for(larger)}"
     )
 
 

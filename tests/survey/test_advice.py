@@ -101,7 +101,7 @@ def outcome(reason, share, measured="points", held=20.0, every=200.0, tiles=100)
     ],
 )
 def test_what_would_help(outcome, words):
-    said = advise(outcome, Grid(), SETTINGS, foretold=False)
+    said = advise(outcome, Grid(), SETTINGS, before_run=False)
     assert words in said
     assert bool(said) == bool(words)
     assert "--ground csf" not in said or outcome.measured == CLASS_2

@@ -177,7 +177,7 @@ def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
         def refuse(_, error):
             raise error
 
-        checkpoints = Mock(early=[], take_up=list)
+        checkpoints = Mock(early=[], load_results=list)
         collector = ResultCollector([reader], [len(seen)], checkpoints, refuse, skip_bad=False)
         for number, place in enumerate(seen):
             own = stats if number == 0 else PointStats()
