@@ -1,4 +1,4 @@
-"""The command line: argv to settings, one call, a printed summary. Commands are loaded when they are asked for."""
+"""The command line: arguments to settings, one call, a printed summary. Commands are imported when they run."""
 
 import sys
 from collections.abc import Sequence
@@ -26,18 +26,18 @@ _COMMANDS = {
 
 
 _INTERRUPTED, _TERMINATED = 130, 143
-"""What shells expect after Ctrl-C (SIGINT) and after SIGTERM."""
+"""Exit codes after Ctrl-C (SIGINT) and after SIGTERM, as shells expect them."""
 
 
 class _LazyGroup(click.Group):
     """A group whose commands live in ``bumpymap.cli.NAME`` and are imported when they run."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the commands."""
+        """Return the names of the commands."""
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command; None where there is none of that name."""
+        """Import and return a command; None if there is none of that name."""
         if cmd_name not in _COMMANDS:
             return None
         command = import_module(f"bumpymap.cli.{cmd_name}_command").command
@@ -69,9 +69,9 @@ class _LazyGroup(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run the words of a command line; a failure becomes one message and the exit code, see `exit_code_of`.
+        """Run a command line; a failure becomes one message and the exit code, see `exit_code_of`.
 
-        ``obj`` of the context is True where the words are those of the process, which is then the command's own.
+        ``obj`` of the context is True if the arguments are those of the process, which then runs only this command.
         """
         extra.setdefault("obj", args is None)
         words = list(sys.argv[1:] if args is None else args)

@@ -1,4 +1,4 @@
-"""Events of ``--log-json``: what happens in a run, one JSON object a line on standard error."""
+"""Events of ``--log-json``: one JSON object per line on standard error."""
 
 import json
 import logging
@@ -13,13 +13,13 @@ __all__ = ["emit", "restored_logging", "set_up_logging"]
 
 
 def emit(event: str, **facts: Any) -> None:
-    """Print one event with the time that it happened at."""
+    """Print one event with the current time."""
     time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     print_error(json.dumps({"time": time, "event": event, **facts}))
 
 
 class _Handler(logging.Handler):
-    """Prints records of the log as lines or as events."""
+    """Prints log records as lines or as events."""
 
     def __init__(self, *, as_json: bool) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class _Handler(logging.Handler):
 
 @contextmanager
 def restored_logging() -> Iterator[None]:
-    """Leave the log as it was for a caller that goes on after a command."""
+    """Restore the log settings at the end, for a caller that continues after a command."""
     logger = logging.getLogger("bumpymap")
     before = logger.handlers, logger.level, logger.propagate
     try:
@@ -51,7 +51,7 @@ def restored_logging() -> Iterator[None]:
 
 
 def set_up_logging(*, as_json: bool) -> None:
-    """Send the warnings of bumpymap and of its engine to standard error, as text or as events."""
+    """Print the warnings of bumpymap and its engine to standard error, as text or as events."""
     for name in ("bumpymap", "bumpytiles"):
         logger = logging.getLogger(name)
         logger.handlers = [_Handler(as_json=as_json)]

@@ -1,4 +1,4 @@
-"""How a run ends: one message and an exit code for whatever a user, a machine or a pipe can cause."""
+"""How a command ends: one message and an exit code for every failure that is not a bug."""
 
 import errno
 import select
@@ -18,14 +18,14 @@ __all__ = ["RunInterrupted", "exit_code_of"]
 _BAD = 3
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _FAULT = 1
-"""A fault of bumpymap: with a traceback, so that it can be reported."""
+"""A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
     "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --workers, or raise the "
     "limit that the process runs under (ulimit, a batch system's, a container's)"
 )
 
 
-class RunInterrupted(Exception):  # noqa: N818 (no error: somebody wanted the run to end)
+class RunInterrupted(Exception):  # noqa: N818 (not an error: a user ended the run)
     """A signal ended the run."""
 
     def __init__(self, message: str, exit_code: int) -> None:
@@ -34,14 +34,14 @@ class RunInterrupted(Exception):  # noqa: N818 (no error: somebody wanted the ru
 
 
 def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
-    """Run a command; say what went wrong, and give the exit code.
+    """Run a command, print the message of a failure, and return the exit code.
 
     Parameters
     ----------
     run : callable
-        Raises click's exceptions; what it returns is the exit code where it is a number.
+        Raises click's exceptions; an integer that it returns is the exit code.
     words : sequence of str
-        Of the command line. ``--log-json`` among them: everything is told in events.
+        Arguments of the command line. With ``--log-json`` among them, everything is printed as events.
     """
     options = list(words[: words.index("--")] if "--" in words else words)
     as_json = "--log-json" in options
@@ -71,7 +71,7 @@ def _call(run: Callable[[], object]) -> int:
         code = run()
     except SystemExit as end:
         code = end.code
-        if code == _FAULT and _reader_left():  # click's word for it
+        if code == _FAULT and _reader_left():  # click's exit code for it
             code = BROKEN_PIPE
     try:
         flush()
@@ -83,7 +83,7 @@ def _call(run: Callable[[], object]) -> int:
 
 
 def _describe(error: Exception) -> tuple[int, list[str]]:
-    """Exit code and message of a failure; the message in lines, the last of which say how to go on."""
+    """Return exit code and message of a failure; the last lines of the message say how to continue."""
     code, lines = _message(error)
     return code, [*lines, *getattr(error, "__notes__", [])]
 
@@ -109,7 +109,7 @@ def _print_failure(error: Exception, lines: Sequence[str]) -> None:
     if isinstance(error, LostOutputError) and error.exit_code == BROKEN_PIPE:
         return
     if type(error).__name__ == "NoArgsIsHelpError" and isinstance(error, click.UsageError):
-        error.show()  # the help, which is ours
+        error.show()  # prints the help
         return
     if isinstance(error, click.UsageError) and error.ctx is not None:
         print_error(error.ctx.get_usage())
@@ -122,12 +122,12 @@ def _print_failure(error: Exception, lines: Sequence[str]) -> None:
 
 
 def _reader_left() -> bool:
-    """Whether standard output is a pipe that nobody reads."""
+    """Return whether standard output is a pipe that nobody reads."""
     try:
         poll = select.poll()
         poll.register(sys.__stdout__.fileno(), 0)  # type: ignore[union-attr]
         return bool(poll.poll(0))
-    except (AttributeError, OSError, ValueError):  # no such thing here
+    except (AttributeError, OSError, ValueError):  # not supported on this system
         return False
 
 

@@ -1,4 +1,4 @@
-"""How far a run is, for people at a terminal, for the log of a batch system, and for machines."""
+"""Progress of a run: bars on a terminal, lines in the log of a batch system, or JSON events."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -20,14 +20,14 @@ _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
 
 
 class CommandProgress(BaseProgress, Protocol):
-    """Told how far a run is, and now and then what came of a step."""
+    """A progress that can also report the result of a step."""
 
     def note(self, text: str, event: str, **facts: Any) -> None:
-        """Say what came of a step: a line for people, an event for machines."""
+        """Report the result of a step, as a line of text or as an event."""
 
 
 class _Quiet:
-    """Says nothing."""
+    """Prints nothing."""
 
     def start(self, stage: str, total: int | None) -> None:
         """Do nothing."""
@@ -40,7 +40,7 @@ class _Quiet:
 
 
 class _Bars:
-    """A bar with the time to go for each stage."""
+    """One bar per stage, with the remaining time."""
 
     def __init__(self, bars: Progress) -> None:
         self._bars = bars
@@ -53,7 +53,7 @@ class _Bars:
         self._task = self._bars.add_task(escape(stage), total=total)
 
     def advance(self, steps: int) -> None:
-        """Go further along the bar of this stage."""
+        """Advance the bar of this stage."""
         if self._task is not None:
             self._bars.advance(self._task, steps)
 
@@ -63,7 +63,7 @@ class _Bars:
 
 
 class _StepCounter:
-    """Counts the steps of a stage; `tick` tells of them."""
+    """Counts the steps of a stage; `tick` of a subclass prints them."""
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock, self._begun = clock, clock()
@@ -86,7 +86,7 @@ class _StepCounter:
 
 
 class LineProgress(_StepCounter):
-    """A plain line each time it is asked: time since the run began, stage, share."""
+    """Prints a line at each `tick`: time since the run began, stage, share."""
 
     def tick(self) -> None:
         """Print a line."""
@@ -104,7 +104,7 @@ class LineProgress(_StepCounter):
 
 
 class EventProgress(_StepCounter):
-    """Events: one when a stage begins, one each time it is asked."""
+    """Prints an event when a stage begins and at each `tick`."""
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage."""
@@ -112,27 +112,27 @@ class EventProgress(_StepCounter):
         emit("stage", stage=stage, total=total)
 
     def tick(self) -> None:
-        """Tell of the steps."""
+        """Print an event with the number of steps."""
         stage, done, total, seconds = self._state()
         if stage:
             share = round(min(done / total, 1.0), 4) if total else None
             emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
 
     def note(self, text: str, event: str, **facts: Any) -> None:
-        """Tell of the step."""
+        """Print an event."""
         emit(event, **facts)
 
 
 @contextmanager
 def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[CommandProgress]:
-    """Give what a run tells its progress to.
+    """Yield the progress to pass to a run.
 
     Parameters
     ----------
     quiet : bool
-        Say nothing.
+        Print nothing.
     as_json : bool
-        Say it in events; else with bars on a terminal, and with a line now and then where standard error is none.
+        Print events; otherwise show bars on a terminal, and print lines if standard error is not a terminal.
     """
     if quiet:
         yield _Quiet()
@@ -156,7 +156,7 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
 def _moving_bars(console: Console) -> Iterator[_Bars]:
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
-    with suppress(RuntimeError):  # no thread to be had: the run goes on without moving bars
+    with suppress(RuntimeError):  # no thread can be started: the run goes on with still bars
         bars.start()
     try:
         yield _Bars(bars)
@@ -166,7 +166,7 @@ def _moving_bars(console: Console) -> Iterator[_Bars]:
 
 @contextmanager
 def _calling_every(tick: Callable[[], None], seconds: float) -> Iterator[None]:
-    """Call something every so many seconds during the body of a ``with``, from another thread."""
+    """Call ``tick`` at this interval, from another thread, during the body of the ``with``."""
     ended = Event()
 
     def run() -> None:
@@ -174,7 +174,7 @@ def _calling_every(tick: Callable[[], None], seconds: float) -> Iterator[None]:
             tick()
 
     thread = Thread(target=run, daemon=True, name="progress")
-    with suppress(RuntimeError):  # no thread to be had: the run goes on without a word
+    with suppress(RuntimeError):  # no thread can be started: the run goes on without progress
         thread.start()
     try:
         yield

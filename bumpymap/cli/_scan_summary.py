@@ -12,7 +12,7 @@ __all__ = ["show", "show_fit"]
 
 
 def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
-    """Print what a run did: as a table, or as one JSON object."""
+    """Print the result of a run as a table, or as one JSON object."""
     record = _record(result, config)
     if as_json:
         print_json(record)
@@ -42,7 +42,7 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
 
 
 def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
-    """Print what a fit found."""
+    """Print the result of a fit."""
     if as_json:
         found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
         print_json(found | {"skipped": skipped})

@@ -15,11 +15,11 @@ ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was w
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 _MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
-"""Where ground comes from: the survey, or the filter."""
+"""Source of the ground points: the survey, or the cloth filter."""
 
 
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
-    """Print what a run did: as a table, or as one JSON object."""
+    """Print the result of a run as a table, or as one JSON object."""
     if as_json:
         print_json(_record(result, config))
         return
@@ -67,7 +67,7 @@ def _outcome(result: MapResult, config: MapConfig) -> Outcome:
 
 
 def _advice(result: MapResult, config: MapConfig) -> str:
-    """Say what to do where tiles are unknown; nothing where few are."""
+    """Return advice if many tiles are unknown, else an empty string."""
     grid = Grid(config.tile_size, config.pixels)
     return advise(_outcome(result, config), grid, config.features, before_run=False)
 

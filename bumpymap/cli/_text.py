@@ -1,8 +1,8 @@
-r"""The one place where text leaves for the terminal: it is shown, whatever a file name or a library put into it.
+r"""Printing to the terminal: all output of the command line goes through this module, which makes it safe.
 
-A name may hold escapes that a terminal obeys, line breaks that forge a message, and marks that turn the direction of
-writing. All of them are shown escaped (``\x1b``, ``\n``, ``\u202e``) here, so that no caller has to think of it. One
-call is one line.
+A file name may hold escape sequences that a terminal executes, line breaks that forge a message, and marks that change
+the direction of text. They are printed escaped (``\x1b``, ``\n``, ``\u202e``), so that callers need not do it. One call
+prints one line.
 """
 
 import errno
@@ -34,36 +34,36 @@ __all__ = [
 ]
 
 _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Unicode categories: controls, marks without a shape (directions of writing among them), surrogates, line breaks."""
+"""Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
 
 
 BROKEN_PIPE = 141
-"""What shells expect of a program whose reader has left (SIGPIPE), as after ``| head -1``."""
+"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 
 
 class LostOutputError(OutputError):
-    """Standard output takes no more."""
+    """Standard output cannot be written."""
 
     def __init__(self, error: OSError) -> None:
         super().__init__(
             f"cannot write to standard output: {error.strerror}. What was printed is cut off; send it elsewhere"
         )
-        if error.errno == errno.EPIPE:  # nothing went wrong
+        if error.errno == errno.EPIPE:  # not a failure: the reader has seen enough
             self.exit_code = BROKEN_PIPE
 
 
 def escape(text: str) -> str:
-    r"""Escape what a terminal would act on.
+    r"""Escape characters that a terminal would interpret.
 
     Parameters
     ----------
     text : str
-        Any; bytes that Python could not decode in a file name (surrogate escapes) are shown as ``\xNN``.
+        Any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``.
 
     Returns
     -------
     str
-        Printable, in one line.
+        Printable text in one line.
     """
     return text if text.isprintable() else "".join(map(_escaped, text))
 
@@ -81,17 +81,17 @@ def _escaped(letter: str) -> str:
 
 
 def print_line(text: str = "", style: str = "") -> None:
-    """Print one line to standard output; ``style`` is rich's, for terminals."""
+    """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
     _print(Text(_as_shown(text), style))
 
 
 def print_labelled(label: str, text: str, style: str) -> None:
-    """Print a line whose beginning is styled."""
+    """Print a line that begins with a styled label."""
     _print(Text(escape(label), style).append(_as_shown(text), "default"))
 
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
-    """Print a table: numbers under titles, the first column to the left; else names, indented, and what they name."""
+    """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
     if titles:
         table = Table(box=None, pad_edge=False)
         for column, title in enumerate(titles):
@@ -112,7 +112,7 @@ def print_json(record: Any, indent: int | None = None) -> None:
 
 
 def print_error(text: str) -> None:
-    """Print one line to standard error, if that still takes any: a run does not end for want of a reader."""
+    """Print one line to standard error; ignore a failure, which must not end a run."""
     stream = sys.stderr
     if stream is None:
         return
@@ -124,7 +124,7 @@ def print_error(text: str) -> None:
 
 
 def flush() -> None:
-    """Bring to an end what is written to standard output, while a failure can still be told."""
+    """Flush standard output while a failure can still be reported."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -133,15 +133,15 @@ def flush() -> None:
 
 
 def error_console() -> Console:
-    """Give a console on standard error, for bars."""
+    """Return a console on standard error, for progress bars."""
     return Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
 class _Rendered(io.StringIO):
-    """Takes what rich makes of a text for standard output."""
+    """Receives the text that rich renders for standard output."""
 
     def isatty(self) -> bool:
-        """Say whether it will be shown on a terminal, and so with colours."""
+        """Return whether standard output is a terminal, so that rich uses colours."""
         return sys.stdout is not None and sys.stdout.isatty()
 
 
@@ -168,13 +168,13 @@ def _stdout_error(error: OSError) -> LostOutputError:
 
 
 def _encodable(text: str, stream: TextIO) -> str:
-    """Escape what the stream's encoding does not know."""
+    """Escape characters that the encoding of the stream does not have."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _silence(stream: TextIO) -> None:
-    """Let what is left in a stream's buffer go nowhere, or the interpreter would complain of it at its end."""
+    """Discard the buffer of a broken stream, which the interpreter would otherwise report at exit."""
     try:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, stream.fileno())

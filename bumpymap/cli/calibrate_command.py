@@ -1,4 +1,4 @@
-"""``bumpymap calibrate``: drive a vehicle over simulated terrain and write what each kind of ground costs it."""
+"""``bumpymap calibrate``: drive a vehicle over simulated terrain and write its ride cost by kind of ground."""
 
 import os
 import shlex
@@ -84,7 +84,7 @@ def command(
 
 
 def _refuse_beside_check() -> None:
-    """Refuse what has no effect on a check."""
+    """Raise UsageError for options that have no effect on a check."""
     foreign = set(given_options(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
     for name in sorted(foreign):
         raise UsageError(f"--check makes no calibration and writes nothing: leave out {option_name(name)} or --check")
@@ -116,7 +116,7 @@ def _calibrate(
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
-    """Refuse a place that cannot be written before the hours of work, not after."""
+    """Raise OutputError if the file cannot be written, before the hours of work."""
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     try:
@@ -128,7 +128,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
 
 
 def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quick: bool) -> str:
-    """How to make the file again."""
+    """Return the command that makes the file again."""
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
     words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
@@ -157,7 +157,7 @@ def _summary(calibration: "Calibration", out: Path) -> None:
 
 
 def _check(profile: "Vehicle", seed: int) -> None:
-    """Print a table of the checks; exit code 1 where one fails."""
+    """Print a table of the checks; exit with code 1 if one fails."""
     from bumpymap.lab import all_checks
 
     failed = 0

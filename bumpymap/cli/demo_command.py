@@ -1,4 +1,4 @@
-"""``bumpymap demo``: a first map in a minute."""
+"""``bumpymap demo``: map a synthetic survey as an example."""
 
 from pathlib import Path
 

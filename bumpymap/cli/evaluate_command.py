@@ -1,4 +1,4 @@
-"""``bumpymap evaluate``: can the map be trusted? Its predictions beside drives over the very same ground."""
+"""``bumpymap evaluate``: compare the predictions of a map with simulated drives over the same ground."""
 
 import os
 from contextlib import AbstractContextManager
@@ -22,7 +22,7 @@ _OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite", "quiet", "
 _OF_SCANS = ("scenes", "model", "stripes")
 _OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
 _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("densities",)}
-"""What a part that is left out was asked with."""
+"""Options that have no effect if a part is skipped."""
 
 
 @click.command("evaluate")
@@ -128,7 +128,7 @@ def command(
 
 
 def _refuse_other_options(*, places: bool, scans: bool) -> None:
-    """Refuse options of the other evaluation: they would have no effect."""
+    """Raise UsageError for options of the other evaluation, which would have no effect."""
     given = given_options(click.get_current_context().params)
     for name in given:
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
@@ -142,7 +142,7 @@ def _refuse_other_options(*, places: bool, scans: bool) -> None:
 
 
 def _refuse_unused_options(settings: "EvaluateSettings", *, library: bool) -> None:
-    """Refuse options about what this evaluation does not read or do."""
+    """Raise UsageError for options about inputs or parts that this evaluation does not use."""
     given = given_options(click.get_current_context().params)
     merge_settings({}, given, [ONE_PLACE])
     for name in _OF_SURVEYS if library else ():
@@ -156,17 +156,17 @@ def _refuse_unused_options(settings: "EvaluateSettings", *, library: bool) -> No
 
 @dataclass(frozen=True, slots=True)
 class _Output:
-    """What an evaluation prints beside its report."""
+    """What an evaluation prints in addition to its report."""
 
     quiet: bool
     log_json: bool
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """Show how far it is."""
+        """Return the context manager that shows the progress."""
         return show_progress(quiet=self.quiet, as_json=self.log_json)
 
     def summary(self, out: Path, files: list[Path]) -> bool:
-        """Say as JSON what was written, where that is wanted; True where people want a summary."""
+        """Print the list of files as JSON with ``log_json``; return whether to print a summary as text."""
         if self.log_json and not self.quiet:
             print_json({"out": str(out), "files": [path.name for path in files]})
         return not (self.quiet or self.log_json)
@@ -236,7 +236,7 @@ def _subjects(given: dict[str, Any]) -> "list[Subject]":
 
 
 def _require(settings: "EvaluateSettings") -> None:
-    """Refuse before the hours of work what cannot be done without a library."""
+    """Raise UsageError if a library is missing, before the hours of work."""
     from bumpymap.lab import require_dart, require_matplotlib
 
     require_matplotlib()
@@ -245,7 +245,7 @@ def _require(settings: "EvaluateSettings") -> None:
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
-    """Refuse to replace a report before the hours of work, not after."""
+    """Raise OutputError if a report would be replaced, before the hours of work."""
     from bumpymap.lab import REPORT
 
     if (out / REPORT).exists() and not overwrite:

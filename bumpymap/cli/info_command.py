@@ -1,4 +1,4 @@
-"""``bumpymap info``: what is in a survey, and what a run would need."""
+"""``bumpymap info``: report what a survey contains, and what a run needs."""
 
 import logging
 import os
@@ -79,9 +79,9 @@ def command(
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
-    logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
+    logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     count = (os.cpu_count() or 1) if threads is None else threads
-    # Held to the bounds of a run.
+    # Checks that the settings are valid for a run.
     run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, threads=count)
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
@@ -112,7 +112,7 @@ def _inspect(
     progress: CommandProgress,
     whole: "PointSummaryBuilder | None",
 ) -> "Report":
-    """Open a file, read it and add it to the whole if there is one; what is wrong becomes part of the report."""
+    """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
     from bumpymap.cli._info_report import Report
     from bumpymap.core import BadInputError, FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey
@@ -126,14 +126,14 @@ def _inspect(
         tally = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
         whole.merge(tally)
         summary = tally.summary()
-        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
+        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
 
 
 def _map_options(options: "ReadOptions", ground: Ground) -> Iterator[str]:
-    """Give the options that ``map`` wants as well."""
+    """Yield the options that ``map`` needs too."""
     if options.crs is not None:
         yield from ("--crs", options.crs)
     if options.z_unit is not None:
@@ -145,7 +145,7 @@ def _map_options(options: "ReadOptions", ground: Ground) -> Iterator[str]:
 
 
 def _why_not_together(reports: "list[Report]") -> list[str]:
-    """Why the files cannot be mapped in one run, in lines; empty where they can."""
+    """Return why the files cannot be mapped in one run, in lines; empty if they can."""
     from bumpymap.core import BadInputError, common_georeference
 
     infos = [report.info for report in reports if report.info is not None]
@@ -160,7 +160,7 @@ def _why_not_together(reports: "list[Report]") -> list[str]:
 def _advise_one_map(
     surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointSummaryBuilder | None"
 ) -> list[str]:
-    """Say how several files make one map; empty for one file, or where one is bad."""
+    """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
     from bumpymap.cli._info_report import outcome_of
     from bumpymap.core import FeatureSettings
     from bumpymap.survey import advise
@@ -185,7 +185,7 @@ def _show(reports: "list[Report]", together: list[str]) -> None:
     for report in reports:
         print_line(str(report.path), "bold")
         print_table(as_rows(report))
-        # Not in the table: commands must come out in one line, to be copied.
+        # Not in the table, which would wrap commands: they must stay on one line to be copied.
         for need in report.needs():
             label = "cannot be read" if report.error else "to map it"
             print_labelled(f"  {label}: ", need, "yellow")

@@ -1,4 +1,4 @@
-"""``bumpymap map``: the main job."""
+"""``bumpymap map``: make roughness layers and a cost map from surveys."""
 
 from pathlib import Path
 from typing import Any, get_args

@@ -1,4 +1,4 @@
-"""``bumpymap scan``: class the ground in single scans of a moving robot; with poses, map its drive."""
+"""``bumpymap scan``: classify the ground in scans of a robot; with poses, map its drive."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["METHODS", "PRODUCTS", "command"]
 
 _PARTLY_DONE = 4
-# The libraries behind these would take --help half a second; a test holds the names to theirs.
+# Copied from bumpymap.scan, whose import would slow --help down by half a second; a test compares them.
 METHODS = ("filter", "learned")
 PRODUCTS = ("polygons", "table", "cloud", "picture")
 _NOT_OF_A_FIT = (
@@ -101,7 +101,7 @@ def command(
 
 
 def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> "ScanConfig":
-    """Join the settings of the file and of the command line, which wins."""
+    """Merge the settings of the file and of the command line, which override them."""
     from dataclasses import replace
 
     from bumpymap.core import read_settings_file

@@ -28,7 +28,7 @@ _OF_TEXTURES = ("patches_per_texture", "tile_size", "pixels")
 _OF_SCANS = ("scenes", "sectors_per_class")
 
 
-# Defaults stand in the help as text: they live in rooms that import torch. A test holds the texts to them.
+# Defaults are text in the help, because their modules import torch; a test compares them.
 @click.command("train")
 @click.option(
     "--out",
@@ -98,7 +98,7 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
 
 
 def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
-    """Refuse options of the other network: they would have no effect."""
+    """Raise UsageError for options of the other network, which would have no effect."""
     foreign = [option_name(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
     if foreign and scans is None:
         raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
@@ -149,7 +149,7 @@ def _train_scans(
 
 
 def _gathering(progress: Progress) -> Callable[[int, int], None]:
-    """Show a bar for each set of scans: those to learn from, those to be judged by."""
+    """Return a callback that shows a bar for each set of scans: for training and for testing."""
 
     def gathered(done: int, total: int) -> None:
         if done == 1:
@@ -160,13 +160,13 @@ def _gathering(progress: Progress) -> Callable[[int, int], None]:
 
 
 class _Epochs:
-    """Tells of each epoch that was learned."""
+    """Reports each epoch of a training."""
 
     def __init__(self, progress: CommandProgress) -> None:
         self._progress, self._begun = progress, False
 
     def __call__(self, report: "EpochReport") -> None:
-        """Count an epoch and say what came of it."""
+        """Count an epoch and report its result."""
         if not self._begun:
             self._progress.start("learning epochs", report.epochs)
             self._progress.advance(report.epoch - 1)
@@ -180,7 +180,7 @@ class _Epochs:
 
 
 def _require(*, simulates: bool) -> None:
-    """Refuse before the hours of work what cannot be done without a library."""
+    """Raise UsageError if a library is missing, before the hours of work."""
     wanted = ("torch", "onnx", "open3d") if simulates else ("torch", "onnx")
     missing = [name for name in wanted if find_spec(name) is None]
     if missing:

@@ -1,4 +1,4 @@
-"""``bumpymap vehicle``: vehicle profiles. Which there are, what one means, one to fill in."""
+"""``bumpymap vehicle``: list, check and create vehicle profiles."""
 
 import shlex
 from pathlib import Path
@@ -46,7 +46,7 @@ def check_command(vehicle: str) -> None:
 
     profile = load_profile(vehicle)
     for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
-        print_line(f"{name:13s} {value}")  # one line each: a command in it must be one to copy
+        print_line(f"{name:13s} {value}")  # one line each, so that a command in it can be copied
 
 
 @command.command("new")
@@ -81,7 +81,7 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
 
 
 def _calibration(vehicle: str) -> str:
-    """Say whether the vehicle has a calibration that fits."""
+    """Return the calibration of the vehicle and how to use it, or why there is none."""
     from bumpymap.core import BadInputError
     from bumpymap.rating import find_calibration
 

@@ -1,4 +1,4 @@
-"""How many tiles of a survey are unknown, why, and what would help: in the same words before a run and after it."""
+"""How many tiles of a survey are unknown, why, and what would help; the same text before and after a run."""
 
 import math
 from collections.abc import Mapping
@@ -12,30 +12,30 @@ __all__ = ["Measured", "Outcome", "advise", "enough_points", "models_for", "size
 
 Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
 _FEW = 0.1
-"""A smaller share of unknown tiles is said, but nothing is advised: every survey has a rim."""
+"""Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 _LARGEST_TILE = 20
-"""Tiles beyond this say little about what a wheel meets, m."""
+"""Largest tile that advice suggests, m: larger ones say little about what a wheel meets."""
 _WITHOUT_HOLES = 1.5
-"""With so many times the points that cover enough, density makes few holes: of 4,000 tiles with points at random,
-49 % had too many holes with 65 points, 2.4 % with 72, none with 90."""
+"""With this many times the points of `enough_points` few tiles have holes: of 4,000 tiles with random points, 49 % had
+too many holes with 65 points, 2.4 % with 72, none with 90."""
 _SMALL = 16
-"""Of so many tiles, 4 x 4, most lie on the rim."""
+"""Up to this number of tiles, 4 x 4, most are at the edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of the tiles of a survey, or will."""
+    """The tiles of a survey, after a run or forecast."""
 
     tiles: int
-    """That hold a point."""
+    """Number of tiles that hold a point."""
     unknown: Mapping[Reason, float]
-    """Tiles without a class, by reason."""
+    """Number of tiles without a class, by reason."""
     measured: Measured
-    """What a run measures."""
+    """The points that a run measures."""
     points_per_tile: float
-    """Of what is measured: median over the tiles."""
+    """Median number of measured points per tile."""
     all_points_per_tile: float
-    """All points that count: mean over the tiles."""
+    """Mean number of points per tile, of all classes."""
 
     @property
     def share(self) -> float:
@@ -44,7 +44,7 @@ class Outcome:
 
 
 def enough_points(grid: Grid, settings: FeatureSettings) -> int:
-    """Points from which on a tile can probably be judged.
+    """Return the number of points with which a tile can probably be classified.
 
     Points scattered at random over ``m`` pixels leave a pixel empty with probability ``exp(-n / m)``, so ``n`` points
     cover the share ``1 - exp(-n / m)``.
@@ -54,17 +54,17 @@ def enough_points(grid: Grid, settings: FeatureSettings) -> int:
 
 
 def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_run: bool) -> str:
-    """Say in one line which share of the tiles is unknown, why, and what would help; nothing where it is few.
+    """Return in one line which share of the tiles is unknown, why, and what would help; empty if there are few.
 
     Parameters
     ----------
     outcome : Outcome
     grid : Grid
-        Of its tiles.
+        Grid of the tiles.
     settings : FeatureSettings
-        When a tile is unknown.
+        Limits that make a tile unknown.
     foretold : bool
-        Before a run, not after it.
+        Whether the run is still to come.
     """
     if outcome.share <= _FEW:
         return ""
@@ -79,7 +79,7 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
 
 
 def models_for(grid: Grid) -> str:
-    """Say how to get what tiles of another size want: a calibration and a network."""
+    """Return the commands that make the calibration and the network for tiles of another size."""
     size = size_options(grid)
     return (
         "a calibration and a texture network made for them: "
@@ -89,7 +89,7 @@ def models_for(grid: Grid) -> str:
 
 
 def size_options(grid: Grid) -> str:
-    """Give the options of a grid that is not the default one; empty for that."""
+    """Return the options of a grid; empty for the default one."""
     size = f"--tile-size {grid.tile_size:g}" if grid.tile_size != Grid().tile_size else ""
     pixels = f"--pixels {grid.pixels}" if grid.pixels != Grid().pixels else ""
     return " ".join(filter(None, (size, pixels)))
@@ -117,7 +117,7 @@ def _all_points(outcome: Outcome, every: str) -> str:
 
 
 def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
-    """Larger tiles with as many pixels hold more points in each."""
+    """Suggest larger tiles with the same number of pixels, which hold more points each."""
     held = outcome.points_per_tile if outcome.measured == "points" else outcome.all_points_per_tile
     size = math.ceil(grid.tile_size * math.sqrt(enough / max(held, 1.0)))
     if size > _LARGEST_TILE:
