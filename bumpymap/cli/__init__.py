@@ -57,8 +57,8 @@ class _LazyGroup(click.Group):
                 return super().invoke(ctx)
         except KeyboardInterrupt as end:
             terminated = isinstance(end, Terminated)
-            said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
-            message = " ".join(said + getattr(end, "__notes__", []))
+            sentences = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
+            message = " ".join(sentences + getattr(end, "__notes__", []))
             raise RunInterrupted(message, _TERMINATED if terminated else _INTERRUPTED) from None
 
     def main(

@@ -70,21 +70,21 @@ class Report:
         """Return what ``bumpymap map`` needs for this file, or the command to map it; one sentence each."""
         if self.info is None:
             return [self.error]
-        said: list[str] = []
+        lines: list[str] = []
         if self.info.georeference.crs is None:
-            said.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
+            lines.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if self.dropped is not None and self.summary is None:
-            said.append("no usable points (all are withheld, noise or without return): nothing to map")
-        said += self._spread() + self._unknown()
+            lines.append("no usable points (all are withheld, noise or without return): nothing to map")
+        lines += self._spread() + self._unknown()
         if size_options(self.grid):
-            said.append(
+            lines.append(
                 f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
             )
         summary = self.summary
         if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
             share = summary.ground_tiles / summary.tiles
-            said.append(f"ground points (class 2) in {share:.0%} of the tiles only: --ground auto will use all points")
-        return said or [self._ready()]
+            lines.append(f"ground points (class 2) in only {share:.0%} of tiles: --ground auto will use all points")
+        return lines or [self._ready()]
 
     def _ready(self) -> str:
         words = ["bumpymap", "map", str(self.path), *self.options, "--out", "DIR"]
@@ -95,18 +95,18 @@ class Report:
         """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
         settings = FeatureSettings()
         if self.outcome is not None:
-            said = advise(self.outcome, self.grid, settings, before_run=True)
-            return [said] if said else []
+            text = advise(self.outcome, self.grid, settings, before_run=True)
+            return [text] if text else []
         if self.dropped is not None or self.density is None:
             return []
         per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings)
         if per_tile >= enough:
             return []
-        said = (
+        text = (
             f"according to the header there are {per_tile:.0f} points per {self.grid.tile_size:g} m tile, and about "
             f"{enough} are needed: most tiles will be unknown. Run without --quick to see how many, and what would help"
         )
-        return [said]
+        return [text]
 
     def _spread(self) -> list[str]:
         bounds = self.bounds

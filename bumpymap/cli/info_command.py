@@ -123,9 +123,9 @@ def _inspect(
         if whole is None:
             return Report(path, grid, reader.info, options=given, ground=ground)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        tally = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
-        whole.merge(tally)
-        summary = tally.summary()
+        builder = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
+        whole.merge(builder)
+        summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground)
     except BadInputError as error:
@@ -170,13 +170,13 @@ def _advise_one_map(
         return []
     points = sum(info.point_count for info in infos)
     command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, "--out", "DIR"])
-    said = f"{len(reports)} files, {points:,} points, one map: {command}"
+    text = f"{len(reports)} files, {points:,} points, one map: {command}"
     summary = whole.summary() if whole is not None else None
     if summary is None:
-        return [said]
+        return [text]
     outcome = outcome_of(summary, reports[0].ground)
     advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
-    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", said]
+    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", text]
 
 
 def _show(reports: "list[Report]", together: list[str]) -> None:

@@ -11,14 +11,14 @@ from bumpytiles import Grid
 __all__ = ["Measured", "Outcome", "advise", "enough_points", "models_for", "size_options"]
 
 Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
-_FEW = 0.1
+_FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 _LARGEST_TILE = 20
 """Largest tile that advice suggests, m: larger ones say little about what a wheel meets."""
 _WITHOUT_HOLES = 1.5
 """With this many times the points of `enough_points` few tiles have holes: of 4,000 tiles with random points, 49 % had
 too many holes with 65 points, 2.4 % with 72, none with 90."""
-_SMALL = 16
+_MOSTLY_EDGE = 16
 """Up to this number of tiles, 4 x 4, most are at the edge."""
 
 
@@ -63,10 +63,10 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
         Grid of the tiles.
     settings : FeatureSettings
         Limits that make a tile unknown.
-    foretold : bool
+    before_run : bool
         Whether the run is still to come.
     """
-    if outcome.share <= _FEW:
+    if outcome.share <= _FEW_UNKNOWN:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
     head = f"{outcome.share:.0%} of the tiles {'will be' if before_run else 'are'} unknown"
@@ -103,17 +103,20 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
     )
     if outcome.measured == "points":
         return why, _larger_tiles(outcome, grid, enough)
-    every = f"{outcome.all_points_per_tile:.0f} per tile on average"
+    mean_points = f"{outcome.all_points_per_tile:.0f} per tile on average"
     if outcome.all_points_per_tile < enough:
-        return why, f"All points (--ground all) are too few as well, {every}. {_larger_tiles(outcome, grid, enough)}"
-    return why, _all_points(outcome, every)
+        return (
+            why,
+            f"All points (--ground all) are too few as well, {mean_points}. {_larger_tiles(outcome, grid, enough)}",
+        )
+    return why, _all_points(outcome, mean_points)
 
 
-def _all_points(outcome: Outcome, every: str) -> str:
-    said = f"--ground all measures every point, {every}, vegetation too"
+def _all_points(outcome: Outcome, mean_points: str) -> str:
+    text = f"--ground all measures every point, {mean_points}, vegetation too"
     if outcome.measured == "ground points (class 2)":
-        said += "; --ground csf detects ground points where the survey has any"
-    return said
+        text += "; --ground csf detects ground points where the survey has any"
+    return text
 
 
 def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
@@ -135,8 +138,8 @@ def _holes(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str
         f"ground more than {settings.max_hole:g} m from every pixel with a point, or less than "
         f"{settings.min_coverage:.0%} of the pixels with one"
     )
-    if outcome.tiles <= _SMALL:
-        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them on its rim"
+    if outcome.tiles <= _MOSTLY_EDGE:
+        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them at its edge"
     if outcome.measured != "points" and outcome.all_points_per_tile >= enough_points(grid, settings):
         return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} per tile on average")
     without_holes = _WITHOUT_HOLES * enough_points(grid, settings)

@@ -27,11 +27,11 @@ from bumpytiles.signals import blocked_signals
 
 __all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
-_AHEAD = 2
+_TASKS_PER_WORKER = 2
 """Tasks submitted per worker: one that runs, and one that is ready when it ends."""
-_LOOK_S = 10.0
+_CHECK_S = 10.0
 """Interval at which the number of workers is checked, s."""
-_LOOKS, _LOCAL_LOOKS = 30, 3
+_CHECKS, _LOCAL_CHECKS = 30, 3
 """Give up after this many checks in a row without workers: at a scheduler, with workers started here."""
 
 
@@ -60,16 +60,16 @@ class Workers:
     Parameters
     ----------
     client : distributed.Client
-    looks : int
+    checks : int
         Give up after this many checks in a row without workers.
     """
 
-    def __init__(self, client: Client, looks: int = _LOOKS) -> None:
-        self._client, self._looks = client, looks
+    def __init__(self, client: Client, checks: int = _CHECKS) -> None:
+        self._client, self._checks = client, checks
 
     def count(self) -> int:
         """Return the number of workers that are connected."""
-        with _losses():
+        with _connection_errors():
             return len(self._client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Workers:
         ClusterError
             No worker is left.
         """
-        with _losses():
+        with _connection_errors():
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
         # The functions called here raise no OSError themselves, so it is the connection that broke.
         left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
@@ -117,7 +117,7 @@ class Workers:
         finished: SimpleQueue[Future[Any]] = SimpleQueue()
         try:
             while True:
-                room = max(_AHEAD * self.count(), 1) - len(numbers)
+                room = max(_TASKS_PER_WORKER * self.count(), 1) - len(numbers)
                 for number, task in islice(waiting, max(room, 0)):
                     future = self._client.submit(function, *task, pure=False)
                     numbers[future] = number
@@ -133,11 +133,11 @@ class Workers:
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
         """Wait for a finished task, and check meanwhile that there are workers."""
         without = 0
-        while without < self._looks:
+        while without < self._checks:
             with suppress(Empty):
-                return finished.get(timeout=_LOOK_S)
+                return finished.get(timeout=_CHECK_S)
             without = 0 if self.count() else without + 1
-        raise ClusterError(f"all workers were lost, and none came within {_LOOK_S * self._looks:.0f} s")
+        raise ClusterError(f"all workers were lost, and none came within {_CHECK_S * self._checks:.0f} s")
 
 
 @contextmanager
@@ -149,7 +149,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
     ImportError
         ``cryptography``, which makes their certificate, is not installed.
     """
-    _quiet()
+    _silence_dask()
     security = Security.temporary()  # its key stays in memory; workers receive it through a pipe
     with ExitStack() as running:
         resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
@@ -173,7 +173,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
                 )
             )
             workers = Workers(
-                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_LOOKS
+                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_CHECKS
             )
         try:
             yield workers
@@ -198,7 +198,7 @@ def workers_at(address: str, patience_s: float, tls: TlsFiles | None = None) -> 
     ClusterError
         No scheduler answers within ``patience_s`` seconds, or it has no workers by then.
     """
-    _quiet()
+    _silence_dask()
     try:
         client = Client(address, security=_security(tls), timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -222,13 +222,13 @@ def threads_here() -> int:
     return int(get_worker().state.nthreads)
 
 
-def _quiet() -> None:
+def _silence_dask() -> None:
     """Silence dask's log: errors are raised, and workers that are stopped would log errors."""
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def _result(future: Future[Any]) -> Any:
-    with _losses():
+    with _connection_errors():
         error = future.exception()
         if error is None:
             return future.result()
@@ -238,7 +238,7 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextmanager
-def _losses() -> Iterator[None]:
+def _connection_errors() -> Iterator[None]:
     """Turn the exceptions of a client that lost the scheduler into ClusterError."""
     try:
         yield

@@ -61,7 +61,7 @@ def _find_workers(scheduler: str, tls_config: Path | None, stack: ExitStack) -> 
     from bumpytiles import TlsFiles, workers_at
 
     start = "Start it: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address"
-    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// where it uses TLS"
+    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// if it uses TLS"
     if tls_config is not None:
         settings = read_tls_settings(tls_config)
         tls = TlsFiles(str(settings.ca), str(settings.cert), str(settings.key))

@@ -64,7 +64,7 @@ class Workspace:
         ) as run:
             _drop_damaged(run.path)
             with writing_in(scratch or run.path, "`out` or `scratch`"):
-                waiting = _points_place(run, out, scratch)
+                waiting = _choose_points_folder(run, out, scratch)
             try:
                 space = cls(run.path, waiting, run.run_spec)
                 space._make_folders()
@@ -129,7 +129,7 @@ def _records(folder: Path) -> list[Path]:
 
 def _holds_work(folder: Path, out: Path) -> bool:
     """Return whether there are finished tiles, or records of chunks that are read."""
-    places = (folder / _POINTS, _earlier_points_place(folder, out))
+    places = (folder / _POINTS, _earlier_points_folder(folder, out))
     return bool(_tiles(folder)) or any(_records(place) for place in places if place is not None)
 
 
@@ -142,12 +142,12 @@ def _drop_damaged(folder: Path) -> None:
             path.unlink()
 
 
-def _points_place(run: RunFolder, out: Path, scratch: Path | None) -> Path:
+def _choose_points_folder(run: RunFolder, out: Path, scratch: Path | None) -> Path:
     """Return the folder for waiting points: that of the earlier run if it is in the same place, else a new one.
 
     Points that an earlier run left elsewhere are deleted.
     """
-    inside, earlier = run.path / _POINTS, _earlier_points_place(run.path, out)
+    inside, earlier = run.path / _POINTS, _earlier_points_folder(run.path, out)
     if scratch is None:
         waiting = inside
         waiting.mkdir(mode=0o700, exist_ok=True)
@@ -167,7 +167,7 @@ def _points_place(run: RunFolder, out: Path, scratch: Path | None) -> Path:
     return waiting
 
 
-def _earlier_points_place(folder: Path, out: Path) -> Path | None:
+def _earlier_points_folder(folder: Path, out: Path) -> Path | None:
     """Return the folder with the waiting points of an earlier run; None unless its owner record names this output.
 
     The output may be a copy, and its record may name any folder.
