@@ -101,8 +101,8 @@ class ScanModel:
         metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
             raise BadInputError(
-                f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
-                f"those of version {SECTOR_VERSION}. {_REMEDY}"
+                f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap uses "
+                f"version {SECTOR_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, metadata["grid"])
 

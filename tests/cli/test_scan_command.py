@@ -309,7 +309,7 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
         ('method = "magic"', "must be one of filter, learned"),
         ('products = ["maps"]', "must be one of polygons"),
         ("frames = [1]", "must be a string"),
-        ('frames = "drive"', "must be a list of texts"),
+        ('frames = "drive"', "must be a list of strings"),
         ("skip_bad = 1", "must be true or false"),
         ("[robot]\nradius_m = true", "must be a number"),
         ("frames = [", "cannot read settings"),
