@@ -1,4 +1,4 @@
-"""The command line: argv to settings, one call, a printed summary. Commands are loaded when they are asked for."""
+"""The command line: arguments to settings, one call, a printed summary. Commands are imported when they run."""
 
 import sys
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._ending import Ended, end_of
+from bumpymap.cli._exit_code import RunInterrupted, exit_code_of
 from bumpymap.core import Terminated, interruptible
 
 __all__ = ["main"]
@@ -26,18 +26,18 @@ _COMMANDS = {
 
 
 _INTERRUPTED, _TERMINATED = 130, 143
-"""What shells expect after Ctrl-C (SIGINT) and after SIGTERM."""
+"""Exit codes after Ctrl-C (SIGINT) and after SIGTERM, as shells expect them."""
 
 
 class _LazyGroup(click.Group):
     """A group whose commands live in ``bumpymap.cli.NAME`` and are imported when they run."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the commands."""
+        """Return the names of the commands."""
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command; None where there is none of that name."""
+        """Import and return a command; None if there is none of that name."""
         if cmd_name not in _COMMANDS:
             return None
         command = import_module(f"bumpymap.cli.{cmd_name}_command").command
@@ -57,9 +57,9 @@ class _LazyGroup(click.Group):
                 return super().invoke(ctx)
         except KeyboardInterrupt as end:
             terminated = isinstance(end, Terminated)
-            said = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
-            message = " ".join(said + getattr(end, "__notes__", []))
-            raise Ended(message, _TERMINATED if terminated else _INTERRUPTED) from None
+            sentences = ["Terminated." if terminated else "Interrupted.", "No file is half-written."]
+            message = " ".join(sentences + getattr(end, "__notes__", []))
+            raise RunInterrupted(message, _TERMINATED if terminated else _INTERRUPTED) from None
 
     def main(
         self,
@@ -69,16 +69,16 @@ class _LazyGroup(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run the words of a command line; a failure becomes one message and the exit code, see `end_of`.
+        """Run a command line; a failure becomes one message and the exit code, see `exit_code_of`.
 
-        ``obj`` of the context is True where the words are those of the process, which is then the command's own.
+        ``obj`` of the context is True if the arguments are those of the process, which then runs only this command.
         """
         extra.setdefault("obj", args is None)
         words = list(sys.argv[1:] if args is None else args)
         run = partial(super().main, words, prog_name, complete_var, standalone_mode=False, **extra)
         if not standalone_mode:
             return run()
-        sys.exit(end_of(run, words))
+        sys.exit(exit_code_of(run, words))
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

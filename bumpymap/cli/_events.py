@@ -1,4 +1,4 @@
-"""Events of ``--log-json``: what happens in a run, one JSON object a line on standard error."""
+"""Events of ``--log-json``: one JSON object per line on standard error."""
 
 import json
 import logging
@@ -7,19 +7,19 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
 
-from bumpymap.cli._text import complain
+from bumpymap.cli._text import print_error
 
-__all__ = ["emit", "keeping_the_log", "set_up_logging"]
+__all__ = ["emit", "restored_logging", "set_up_logging"]
 
 
 def emit(event: str, **facts: Any) -> None:
-    """Print one event with the time that it happened at."""
+    """Print one event with the current time."""
     time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    complain(json.dumps({"time": time, "event": event, **facts}))
+    print_error(json.dumps({"time": time, "event": event, **facts}))
 
 
 class _Handler(logging.Handler):
-    """Prints records of the log as lines or as events."""
+    """Prints log records as lines or as events."""
 
     def __init__(self, *, as_json: bool) -> None:
         super().__init__()
@@ -35,12 +35,12 @@ class _Handler(logging.Handler):
         if self._as_json:
             emit(level, message=message, logger=record.name)
         else:
-            complain(f"{level.capitalize()}: {message}")
+            print_error(f"{level.capitalize()}: {message}")
 
 
 @contextmanager
-def keeping_the_log() -> Iterator[None]:
-    """Leave the log as it was for a caller that goes on after a command."""
+def restored_logging() -> Iterator[None]:
+    """Restore the log settings at the end, for a caller that continues after a command."""
     logger = logging.getLogger("bumpymap")
     before = logger.handlers, logger.level, logger.propagate
     try:
@@ -51,7 +51,7 @@ def keeping_the_log() -> Iterator[None]:
 
 
 def set_up_logging(*, as_json: bool) -> None:
-    """Send the warnings of bumpymap and of its engine to standard error, as text or as events."""
+    """Print the warnings of bumpymap and its engine to standard error, as text or as events."""
     for name in ("bumpymap", "bumpytiles"):
         logger = logging.getLogger(name)
         logger.handlers = [_Handler(as_json=as_json)]

@@ -1,4 +1,4 @@
-"""What ``bumpymap info`` says about one survey: facts as records, and what a run would need."""
+"""The report of ``bumpymap info`` about one survey, and the estimate of a run."""
 
 import shlex
 from collections.abc import Sequence
@@ -19,42 +19,42 @@ from bumpymap.core import (
     vertical_of,
 )
 from bumpymap.readers import PointSummary, SurveyInfo
-from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, made_for, size_options
+from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, models_for, size_options
 from bumpytiles import Bounds, Grid
 
 __all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
 
 _FAR_APART = 100_000.0
-"""No drone or tile of an airborne survey is longer, m."""
+"""Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One file: what its header says, what its points say, or why it cannot be read."""
+    """The report about one file: from its header and its points, or why it cannot be read."""
 
     path: Path | str
     grid: Grid
     info: SurveyInfo | None = None
     summary: PointSummary | None = None
-    """None with ``--quick``, and where no point counts."""
+    """None with ``--quick``, and if no point is left."""
     dropped: dict[str, int] | None = None
-    """None with ``--quick``."""
+    """Number of dropped points by reason; None with ``--quick``."""
     error: str = ""
     options: tuple[str, ...] = ()
-    """Of the command line that ``map`` wants too, such as ``--crs EPSG:32614``."""
+    """Options of the command line that ``map`` needs too, such as ``--crs EPSG:32614``."""
     ground: Ground = "auto"
-    """Which points ``map`` will be told to measure."""
+    """The ``ground`` setting for ``map``."""
 
     @property
     def bounds(self) -> Bounds | None:
-        """Of the points where they were read, else of the header, m."""
+        """Bounds of the points if they were read, else of the header, m."""
         if self.summary is not None:
             return self.summary.bounds
         return self.info.bounds if self.info else None
 
     @property
     def density(self) -> float | None:
-        """Points per square metre: of the median tile, or of the header's count over its box."""
+        """Points per square metre: in the median tile, or the number in the header over its extent."""
         if self.summary is not None:
             return self.summary.density
         bounds = self.bounds
@@ -63,26 +63,28 @@ class Report:
 
     @property
     def outcome(self) -> Outcome | None:
-        """What ``bumpymap map`` will make of its tiles; None where its points were not read."""
+        """Forecast of the tiles that ``bumpymap map`` will make; None if the points were not read."""
         return outcome_of(self.summary, self.ground) if self.summary is not None else None
 
     def needs(self) -> list[str]:
-        """Say what ``bumpymap map`` would need or make of it; one sentence each."""
+        """Return what ``bumpymap map`` needs for this file, or the command to map it; one sentence each."""
         if self.info is None:
             return [self.error]
-        said: list[str] = []
+        lines: list[str] = []
         if self.info.georeference.crs is None:
-            said.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
+            lines.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if self.dropped is not None and self.summary is None:
-            said.append("no usable points (all are withheld, noise or without return): nothing to map")
-        said += self._spread() + self._unknown()
+            lines.append("no usable points (all are withheld, noise or without return): nothing to map")
+        lines += self._spread() + self._unknown()
         if size_options(self.grid):
-            said.append(f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {made_for(self.grid)}")
+            lines.append(
+                f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
+            )
         summary = self.summary
         if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
             share = summary.ground_tiles / summary.tiles
-            said.append(f"ground points (class 2) in {share:.0%} of the tiles only: --ground auto will use all points")
-        return said or [self._ready()]
+            lines.append(f"ground points (class 2) in only {share:.0%} of tiles: --ground auto will use all points")
+        return lines or [self._ready()]
 
     def _ready(self) -> str:
         words = ["bumpymap", "map", str(self.path), *self.options, "--out", "DIR"]
@@ -90,21 +92,21 @@ class Report:
         return f"ready{few}: {shlex.join(words)}"
 
     def _unknown(self) -> list[str]:
-        """Say how many tiles will be unknown; from a header alone, whether it promises enough points."""
+        """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
         settings = FeatureSettings()
         if self.outcome is not None:
-            said = advise(self.outcome, self.grid, settings, foretold=True)
-            return [said] if said else []
+            text = advise(self.outcome, self.grid, settings, before_run=True)
+            return [text] if text else []
         if self.dropped is not None or self.density is None:
             return []
         per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings)
         if per_tile >= enough:
             return []
-        said = (
+        text = (
             f"according to the header there are {per_tile:.0f} points per {self.grid.tile_size:g} m tile, and about "
             f"{enough} are needed: most tiles will be unknown. Run without --quick to see how many, and what would help"
         )
-        return [said]
+        return [text]
 
     def _spread(self) -> list[str]:
         bounds = self.bounds
@@ -117,8 +119,8 @@ class Report:
 
 
 def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
-    """Foretell what ``map`` will make of the tiles."""
-    # None of class 2 where they are wanted: map will refuse, info says that all tiles are without ground.
+    """Forecast the tiles that ``map`` will make."""
+    # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
     ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
     return Outcome(
         tiles=summary.tiles,
@@ -130,7 +132,7 @@ def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
 
 
 def as_record(report: Report) -> dict[str, Any]:
-    """Everything about one file, for ``--json``."""
+    """Return everything about one file, for ``--json``."""
     info, summary = report.info, report.summary
     if info is None:
         return {"path": str(report.path), "error": report.error}
@@ -168,12 +170,12 @@ def as_record(report: Report) -> dict[str, Any]:
 
 
 def _shares(outcome: Outcome) -> dict[str, float]:
-    """Shares of the tiles that will be unknown, by reason."""
+    """Return the shares of the tiles that will be unknown, by reason."""
     return {REASON_TEXT[reason]: count / outcome.tiles for reason, count in outcome.unknown.items() if count}
 
 
 def as_rows(report: Report) -> list[tuple[str, str]]:
-    """Name the facts about one file for people; none where it cannot be read."""
+    """Return the facts about one file as (name, text); empty if it cannot be read."""
     info, summary = report.info, report.summary
     if info is None:
         return []
@@ -200,7 +202,7 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
 
 
 def estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
-    """Estimate one run over all files that can be read; None where there are none."""
+    """Estimate one run over all files that can be read; None if there are none."""
     readable = [report for report in reports if report.info is not None]
     if not readable:
         return None
@@ -210,7 +212,7 @@ def estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
 
 
 def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
-    """Everything about the run, for ``--json``."""
+    """Return everything about the run, for ``--json``."""
     return {
         "memory_option_bytes": budget.memory,
         "threads": budget.threads,
@@ -224,7 +226,7 @@ def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
 
 
 def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
-    """Name what a run will take, for people."""
+    """Return the needs of a run as (name, text)."""
     unknown = "unknown until the points are read: run without --quick"
     scratch = f"at most {decimal(forecast.scratch)} in --scratch; less if blocks are complete early"
     out = None if forecast.out is None else f"at most {decimal(forecast.out)} in --out: finished tiles, and the layers"

@@ -1,4 +1,4 @@
-"""Options that commands share, and what was typed: a given option counts, whatever its value is."""
+"""Options that several commands have, and which options were given on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -9,10 +9,10 @@ from click.core import ParameterSource
 from bumpymap.core import Clash, refuse_clashes
 
 __all__ = [
-    "joined",
-    "option",
+    "given_options",
+    "merge_settings",
+    "option_name",
     "output_options",
-    "typed",
     "workers_option",
 ]
 
@@ -20,7 +20,7 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
-    """Add ``--quiet`` and ``--log-json``; ``what`` says what is not printed."""
+    """Add ``--quiet`` and ``--log-json``; ``what`` is the help text of ``--quiet``."""
 
     def add(command: _Command) -> _Command:
         log_json = click.option("--log-json", is_flag=True, help="Print events, warnings and errors as JSON lines.")
@@ -30,38 +30,38 @@ def output_options(what: str = "Print no progress and no summary.") -> Callable[
 
 
 def workers_option(default: str) -> Callable[[_Command], _Command]:
-    """Add ``--workers``; ``default`` says what happens without it."""
+    """Add ``--workers``; ``default`` is its default in the help text."""
     text = f"Worker processes on this machine [default: {default}]."
     return click.option("--workers", type=click.IntRange(min=1), metavar="N", help=text)
 
 
-def typed(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Choose the options that were given on the command line: 0 and an empty text count, a default does not.
+def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that were given on the command line, even with an empty value; leave out defaults.
 
     Parameters
     ----------
     options : mapping
-        Name -> value, of the command that runs.
+        Name -> value of all options of the current command.
     """
     source = click.get_current_context().get_parameter_source
     return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
 
 
-def option(name: str) -> str:
-    """Spell an option of a setting."""
+def option_name(name: str) -> str:
+    """Return the option of a setting, such as ``--tile-size``."""
     return f"--{name.replace('_', '-')}"
 
 
-def joined(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
-    """Join the settings of a file and those typed, which win: also over what contradicts them.
+def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
+    """Merge the settings of a file and of the command line, which also override settings that contradict them.
 
     Raises
     ------
     UsageError
-        Settings of one origin contradict each other.
+        Settings of one source contradict each other.
     """
     refuse_clashes(from_file, clashes)
-    refuse_clashes(given, clashes, option)
+    refuse_clashes(given, clashes, option_name)
     both = from_file | given
     lost = {
         name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in given

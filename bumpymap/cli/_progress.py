@@ -1,4 +1,4 @@
-"""How far a run is, for people at a terminal, for the log of a batch system, and for machines."""
+"""Progress of a run: bars on a terminal, lines in the log of a batch system, or JSON events."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from bumpymap.cli._events import emit
-from bumpymap.cli._text import complain, error_console, safe
-from bumpymap.core import Progress as Told
+from bumpymap.cli._text import error_console, escape, print_error
+from bumpymap.core import Progress as BaseProgress
 
 __all__ = ["Clock", "CommandProgress", "EventProgress", "LineProgress", "show_progress"]
 
@@ -19,15 +19,15 @@ Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
 
 
-class CommandProgress(Told, Protocol):
-    """Told how far a run is, and now and then what came of a step."""
+class CommandProgress(BaseProgress, Protocol):
+    """A progress that can also report the result of a step."""
 
     def note(self, text: str, event: str, **facts: Any) -> None:
-        """Say what came of a step: a line for people, an event for machines."""
+        """Report the result of a step, as a line of text or as an event."""
 
 
 class _Quiet:
-    """Says nothing."""
+    """Prints nothing."""
 
     def start(self, stage: str, total: int | None) -> None:
         """Do nothing."""
@@ -40,7 +40,7 @@ class _Quiet:
 
 
 class _Bars:
-    """A bar with the time to go for each stage."""
+    """One bar per stage, with the remaining time."""
 
     def __init__(self, bars: Progress) -> None:
         self._bars = bars
@@ -50,20 +50,20 @@ class _Bars:
         """Begin a stage: a new bar."""
         if self._bars.tasks and self._bars.tasks[-1].total is None:
             self._bars.update(self._bars.tasks[-1].id, total=1, completed=1)
-        self._task = self._bars.add_task(safe(stage), total=total)
+        self._task = self._bars.add_task(escape(stage), total=total)
 
     def advance(self, steps: int) -> None:
-        """Go further along the bar of this stage."""
+        """Advance the bar of this stage."""
         if self._task is not None:
             self._bars.advance(self._task, steps)
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line above the bars."""
-        complain(text)
+        print_error(text)
 
 
-class _Counted:
-    """Counts the steps of a stage; `tick` tells of them."""
+class _StepCounter:
+    """Counts the steps of a stage; `tick` of a subclass prints them."""
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock, self._begun = clock, clock()
@@ -80,31 +80,31 @@ class _Counted:
         with self._lock:
             self._done += steps
 
-    def _seen(self) -> tuple[str, int, int | None, float]:
+    def _state(self) -> tuple[str, int, int | None, float]:
         with self._lock:
             return self._stage, self._done, self._total, self._clock() - self._begun
 
 
-class LineProgress(_Counted):
-    """A plain line each time it is asked: time since the run began, stage, share."""
+class LineProgress(_StepCounter):
+    """Prints a line at each `tick`: time since the run began, stage, share."""
 
     def tick(self) -> None:
         """Print a line."""
-        stage, done, total, seconds = self._seen()
+        stage, done, total, seconds = self._state()
         if not stage:
             return
         minutes, seconds = divmod(int(seconds), 60)
         since = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
         counted = f"{done:,}" if not total else f"{min(done / total, 1.0):.0%} ({done:,} of {total:,})"
-        complain(f"{since} {stage}: {counted}")
+        print_error(f"{since} {stage}: {counted}")
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line."""
-        complain(text)
+        print_error(text)
 
 
-class EventProgress(_Counted):
-    """Events: one when a stage begins, one each time it is asked."""
+class EventProgress(_StepCounter):
+    """Prints an event when a stage begins and at each `tick`."""
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage."""
@@ -112,51 +112,51 @@ class EventProgress(_Counted):
         emit("stage", stage=stage, total=total)
 
     def tick(self) -> None:
-        """Tell of the steps."""
-        stage, done, total, seconds = self._seen()
+        """Print an event with the number of steps."""
+        stage, done, total, seconds = self._state()
         if stage:
             share = round(min(done / total, 1.0), 4) if total else None
             emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
 
     def note(self, text: str, event: str, **facts: Any) -> None:
-        """Tell of the step."""
+        """Print an event."""
         emit(event, **facts)
 
 
 @contextmanager
 def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[CommandProgress]:
-    """Give what a run tells its progress to.
+    """Yield the progress to pass to a run.
 
     Parameters
     ----------
     quiet : bool
-        Say nothing.
+        Print nothing.
     as_json : bool
-        Say it in events; else with bars on a terminal, and with a line now and then where standard error is none.
+        Print events; otherwise show bars on a terminal, and print lines if standard error is not a terminal.
     """
     if quiet:
         yield _Quiet()
         return
     if as_json:
         events = EventProgress()
-        with _ticking(events.tick, _EVENT_SECONDS):
+        with _calling_every(events.tick, _EVENT_SECONDS):
             yield events
         return
     console = error_console()
     if not console.is_terminal:
         lines = LineProgress()
-        with _ticking(lines.tick, _LINE_SECONDS):
+        with _calling_every(lines.tick, _LINE_SECONDS):
             yield lines
         return
-    with _drawn(console) as bars:
+    with _moving_bars(console) as bars:
         yield bars
 
 
 @contextmanager
-def _drawn(console: Console) -> Iterator[_Bars]:
+def _moving_bars(console: Console) -> Iterator[_Bars]:
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
-    with suppress(RuntimeError):  # no thread to be had: the run goes on without moving bars
+    with suppress(RuntimeError):  # no thread can be started: the run goes on with still bars
         bars.start()
     try:
         yield _Bars(bars)
@@ -165,8 +165,8 @@ def _drawn(console: Console) -> Iterator[_Bars]:
 
 
 @contextmanager
-def _ticking(tick: Callable[[], None], seconds: float) -> Iterator[None]:
-    """Call something every so many seconds during the body of a ``with``, from another thread."""
+def _calling_every(tick: Callable[[], None], seconds: float) -> Iterator[None]:
+    """Call ``tick`` at this interval, from another thread, during the body of the ``with``."""
     ended = Event()
 
     def run() -> None:
@@ -174,7 +174,7 @@ def _ticking(tick: Callable[[], None], seconds: float) -> Iterator[None]:
             tick()
 
     thread = Thread(target=run, daemon=True, name="progress")
-    with suppress(RuntimeError):  # no thread to be had: the run goes on without a word
+    with suppress(RuntimeError):  # no thread can be started: the run goes on without progress
         thread.start()
     try:
         yield

@@ -5,51 +5,51 @@ from statistics import median
 from typing import Any
 
 from bumpymap.cli._summary import ALREADY_DONE
-from bumpymap.cli._text import say, say_json, say_table
+from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.scan import ScanConfig, ScanRun, StripeModel
 
 __all__ = ["show", "show_fit"]
 
 
 def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
-    """Print what a run did: as a table, or as one JSON object."""
+    """Print the result of a run as a table, or as one JSON object."""
     record = _record(result, config)
     if as_json:
-        say_json(record)
+        print_json(record)
         return
     if result.already_done:
-        say(f"Already done: {config.out} {ALREADY_DONE}")
-    say(
+        print_line(f"Already done: {config.out} {ALREADY_DONE}")
+    print_line(
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
         f"{sum(result.seconds.values()):.1f} s in total"
     )
     dropped = record["dropped"]
-    say(
+    print_line(
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
-    say_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
+    print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
-        say(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
-    say(f"Output in {config.out}: {', '.join(result.files)}")
+        print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
+    print_line(f"Output in {config.out}: {', '.join(result.files)}")
     if result.drive is not None:
         tiles = result.drive.summary
-        say(
+        print_line(
             f"Map of the drive in {result.drive.files[0].parent}: {tiles.tiles:,} tiles, {tiles.unknown:,} of them "
             "unknown"
         )
 
 
 def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
-    """Print what a fit found."""
+    """Print the result of a fit."""
     if as_json:
         found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
-        say_json(found | {"skipped": skipped})
+        print_json(found | {"skipped": skipped})
         return
     centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    say(f"class 0 to 2: {centres} stripes, from {model.sectors:,} sectors of {model.scans:,} frames")
-    say(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
+    print_line(f"class 0 to 2: {centres} stripes, from {model.sectors:,} sectors of {model.scans:,} frames")
+    print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
 
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from bumpymap.cli._text import say, say_json, say_table
+from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import CLASS_NAMES, MapConfig, Reason
 from bumpymap.layers import MapSummary
 from bumpymap.survey import MapResult, Measured, Outcome, advise
@@ -15,31 +15,31 @@ ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was w
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 _MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
-"""Where ground comes from: the survey, or the filter."""
+"""Source of the ground points: the survey, or the cloth filter."""
 
 
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
-    """Print what a run did: as a table, or as one JSON object."""
+    """Print the result of a run as a table, or as one JSON object."""
     if as_json:
-        say_json(_record(result, config))
+        print_json(_record(result, config))
         return
     summary = result.summary
     if result.already_done:
-        say(f"Already done: {config.out} {ALREADY_DONE}")
+        print_line(f"Already done: {config.out} {ALREADY_DONE}")
     which = _outcome(result, config).measured
-    say(
+    print_line(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from "
         f"{'all points' if which == 'points' else which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
-    say_table(_rows(summary), _TITLES)
+    print_table(_rows(summary), _TITLES)
     share = summary.passable / summary.tiles
-    say(f"{share:.1%} of the tiles are passable: known, not too steep, and under half of the drives fail")
+    print_line(f"{share:.1%} of the tiles are passable: known, not too steep, and under half of the drives fail")
     if advice := _advice(result, config):
-        say(advice)
+        print_line(advice)
     if result.skipped:
-        say(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
-    say(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
+        print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
+    print_line(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
 
 
 def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
@@ -67,9 +67,9 @@ def _outcome(result: MapResult, config: MapConfig) -> Outcome:
 
 
 def _advice(result: MapResult, config: MapConfig) -> str:
-    """Say what to do where tiles are unknown; nothing where few are."""
+    """Return advice if many tiles are unknown, else an empty string."""
     grid = Grid(config.tile_size, config.pixels)
-    return advise(_outcome(result, config), grid, config.features, foretold=False)
+    return advise(_outcome(result, config), grid, config.features, before_run=False)
 
 
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""What the commands share: paths of the command line, and what to say where a run is ended."""
+"""Types of paths on the command line, and the note that says how to resume a command."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,16 +9,16 @@ import click
 
 from bumpymap.core import path_fault
 
-__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "telling_how_to_go_on"]
+__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "interrupt_note"]
 
 DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
 
 class _NamedPath(click.Path):
-    """A path that is not the empty text: an unset shell variable must not mean the current folder."""
+    """A path that is not empty: an unset shell variable must not mean the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Turn a text into a Path."""
+        """Convert a string to a Path."""
         if value == "":
             self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
         if isinstance(value, str) and (reason := path_fault(value)):
@@ -29,14 +29,14 @@ class _NamedPath(click.Path):
 PATH = _NamedPath(path_type=Path)
 """Type of every path on the command line."""
 FILE = _NamedPath(dir_okay=False, path_type=Path)
-"""Of a path that must not be a folder."""
+"""Type of a path that must not be a folder."""
 
 
 class _Location(_NamedPath):
-    """A path, or the text of a URL, which stays a text."""
+    """A path, or a URL, which stays a string."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Turn a text into a Path, unless it is a URL."""
+        """Convert a string to a Path, unless it is a URL."""
         return value if isinstance(value, str) and "://" in value else super().convert(value, param, ctx)
 
 
@@ -45,8 +45,8 @@ LOCATION = _Location(path_type=Path)
 
 
 @contextmanager
-def telling_how_to_go_on(note: str) -> Iterator[None]:
-    """Say on Ctrl-C or SIGTERM what is kept; the group of commands prints it and exits."""
+def interrupt_note(note: str) -> Iterator[None]:
+    """Add a note to the message after Ctrl-C or SIGTERM."""
     try:
         yield
     except KeyboardInterrupt as end:

@@ -1,8 +1,8 @@
-r"""The one place where text leaves for the terminal: it is shown, whatever a file name or a library put into it.
+r"""Printing to the terminal: all output of the command line goes through this module, which makes it safe.
 
-A name may hold escapes that a terminal obeys, line breaks that forge a message, and marks that turn the direction of
-writing. All of them are shown escaped (``\x1b``, ``\n``, ``\u202e``) here, so that no caller has to think of it. One
-call is one line.
+A file name may hold escape sequences that a terminal executes, line breaks that forge a message, and marks that change
+the direction of text. They are printed escaped (``\x1b``, ``\n``, ``\u202e``), so that callers need not do it. One call
+prints one line.
 """
 
 import errno
@@ -23,56 +23,56 @@ from bumpymap.core import OutputError
 
 __all__ = [
     "LostOutputError",
-    "complain",
     "error_console",
+    "escape",
     "flush",
-    "safe",
-    "say",
-    "say_json",
-    "say_labelled",
-    "say_table",
+    "print_error",
+    "print_json",
+    "print_labelled",
+    "print_line",
+    "print_table",
 ]
 
 _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Unicode categories: controls, marks without a shape (directions of writing among them), surrogates, line breaks."""
+"""Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
 
 
-LOST_READER = 141
-"""What shells expect of a program whose reader has left (SIGPIPE), as after ``| head -1``."""
+BROKEN_PIPE = 141
+"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 
 
 class LostOutputError(OutputError):
-    """Standard output takes no more."""
+    """Standard output cannot be written."""
 
     def __init__(self, error: OSError) -> None:
         super().__init__(
             f"cannot write to standard output: {error.strerror}. What was printed is cut off; send it elsewhere"
         )
-        if error.errno == errno.EPIPE:  # nothing went wrong
-            self.exit_code = LOST_READER
+        if error.errno == errno.EPIPE:  # not a failure: the reader has seen enough
+            self.exit_code = BROKEN_PIPE
 
 
-def safe(text: str) -> str:
-    r"""Escape what a terminal would act on.
+def escape(text: str) -> str:
+    r"""Escape characters that a terminal would interpret.
 
     Parameters
     ----------
     text : str
-        Any; bytes that Python could not decode in a file name (surrogate escapes) are shown as ``\xNN``.
+        Any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``.
 
     Returns
     -------
     str
-        Printable, in one line.
+        Printable text in one line.
     """
-    return text if text.isprintable() else "".join(map(_shown, text))
+    return text if text.isprintable() else "".join(map(_escaped, text))
 
 
-def _spelled(text: str) -> str:
-    return safe(as_options(text))
+def _as_shown(text: str) -> str:
+    return escape(as_options(text))
 
 
-def _shown(letter: str) -> str:
+def _escaped(letter: str) -> str:
     if unicodedata.category(letter) not in _SHOWN_ESCAPED:
         return letter
     if "\udc80" <= letter <= "\udcff":
@@ -80,18 +80,18 @@ def _shown(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
 
 
-def say(text: str = "", style: str = "") -> None:
-    """Print one line to standard output; ``style`` is rich's, for terminals."""
-    _print(Text(_spelled(text), style))
+def print_line(text: str = "", style: str = "") -> None:
+    """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
+    _print(Text(_as_shown(text), style))
 
 
-def say_labelled(label: str, text: str, style: str) -> None:
-    """Print a line whose beginning is styled."""
-    _print(Text(safe(label), style).append(_spelled(text), "default"))
+def print_labelled(label: str, text: str, style: str) -> None:
+    """Print a line that begins with a styled label."""
+    _print(Text(escape(label), style).append(_as_shown(text), "default"))
 
 
-def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
-    """Print a table: numbers under titles, the first column to the left; else names, indented, and what they name."""
+def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
+    """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
     if titles:
         table = Table(box=None, pad_edge=False)
         for column, title in enumerate(titles):
@@ -101,47 +101,47 @@ def say_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None
         table.add_column(style="cyan", no_wrap=True)
         table.add_column(overflow="fold")
     for row in rows:
-        first, *others = (Text(_spelled(cell)) for cell in row)
+        first, *others = (Text(_as_shown(cell)) for cell in row)
         table.add_row(first if titles else Text("  ").append_text(first), *others)
     _print(table)
 
 
-def say_json(record: Any, indent: int | None = None) -> None:
+def print_json(record: Any, indent: int | None = None) -> None:
     """Print JSON to standard output, in ASCII."""
     _write(as_options(json.dumps(record, indent=indent)) + "\n")
 
 
-def complain(text: str) -> None:
-    """Print one line to standard error, if that still takes any: a run does not end for want of a reader."""
+def print_error(text: str) -> None:
+    """Print one line to standard error; ignore a failure, which must not end a run."""
     stream = sys.stderr
     if stream is None:
         return
     try:
-        stream.write(_encodable(_spelled(text), stream) + "\n")
+        stream.write(_encodable(_as_shown(text), stream) + "\n")
         stream.flush()
     except (OSError, ValueError):  # full, or closed
         _silence(stream)
 
 
 def flush() -> None:
-    """Bring to an end what is written to standard output, while a failure can still be told."""
+    """Flush standard output while a failure can still be reported."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
-        raise _lost(error) from error
+        raise _stdout_error(error) from error
 
 
 def error_console() -> Console:
-    """Give a console on standard error, for bars."""
+    """Return a console on standard error, for progress bars."""
     return Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
 class _Rendered(io.StringIO):
-    """Takes what rich makes of a text for standard output."""
+    """Receives the text that rich renders for standard output."""
 
     def isatty(self) -> bool:
-        """Say whether it will be shown on a terminal, and so with colours."""
+        """Return whether standard output is a terminal, so that rich uses colours."""
         return sys.stdout is not None and sys.stdout.isatty()
 
 
@@ -159,22 +159,22 @@ def _write(text: str) -> None:
         stream.write(_encodable(text, stream))
         stream.flush()
     except OSError as error:
-        raise _lost(error) from error
+        raise _stdout_error(error) from error
 
 
-def _lost(error: OSError) -> LostOutputError:
+def _stdout_error(error: OSError) -> LostOutputError:
     _silence(sys.stdout)
     return LostOutputError(error)
 
 
 def _encodable(text: str, stream: TextIO) -> str:
-    """Escape what the stream's encoding does not know."""
+    """Escape characters that the encoding of the stream does not have."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _silence(stream: TextIO) -> None:
-    """Let what is left in a stream's buffer go nowhere, or the interpreter would complain of it at its end."""
+    """Discard the buffer of a broken stream, which the interpreter would otherwise report at exit."""
     try:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, stream.fileno())

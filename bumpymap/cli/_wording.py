@@ -1,7 +1,7 @@
-"""Settings in messages, as the command line spells them.
+"""Settings in messages, turned into options of the command line.
 
 The library names a setting in backquotes, as an argument of a Python call: ``crs``, ``crs='EPSG:32614'``,
-``overwrite=True``, ``tile_size=5``. A Python caller reads it like that; on the command line it is an option.
+``overwrite=True``, ``tile_size=5``. The command line prints it as an option.
 """
 
 import re
@@ -13,7 +13,7 @@ _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 
 
 def as_options(text: str) -> str:
-    """Spell the settings that a text names in backquotes as options: ``--crs EPSG:32614``, ``--overwrite``."""
+    """Replace the settings in backquotes by options: ``--crs EPSG:32614``, ``--overwrite``."""
     return _SETTING.sub(_option, text) if "`" in text else text
 
 

@@ -1,4 +1,4 @@
-"""``bumpymap calibrate``: drive a vehicle over simulated terrain and write what each kind of ground costs it."""
+"""``bumpymap calibrate``: drive a vehicle over simulated terrain and write its ride cost by kind of ground."""
 
 import os
 import shlex
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import option, output_options, typed, workers_option
+from bumpymap.cli._options import given_options, option_name, output_options, workers_option
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, FILE, telling_how_to_go_on
-from bumpymap.cli._text import complain, say, say_json
+from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note
+from bumpymap.cli._text import print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def command(
     set_up_logging(as_json=log_json)
     profile = load_profile(vehicle)
     settings = CalibrationSettings(profile)
-    settings = replace(settings.quick() if quick else settings, **typed(given))
+    settings = replace(settings.quick() if quick else settings, **given_options(given))
     if check:
         _refuse_beside_check()
         _check(profile, settings.seed)
@@ -78,16 +78,16 @@ def command(
     if quiet:
         return
     if log_json:
-        say_json({"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits})
+        print_json({"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits})
         return
     _summary(calibration, out)
 
 
 def _refuse_beside_check() -> None:
-    """Refuse what has no effect on a check."""
-    foreign = set(typed(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
+    """Raise UsageError for options that have no effect on a check."""
+    foreign = set(given_options(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
     for name in sorted(foreign):
-        raise UsageError(f"--check makes no calibration and writes nothing: leave out {option(name)} or --check")
+        raise UsageError(f"--check makes no calibration and writes nothing: leave out {option_name(name)} or --check")
 
 
 def _calibrate(
@@ -97,7 +97,7 @@ def _calibrate(
 
     require_dart()
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
-    with locked(out.parent, f".{out.name}.lock"), telling_how_to_go_on(DRIVES_KEPT):
+    with locked(out.parent, f".{out.name}.lock"), interrupt_note(DRIVES_KEPT):
         _check_place(out, overwrite)
         progress.start("driving", settings.total_drives)
         calibration = calibrate_vehicle(
@@ -116,7 +116,7 @@ def _calibrate(
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
-    """Refuse a place that cannot be written before the hours of work, not after."""
+    """Raise OutputError if the file cannot be written, before the hours of work."""
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     try:
@@ -128,7 +128,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
 
 
 def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quick: bool) -> str:
-    """How to make the file again."""
+    """Return the command that makes the file again."""
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
     words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
@@ -142,29 +142,33 @@ def _summary(calibration: "Calibration", out: Path) -> None:
 
     pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
     drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
-    say(f"calibration {calibration.id} of {calibration.vehicle['name']}")
-    say(f"  {drives} drives over textures, {failed:.0f} failed")
+    print_line(f"calibration {calibration.id} of {calibration.vehicle['name']}")
+    print_line(f"  {drives} drives over textures, {failed:.0f} failed")
     library = library_terrains(calibration)
     drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
-    say(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
+    print_line(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
     limits = (0.0, *calibration.class_limits)
     for class_id, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
-        say(
+        print_line(
             f"  class {class_id} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
             f"mean {mean:.3f} rad/m ({degrees(mean):4.1f} deg/m)"
         )
-    say(f"wrote {out}")
+    print_line(f"wrote {out}")
 
 
 def _check(profile: "Vehicle", seed: int) -> None:
-    """Print a table of the checks; exit code 1 where one fails."""
+    """Print a table of the checks; exit with code 1 if one fails."""
     from bumpymap.lab import all_checks
 
     failed = 0
-    say(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")
+    print_line(f"{'check':52s} {'measured':>12s} {'allowed':>12s}")
     for result in all_checks(profile, seed):
-        say(f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}")
+        print_line(
+            f"{result.name:52s} {result.measured:12.3g} {result.allowed:>12s}  {'ok' if result.ok else 'FAILED'}"
+        )
         failed += not result.ok
     if failed:
-        complain(f"{failed} checks failed: its calibrations are not reliable; look for a wrong number in the profile")
+        print_error(
+            f"{failed} checks failed: its calibrations are not reliable; look for a wrong number in the profile"
+        )
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""``bumpymap demo``: a first map in a minute."""
+"""``bumpymap demo``: map a synthetic survey as an example."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
-from bumpymap.cli._text import say
+from bumpymap.cli._text import print_line
 from bumpymap.core import MapConfig
 
 __all__ = ["command"]
@@ -48,6 +48,6 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     if log_json:
         show(result, config, as_json=True)
         return
-    say(f"Mapped {survey}")
+    print_line(f"Mapped {survey}")
     show(result, config, as_json=False)
-    say(f"Open {config.out / 'class.tif'} or {config.out / 'cost.geojson'} in QGIS or any other GIS.")
+    print_line(f"Open {config.out / 'class.tif'} or {config.out / 'cost.geojson'} in QGIS or any other GIS.")

@@ -1,4 +1,4 @@
-"""``bumpymap evaluate``: can the map be trusted? Its predictions beside drives over the very same ground."""
+"""``bumpymap evaluate``: compare the predictions of a map with simulated drives over the same ground."""
 
 import os
 from contextlib import AbstractContextManager
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import joined, option, output_options, typed, workers_option
+from bumpymap.cli._options import given_options, merge_settings, option_name, output_options, workers_option
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, telling_how_to_go_on
-from bumpymap.cli._text import say, say_json
+from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note
+from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import CRS_OR_LOCAL, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite", "quiet", "
 _OF_SCANS = ("scenes", "model", "stripes")
 _OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
 _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("densities",)}
-"""What a part that is left out was asked with."""
+"""Options that have no effect if a part is skipped."""
 
 
 @click.command("evaluate")
@@ -96,8 +96,8 @@ def command(
     bumpymap evaluate --scans --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)
-    shown = _Shown(quiet, log_json)
-    _refuse_foreign(places=bool(surveys), scans=scans)
+    shown = _Output(quiet, log_json)
+    _refuse_other_options(places=bool(surveys), scans=scans)
     if scans:
         if library:
             raise UsageError("--scans and --library are separate evaluations; give one of them")
@@ -106,7 +106,7 @@ def command(
     if library == bool(surveys):
         raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans")
     settings = _settings(given)
-    _refuse_idle(settings, library=library)
+    _refuse_unused_options(settings, library=library)
     subjects = _subjects(given)
     _require(settings)
     from bumpymap.lab import TrialOptions, evaluate_library, evaluate_survey, open_readers, write_report
@@ -114,7 +114,7 @@ def command(
 
     options = ReadOptions(crs=crs, z_unit=z_unit)
     readers = [] if library else open_readers(surveys, options, local=local)
-    with locked(out), telling_how_to_go_on(DRIVES_KEPT), shown.progress() as progress:
+    with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
         trial = TrialOptions(out, workers or os.cpu_count() or 1, overwrite, progress)
         findings = (
@@ -127,53 +127,53 @@ def command(
         _summary(findings, files)
 
 
-def _refuse_foreign(*, places: bool, scans: bool) -> None:
-    """Refuse options of the other evaluation: they would have no effect."""
-    given = typed(click.get_current_context().params)
+def _refuse_other_options(*, places: bool, scans: bool) -> None:
+    """Raise UsageError for options of the other evaluation, which would have no effect."""
+    given = given_options(click.get_current_context().params)
     for name in given:
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
             raise UsageError(
-                f"{option(name)} applies to surveys and vehicles and has no effect with --scans: leave it out"
+                f"{option_name(name)} applies to surveys and vehicles and has no effect with --scans: leave it out"
             )
         if not scans and name in _OF_SCANS:
-            raise UsageError(f"{option(name)} applies to scans: add --scans, or leave it out")
+            raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
     if scans and places and "scenes" in given:
         raise UsageError("--scenes applies to simulated scenes: leave out --scenes or the frames")
 
 
-def _refuse_idle(settings: "EvaluateSettings", *, library: bool) -> None:
-    """Refuse options about what this evaluation does not read or do."""
-    given = typed(click.get_current_context().params)
-    joined({}, given, [CRS_OR_LOCAL])
+def _refuse_unused_options(settings: "EvaluateSettings", *, library: bool) -> None:
+    """Raise UsageError for options about inputs or parts that this evaluation does not use."""
+    given = given_options(click.get_current_context().params)
+    merge_settings({}, given, [CRS_OR_LOCAL])
     for name in _OF_SURVEYS if library else ():
         if name in given:
-            raise UsageError(f"{option(name)} applies to surveys and has no effect with --library: leave it out")
+            raise UsageError(f"{option_name(name)} applies to surveys and has no effect with --library: leave it out")
     for part, names in _OF_PARTS.items():
         for name in names:
             if part in settings.skip and name in given:
-                raise UsageError(f"{option(name)} has no effect with --skip {part}: leave one of them out")
+                raise UsageError(f"{option_name(name)} has no effect with --skip {part}: leave one of them out")
 
 
 @dataclass(frozen=True, slots=True)
-class _Shown:
-    """What an evaluation prints beside its report."""
+class _Output:
+    """What an evaluation prints in addition to its report."""
 
     quiet: bool
     log_json: bool
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """Show how far it is."""
+        """Return the context manager that shows the progress."""
         return show_progress(quiet=self.quiet, as_json=self.log_json)
 
     def summary(self, out: Path, files: list[Path]) -> bool:
-        """Say as JSON what was written, where that is wanted; True where people want a summary."""
+        """Print the list of files as JSON with ``log_json``; return whether to print a summary as text."""
         if self.log_json and not self.quiet:
-            say_json({"out": str(out), "files": [path.name for path in files]})
+            print_json({"out": str(out), "files": [path.name for path in files]})
         return not (self.quiet or self.log_json)
 
 
 def _evaluate_scans(
-    places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Shown, *, overwrite: bool
+    places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Output, *, overwrite: bool
 ) -> None:
     from bumpymap.lab import (
         ScanEvaluateSettings,
@@ -202,10 +202,10 @@ def _evaluate_scans(
     if not shown.summary(out, files):
         return
     for method, found in findings.accuracy.items():
-        say(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
+        print_line(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
     for cost in findings.costs:
-        say(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
-    say(f"wrote {files[0]}")
+        print_line(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
+    print_line(f"wrote {files[0]}")
 
 
 def _settings(given: dict[str, Any]) -> "EvaluateSettings":
@@ -217,7 +217,7 @@ def _settings(given: dict[str, Any]) -> "EvaluateSettings":
         raise UsageError(f"--densities is '{given['densities']}'; it must be numbers, such as 100,50,20") from error
     skip = frozenset(word.strip() for word in given["skip"].split(",") if word.strip())
     names = ("total_patches", "min_starts", "max_starts", "seed", "rating")
-    own = {name: value for name, value in typed(given).items() if name in names}
+    own = {name: value for name, value in given_options(given).items() if name in names}
     return EvaluateSettings(densities=densities, skip=skip, **own)
 
 
@@ -236,7 +236,7 @@ def _subjects(given: dict[str, Any]) -> "list[Subject]":
 
 
 def _require(settings: "EvaluateSettings") -> None:
-    """Refuse before the hours of work what cannot be done without a library."""
+    """Raise UsageError if a library is missing, before the hours of work."""
     from bumpymap.lab import require_dart, require_matplotlib
 
     require_matplotlib()
@@ -245,7 +245,7 @@ def _require(settings: "EvaluateSettings") -> None:
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
-    """Refuse to replace a report before the hours of work, not after."""
+    """Raise OutputError if a report would be replaced, before the hours of work."""
     from bumpymap.lab import REPORT
 
     if (out / REPORT).exists() and not overwrite:
@@ -258,10 +258,10 @@ def _summary(findings: "Findings", files: list[Path]) -> None:
     from bumpymap.lab import number, percent
 
     for vehicle, found in findings.comparisons.items():
-        say(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")
+        print_line(f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed")
         for name, own in found.agreement.items():
-            say(
+            print_line(
                 f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
                 f"same class {percent(own.steps.same):>7s}"
             )
-    say(f"wrote {files[0]}")
+    print_line(f"wrote {files[0]}")

@@ -1,4 +1,4 @@
-"""``bumpymap info``: what is in a survey, and what a run would need."""
+"""``bumpymap info``: report what a survey contains, and what a run needs."""
 
 import logging
 import os
@@ -14,7 +14,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
-from bumpymap.cli._text import say, say_json, say_labelled, say_table
+from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
 from bumpymap.core import Ground, MapConfig, ZUnit
 
 if TYPE_CHECKING:
@@ -79,9 +79,9 @@ def command(
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
-    logging.getLogger("bumpymap").setLevel(logging.ERROR)  # what the readers would warn about stands in the report
+    logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     count = (os.cpu_count() or 1) if threads is None else threads
-    # Held to the bounds of a run.
+    # Checks that the settings are valid for a run.
     run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, threads=count)
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
@@ -89,22 +89,22 @@ def command(
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
-        look = partial(_look, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
+        look = partial(_inspect, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
         reports = [look(path) for path in paths]
-    together = _together(reports)
-    forecast = None if together else estimated(reports, budget)
+    write_together = _why_not_together(reports)
+    forecast = None if write_together else estimated(reports, budget)
     if as_json:
-        record = {"files": [as_record(report) for report in reports], "together": " ".join(together)}
-        say_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
+        record = {"files": [as_record(report) for report in reports], "together": " ".join(write_together)}
+        print_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
-        _show(reports, together or _one_map(surveys, reports, whole))
+        _show(reports, write_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
             _show_run(forecast, grid, memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
 
-def _look(
+def _inspect(
     path: Path | str,
     options: "ReadOptions",
     ground: Ground,
@@ -112,28 +112,28 @@ def _look(
     progress: CommandProgress,
     whole: "PointSummaryBuilder | None",
 ) -> "Report":
-    """Open a file, read it and add it to the whole if there is one; what is wrong becomes part of the report."""
+    """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
     from bumpymap.cli._info_report import Report
     from bumpymap.core import BadInputError, FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey
 
-    given = tuple(_given(options, ground))
+    given = tuple(_map_options(options, ground))
     try:
         reader = open_survey(path, options)
         if whole is None:
             return Report(path, grid, reader.info, options=given, ground=ground)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        tally = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
-        whole.merge(tally)
-        summary = tally.summary()
-        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, and left out
+        builder = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
+        whole.merge(builder)
+        summary = builder.summary()
+        progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
 
 
-def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
-    """Give the options that ``map`` wants as well."""
+def _map_options(options: "ReadOptions", ground: Ground) -> Iterator[str]:
+    """Yield the options that ``map`` needs too."""
     if options.crs is not None:
         yield from ("--crs", options.crs)
     if options.z_unit is not None:
@@ -144,8 +144,8 @@ def _given(options: "ReadOptions", ground: Ground) -> Iterator[str]:
         yield from ("--ground", ground)
 
 
-def _together(reports: "list[Report]") -> list[str]:
-    """Why the files cannot be mapped in one run, in lines; empty where they can."""
+def _why_not_together(reports: "list[Report]") -> list[str]:
+    """Return why the files cannot be mapped in one run, in lines; empty if they can."""
     from bumpymap.core import BadInputError, common_georeference
 
     infos = [report.info for report in reports if report.info is not None]
@@ -157,10 +157,10 @@ def _together(reports: "list[Report]") -> list[str]:
     return []
 
 
-def _one_map(
+def _advise_one_map(
     surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointSummaryBuilder | None"
 ) -> list[str]:
-    """Say how several files make one map; empty for one file, or where one is bad."""
+    """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
     from bumpymap.cli._info_report import outcome_of
     from bumpymap.core import FeatureSettings
     from bumpymap.survey import advise
@@ -170,32 +170,32 @@ def _one_map(
         return []
     points = sum(info.point_count for info in infos)
     command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, "--out", "DIR"])
-    said = f"{len(reports)} files, {points:,} points, one map: {command}"
+    text = f"{len(reports)} files, {points:,} points, one map: {command}"
     summary = whole.summary() if whole is not None else None
     if summary is None:
-        return [said]
+        return [text]
     outcome = outcome_of(summary, reports[0].ground)
-    advice = advise(outcome, reports[0].grid, FeatureSettings(), foretold=True)
-    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", said]
+    advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
+    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", text]
 
 
-def _show(reports: "list[Report]", together: list[str]) -> None:
+def _show(reports: "list[Report]", write_together: list[str]) -> None:
     from bumpymap.cli._info_report import as_rows
 
     for report in reports:
-        say(str(report.path), "bold")
-        say_table(as_rows(report))
-        # Not in the table: commands must come out in one line, to be copied.
+        print_line(str(report.path), "bold")
+        print_table(as_rows(report))
+        # Not in the table, which would wrap commands: they must stay on one line to be copied.
         for need in report.needs():
             label = "cannot be read" if report.error else "to map it"
-            say_labelled(f"  {label}: ", need, "yellow")
-        say()
-    for number, line in enumerate(together):
-        say(line if number else f"together: {line}", "bold")
+            print_labelled(f"  {label}: ", need, "yellow")
+        print_line()
+    for number, line in enumerate(write_together):
+        print_line(line if number else f"together: {line}", "bold")
 
 
 def _show_run(forecast: "Estimate", grid: "Grid", memory: str, threads: int) -> None:
     from bumpymap.cli._info_report import run_rows
 
-    say(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
-    say_table(run_rows(forecast, grid))
+    print_line(f"a run with --memory {memory} on {threads} thread" + ("s" if threads > 1 else ""), "bold")
+    print_table(run_rows(forecast, grid))

@@ -1,4 +1,4 @@
-"""``bumpymap map``: the main job."""
+"""``bumpymap map``: make roughness layers and a cost map from surveys."""
 
 from pathlib import Path
 from typing import Any, get_args
@@ -6,7 +6,7 @@ from typing import Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import joined, output_options, typed, workers_option
+from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import LOCATION, PATH
 from bumpymap.core import CLASHES, Compat, Ground, MapConfig, Rating, UsageError, ZUnit, read_settings_file
@@ -60,7 +60,7 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
 
     set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}
-    settings = joined(from_file, typed(given), CLASHES)
+    settings = merge_settings(from_file, given_options(given), CLASHES)
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
         if name not in settings:
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")

@@ -1,4 +1,4 @@
-"""``bumpymap scan``: class the ground in single scans of a moving robot; with poses, map its drive."""
+"""``bumpymap scan``: classify the ground in scans of a robot; with poses, map its drive."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import joined, option, output_options, typed
+from bumpymap.cli._options import given_options, merge_settings, option_name, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import PATH
 from bumpymap.core import VEHICLE_OR_CALIBRATION, Compat, UsageError
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["METHODS", "PRODUCTS", "command"]
 
 _PARTLY_DONE = 4
-# The libraries behind these would take --help half a second; a test holds the names to theirs.
+# Copied from bumpymap.scan, whose import would slow --help down by half a second; a test compares them.
 METHODS = ("filter", "learned")
 PRODUCTS = ("polygons", "table", "cloud", "picture")
 _NOT_OF_A_FIT = (
@@ -101,23 +101,23 @@ def command(
 
 
 def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> "ScanConfig":
-    """Join the settings of the file and of the command line, which wins."""
+    """Merge the settings of the file and of the command line, which override them."""
     from dataclasses import replace
 
     from bumpymap.core import read_settings_file
     from bumpymap.scan import ScanConfig
 
-    options = typed(given)
+    options = given_options(given)
     if fit is not None:
         wrong = [name for name in _NOT_OF_A_FIT if name in options]
         if wrong:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option(wrong[0])}")
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
     settings = read_settings_file(config_file, ScanConfig) if config_file else {}
     polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
     radius = options.pop("robot_radius", None)
     if "products" in options:
         options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
-    settings = joined(settings, options, [VEHICLE_OR_CALIBRATION])
+    settings = merge_settings(settings, options, [VEHICLE_OR_CALIBRATION])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):

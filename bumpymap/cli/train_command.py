@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import option, output_options, typed
+from bumpymap.cli._options import given_options, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import FILE, telling_how_to_go_on
-from bumpymap.cli._text import say, say_json
+from bumpymap.cli._terminal import FILE, interrupt_note
+from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _OF_TEXTURES = ("patches_per_texture", "tile_size", "pixels")
 _OF_SCANS = ("scenes", "sectors_per_class")
 
 
-# Defaults stand in the help as text: they live in rooms that import torch. A test holds the texts to them.
+# Defaults are text in the help, because their modules import torch; a test compares them.
 @click.command("train")
 @click.option(
     "--out",
@@ -75,15 +75,15 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)
-    options = typed(given)
-    _refuse_foreign(options, scans)
+    options = given_options(given)
+    _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     note = "Give the same command again to continue after the last complete epoch."
-    with telling_how_to_go_on(note), show_progress(quiet=quiet, as_json=log_json) as progress:
+    with interrupt_note(note), show_progress(quiet=quiet, as_json=log_json) as progress:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
         else:
@@ -91,15 +91,15 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     if quiet:
         return
     if log_json:
-        say_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
+        print_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
         return
     for line in lines:
-        say(line)
+        print_line(line)
 
 
-def _refuse_foreign(options: dict[str, Any], scans: str | None) -> None:
-    """Refuse options of the other network: they would have no effect."""
-    foreign = [option(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
+def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
+    """Raise UsageError for options of the other network, which would have no effect."""
+    foreign = [option_name(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
     if foreign and scans is None:
         raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
     if foreign:
@@ -149,7 +149,7 @@ def _train_scans(
 
 
 def _gathering(progress: Progress) -> Callable[[int, int], None]:
-    """Show a bar for each set of scans: those to learn from, those to be judged by."""
+    """Return a callback that shows a bar for each set of scans: for training and for testing."""
 
     def gathered(done: int, total: int) -> None:
         if done == 1:
@@ -160,13 +160,13 @@ def _gathering(progress: Progress) -> Callable[[int, int], None]:
 
 
 class _Epochs:
-    """Tells of each epoch that was learned."""
+    """Reports each epoch of a training."""
 
     def __init__(self, progress: CommandProgress) -> None:
         self._progress, self._begun = progress, False
 
     def __call__(self, report: "EpochReport") -> None:
-        """Count an epoch and say what came of it."""
+        """Count an epoch and report its result."""
         if not self._begun:
             self._progress.start("learning epochs", report.epochs)
             self._progress.advance(report.epoch - 1)
@@ -180,7 +180,7 @@ class _Epochs:
 
 
 def _require(*, simulates: bool) -> None:
-    """Refuse before the hours of work what cannot be done without a library."""
+    """Raise UsageError if a library is missing, before the hours of work."""
     wanted = ("torch", "onnx", "open3d") if simulates else ("torch", "onnx")
     missing = [name for name in wanted if find_spec(name) is None]
     if missing:

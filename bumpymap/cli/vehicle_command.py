@@ -1,4 +1,4 @@
-"""``bumpymap vehicle``: vehicle profiles. Which there are, what one means, one to fill in."""
+"""``bumpymap vehicle``: list, check and create vehicle profiles."""
 
 import shlex
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._terminal import PATH
-from bumpymap.cli._text import say
+from bumpymap.cli._text import print_line
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
@@ -32,7 +32,7 @@ def list_command() -> None:
     from bumpymap.rating import load_profile, shipped_profiles
 
     for name in shipped_profiles():
-        say(f"{name:12s} {load_profile(name).description}")
+        print_line(f"{name:12s} {load_profile(name).description}")
 
 
 @command.command("check")
@@ -46,7 +46,7 @@ def check_command(vehicle: str) -> None:
 
     profile = load_profile(vehicle)
     for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
-        say(f"{name:13s} {value}")  # one line each: a command in it must be one to copy
+        print_line(f"{name:13s} {value}")  # one line each, so that a command in it can be copied
 
 
 @command.command("new")
@@ -63,7 +63,7 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
     path = out or Path(f"{name}.toml")
     write_profile_template(name, path, like)
     what = "change what differs" if like else "fill it in"
-    say(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
+    print_line(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
 
 
 def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
@@ -81,7 +81,7 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
 
 
 def _calibration(vehicle: str) -> str:
-    """Say whether the vehicle has a calibration that fits."""
+    """Return the calibration of the vehicle and how to use it, or why there is none."""
     from bumpymap.core import BadInputError
     from bumpymap.rating import find_calibration
 

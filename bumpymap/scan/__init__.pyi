@@ -6,6 +6,9 @@ from .classifier import (
 from .config import (
     ScanConfig as ScanConfig,
 )
+from .fit import (
+    fit_frames as fit_frames,
+)
 from .learned import (
     CHANNELS as CHANNELS,
     CLASS_OF_LABEL as CLASS_OF_LABEL,
@@ -23,7 +26,6 @@ from .paper import (
 )
 from .pipeline import (
     ScanRun as ScanRun,
-    fit_frames as fit_frames,
     scan_frames as scan_frames,
 )
 from .polar import (

@@ -1,4 +1,4 @@
-"""Class the ground of scans in memory: one call for one scan, an object for the loop of a robot."""
+"""Classify the ground of scans in memory: a function for one scan, an object for the loop of a robot."""
 
 import os
 from collections.abc import Mapping
@@ -38,20 +38,20 @@ _NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traver
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ScanResult:
-    """The classed ground of one scan: arrays with one row a point, and arrays with one row a sector."""
+    """The classified ground of one scan: arrays with one row per point, and arrays with one row per sector."""
 
     points: NDArray[np.float32]
-    """(n, 3) m. Those that were given (not copied where they are float32); of a file, those of the scene."""
+    """(n, 3) m. The given points (not copied if they are float32); of a file, those without returns on the robot."""
     point_class: NDArray[np.uint8]
     """(n,) 0 smooth, 1 fair, 2 rough; 255 not traversable, or in no measured sector."""
     point_sector: NDArray[np.int32]
-    """(n,) row of the point's sector in the arrays of sectors; -1 where no measured sector holds it."""
+    """(n,) row of the point's sector in the arrays of sectors; -1 if it is in no measured sector."""
     sectors: ClassedSectors
-    """All that was measured of the sectors; its parts that matter most are properties of this object."""
+    """All measures of the sectors; the most important ones are also properties of this object."""
 
     @property
     def class_names(self) -> dict[int, str]:
-        """What each class is called: 0 to 2, and 255."""
+        """Name of each class: 0 to 2, and 255."""
         return dict(_NAMES)
 
     @property
@@ -82,7 +82,7 @@ class ScanResult:
 
     @property
     def point_confidence(self) -> NDArray[np.float32]:
-        """(n,) confidence of each point's sector; NaN where it has none."""
+        """(n,) confidence of each point's sector; NaN if it is in none."""
         padded: NDArray[np.float32] = np.append(self.sector_confidence, np.float32(np.nan))
         return padded[self.point_sector]
 
@@ -95,30 +95,29 @@ class ScanResult:
 
 
 class ScanClassifier:
-    """Classes scan after scan with one network and one set of buffers, for the loop of a robot.
+    """Classifies scan after scan with one network and one set of buffers, for the loop of a robot.
 
-    The first scan takes longer than the others: the network and the compiled loops are loaded. Use one object in each
-    thread.
+    The first scan takes longer, because the network and the compiled code are loaded. Use one object per thread.
 
     Parameters
     ----------
     method : {"learned", "filter"}, optional
-        How sectors are classed; the default is the network, where one ships for the grid.
+        How sectors are classified; the default is the network if one is included for the grid.
     model : path, optional
-        A scan network, instead of the one that ships.
+        A scan network, instead of the included one.
     stripes : path, optional
-        Stripe classes of the filter method, instead of those that ship.
+        Stripe classes of the filter method, instead of the included ones.
     compat : {"none", "paper"}
-        ``paper``: fit the stripe classes anew in every scan.
+        ``paper``: fit the stripe classes in every scan.
     polar : dict, optional
         The polar grid, with the names and values of ``[polar]`` in a settings file.
     robot : dict, optional
-        What the sensor sees of the robot that carries it, as ``[robot]`` in a settings file.
+        Which returns are on the robot itself, with the names and values of ``[robot]`` in a settings file.
 
     Raises
     ------
     UsageError
-        Settings that cannot be used, or do not go together.
+        Settings are invalid, or contradict each other.
     BadInputError
         The network or the stripe classes cannot be read.
 
@@ -148,30 +147,30 @@ class ScanClassifier:
     ) -> None:
         given = {"method": method, "model": model, "stripes": stripes, "compat": compat, "polar": polar, "robot": robot}
         settings = settings_of_call(given, ScanConfig, "ScanClassifier")
-        config = ScanConfig(frames=(), out=Path(), **settings)  # nothing is read or written by way of these two
+        config = ScanConfig(frames=(), out=Path(), **settings)  # these two are not used
         self._robot = config.robot
         self._blind = config.robot.box_m is None and config.robot.radius_m <= config.polar.zone_starts_m[0]
         self._method = choose_method(config)
 
     def __call__(self, points: ScanSource, /) -> ScanResult:
-        """Class the ground of one scan.
+        """Classify the ground of one scan.
 
         Parameters
         ----------
         points : array (n, 3 or more) or path
-            x forward, y to the left, z up, in the sensor's frame, m; further columns are not looked at. Returns at
+            x forward, y to the left, z up, in the sensor's frame, m; further columns are ignored. Returns at
             (0, 0, 0), those that are not finite and those on the robot get class 255. Or a file: PLY, PCD or
             KITTI-style ``.bin``.
 
         Returns
         -------
         ScanResult
-            The next scan leaves its arrays alone.
+            Its arrays are not changed by the next scan.
 
         Raises
         ------
         UsageError
-            The array has no three columns of numbers.
+            The array does not have three columns of numbers.
         BadInputError
             The file cannot be read.
         """
@@ -180,7 +179,7 @@ class ScanClassifier:
             classed = self._method.classify(scan)
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
         array = _columns(points)
-        # Points nearer than the grid begins have no say in any sector.
+        # Points nearer than the inner border of the grid are in no sector.
         kept = None if self._blind and np.isfinite(array).all() else scene_points(array, self._robot)
         scan = Scan(array if kept is None else array[kept])
         classed = self._method.classify(scan)
@@ -201,14 +200,14 @@ def classify_scan(
     polar: PolarSettings | Mapping[str, Any] | None = None,
     robot: Robot | Mapping[str, Any] | None = None,
 ) -> ScanResult:
-    """Class the ground of one scan.
+    """Classify the ground of one scan.
 
     Parameters
     ----------
     points : array (n, 3 or more) or path
         As for a call of `ScanClassifier`.
     method, model, stripes, compat, polar, robot
-        As for `ScanClassifier`, which is the thing for scan after scan.
+        As for `ScanClassifier`, which is faster for several scans.
 
     Returns
     -------
@@ -217,14 +216,14 @@ def classify_scan(
     Raises
     ------
     BumpymapError
-        Settings that cannot be used, points that are none, a file that cannot be read.
+        Invalid settings or points, or a file that cannot be read.
     """
     classifier = ScanClassifier(method=method, model=model, stripes=stripes, compat=compat, polar=polar, robot=robot)
     return classifier(points)
 
 
 def _columns(points: ArrayLike) -> NDArray[np.float32]:
-    """Take x, y and z of an array of points, as the kernels want them."""
+    """Return x, y and z of an array of points as contiguous float32."""
     try:
         array = np.asarray(points)
         if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu":
@@ -236,7 +235,7 @@ def _columns(points: ArrayLike) -> NDArray[np.float32]:
 
 
 def _spread(values: NDArray[Any], kept: NDArray[np.bool_], gap: int) -> NDArray[Any]:
-    """Put the values of the kept points in their rows among all."""
+    """Return the values of the kept points in their rows of the full array, ``gap`` elsewhere."""
     full = np.full(len(kept), gap, values.dtype)
     full[kept] = values
     return full

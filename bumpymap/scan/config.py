@@ -1,4 +1,4 @@
-"""Settings of a scan run: one tree of defaults that works with no file. Unknown keys are refused."""
+"""Settings of a scan run. All have defaults except the frames and the folder of the products."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,36 +15,36 @@ SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
 
 @dataclass(frozen=True, slots=True)
 class ScanConfig:
-    """Everything that a scan run depends on."""
+    """All settings of a scan run."""
 
     frames: tuple[Path, ...]
     """Files of scans, or folders of them."""
     out: Path
     """Folder for the products; of a fit, the file for the stripe classes."""
     poses: Path | None = None
-    """Where the sensor was at each frame; the frames are then gathered and mapped like a survey."""
+    """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
     crs: str | None = None
     """CRS of the poses, in metres; None: local coordinates."""
     method: ScanMethod | None = None
-    """How sectors are classed; None: learned where a network ships that knows the grid, else filter."""
+    """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Path | None = None
-    """A scan network; instead of the one that ships."""
+    """A scan network, instead of the included one."""
     stripes: Path | None = None
-    """Stripe classes of the filter method; instead of those that ship."""
+    """Stripe classes of the filter method, instead of the included ones."""
     compat: Compat = "none"
-    """``paper``: fit the stripe classes anew in every scan, as the paper does."""
+    """``paper``: fit the stripe classes in every scan, as the paper does."""
     products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
-    """What is written of the frames."""
+    """Which files are written for the frames."""
     vehicle: NameOrFile | None = None
     """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
     calibration: Path | None = None
-    """A calibration file for the mapped layers; instead of ``vehicle``."""
+    """A calibration file for the mapped layers, instead of ``vehicle``."""
     skip_bad: bool = False
-    """Go on without the frames that cannot be read."""
+    """Skip frames that cannot be read."""
     overwrite: bool = False
     """Replace the products of an earlier run."""
     resume: bool = False
-    """Go on with an interrupted run."""
+    """Continue an interrupted run."""
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
 

@@ -1,9 +1,8 @@
-"""The learning method: a small network looks at the heightmap of each sector and says how rough it is.
+"""The learned method: a small network classifies the heightmap of each sector.
 
-What a sector is compared with, the rest of its scan decides in one place only: ``beside``, the number of its points
-against that of the other ground in the ring. The same inputs give the same answer whatever else goes through the
-network: sectors go in batches of one fixed size, the last one padded, on one thread, through a graph that treats each
-by itself.
+The only input that depends on the rest of the scan is ``beside``: the number of points relative to that of the other
+ground in the ring. The result for a sector does not depend on the others in the batch: batches have a fixed size, the
+last one is padded, inference runs on one thread, and the graph treats each sector separately.
 """
 
 import hashlib
@@ -43,11 +42,11 @@ __all__ = [
 ]
 
 SECTOR_VERSION = 2
-"""Version of what the network sees: ``network_input``. A change asks for training."""
+"""Version of ``network_input``. After a change networks must be trained again."""
 CHANNELS = 2
-"""Pictures of a sector: relief scaled by its own range, and relief by its size."""
+"""Image channels of a sector: heights scaled by their own range, and heights on a fixed scale."""
 MEASURES = ("count", "beside", "coverage", "z_deviation", "residual", "upright", "distance")
-"""Numbers beside the pictures: what filled pixels and scaling hide."""
+"""Scalar inputs of the network, which the filled and scaled images do not show."""
 CLASS_OF_LABEL = {
     **dict.fromkeys((3, 10, 1, 23), 0),
     **dict.fromkeys((6, 31, 33, 19, 34), 1),
@@ -64,7 +63,7 @@ _REMEDY = "Train one with: bumpymap train --scans simulated --out MODEL.onnx"
 
 @dataclass(frozen=True, slots=True)
 class ScanModel:
-    """A network for the sectors of a scan, as plain data that travels between processes."""
+    """A network for the sectors of a scan, as plain picklable data."""
 
     content: bytes
     """The ONNX file."""
@@ -79,7 +78,7 @@ class ScanModel:
         return hashlib.sha256(self.content).hexdigest()[:12]
 
     def require_grid(self, settings: PolarSettings) -> None:
-        """Raise UsageError where sectors of another grid are to be classed."""
+        """Raise UsageError if the network was trained for another grid."""
         if grid_record(settings) != self.grid:
             raise UsageError(
                 f"the polar grid is {grid_record(settings)}; the scan network {self.id} was trained for {self.grid}. "
@@ -88,28 +87,28 @@ class ScanModel:
 
     @classmethod
     def shipped(cls) -> "ScanModel":
-        """Read the network that ships with bumpymap."""
+        """Read the network that is included in bumpymap."""
         return cls.from_bytes(shipped_network("scan", "scan.onnx"), "the scan network in the package")
 
     @classmethod
     def load(cls, path: Path) -> "ScanModel":
-        """Read a network that training wrote. Raises BadInputError where it is none."""
+        """Read a network from a file. Raises BadInputError if it is not a scan network."""
         return cls.from_bytes(read_network(path, _KIND, _REMEDY), str(path))
 
     @classmethod
     def from_bytes(cls, content: bytes, origin: str) -> "ScanModel":
-        """Check an ONNX file from ``origin``. Raises BadInputError where it is no scan network."""
+        """Check an ONNX file from ``origin``. Raises BadInputError if it is not a scan network."""
         metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
         if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
             raise BadInputError(
-                f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap makes "
-                f"those of version {SECTOR_VERSION}. {_REMEDY}"
+                f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap uses "
+                f"version {SECTOR_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, metadata["grid"])
 
 
 def grid_record(settings: PolarSettings) -> str:
-    """Write down what a network has to know of a grid: zones, sectors, rings, pixels."""
+    """Return the properties of a grid that a network depends on as JSON: zones, sectors, rings, pixels."""
     return json.dumps(
         {
             "zones_m": [*settings.zone_starts_m, settings.end_m],
@@ -121,7 +120,7 @@ def grid_record(settings: PolarSettings) -> str:
 
 
 def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
-    """Return the class of each label; -1 where it has none (void, sky, no labels at all)."""
+    """Return the class of each label; -1 if it has none (void, sky, no labels at all)."""
     table = np.full(max(CLASS_OF_LABEL) + 2, -1, np.int16)
     table[list(CLASS_OF_LABEL)] = list(CLASS_OF_LABEL.values())
     known = (labels >= 0) & (labels < len(table))
@@ -129,15 +128,15 @@ def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
 
 
 def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return what the network sees of sectors; training and inference both use this function.
+    """Return the network's inputs for sectors; training and inference both use this function.
 
     Returns
     -------
     patches : array (n, CHANNELS, pixels, pixels) float32
-        Heights over the sector's plane: scaled to [-1, 1] by their own range (0 where they have none), and as
-        asinh(h / 5 cm) / 3, which keeps a centimetre and a metre apart.
+        Heights above the sector's plane: scaled to [-1, 1] by their own range (0 if it is zero), and as
+        asinh(h / 5 cm) / 3, which resolves both centimetres and metres.
     measures : array (n, len(MEASURES)) float32
-        Each of them about -1 to 1.
+        Each about -1 to 1.
     """
     heights = stack.heights
     low = heights.min(axis=(1, 2), keepdims=True)
@@ -159,10 +158,10 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
 
 
 def _usual_count(stack: SectorStack) -> NDArray[np.float64]:
-    """Points of the ground in the same ring (median of what the gate lets through): what the sensor sees of it.
+    """Return the median number of points of traversable sectors in the same ring: what the sensor returns from ground.
 
-    Against it, water and wet mud show by the returns that they throw away, whatever the sensor. Walls and trees stand
-    out of it: they catch many lines, and beside them any ground would look wet.
+    Relative to it, water and wet mud have few points, whatever the sensor. Walls and trees are left out: they return
+    many points, and any ground would look wet in comparison.
     """
     ring = stack.zone.astype(np.int64) * (max(stack.settings.rings)) + stack.ring
     usual = np.empty(len(ring))
@@ -174,7 +173,7 @@ def _usual_count(stack: SectorStack) -> NDArray[np.float64]:
 
 
 def _distance(stack: SectorStack) -> NDArray[np.float64]:
-    """Distance of the middle of each sector, m."""
+    """Return the distance of the centre of each sector from the sensor, m."""
     settings = stack.settings
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     width = np.diff(edges) / np.array(settings.rings)
@@ -183,19 +182,19 @@ def _distance(stack: SectorStack) -> NDArray[np.float64]:
 
 
 def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:
-    """Class the sectors of a scan by the network.
+    """Classify the sectors of a scan with the network.
 
     Parameters
     ----------
     stack : SectorStack
-        Of any scan, labelled or not.
+        Labelled or not.
     model : ScanModel, optional
-        The one that ships with bumpymap, where none is given.
+        The default is the one included in bumpymap.
 
     Returns
     -------
     ClassedSectors
-        The likeliest class; ``NOT_TRAVERSABLE`` where the gate refuses the sector.
+        The most probable class; ``NOT_TRAVERSABLE`` for sectors that are not traversable.
 
     Raises
     ------
@@ -219,7 +218,7 @@ def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]
 
 
 def _infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Run a network on sectors; returns (n, CLASSES)."""
+    """Run a network on sectors; return probabilities (n, CLASSES)."""
     network = session(content)
     count = len(inputs["measures"])
     rows = -(-count // _BATCH) * _BATCH

@@ -1,4 +1,4 @@
-"""Which of the two methods classes the sectors of a run, with which stripe classes or network."""
+"""Choosing the method that classifies sectors, and loading its network or stripe classes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,25 +16,25 @@ __all__ = ["Method", "choose_method"]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """How a run classes sectors."""
+    """The method that classifies the sectors of a run."""
 
     name: ScanMethod
     basis: str
-    """What the classes come from, in words."""
+    """Description of the network or the stripe classes."""
     classify: Callable[[Scan], ClassedSectors]
-    """Cut a scan into sectors and class them; keeps its buffers for the next scan: for one thread at a time."""
+    """Cuts a scan into sectors and classifies them; keeps buffers for the next scan, so use it in one thread only."""
 
 
 def choose_method(config: ScanConfig) -> Method:
-    """Choose and load what the settings ask for.
+    """Choose the method according to the settings and load what it needs.
 
-    Without a wish it is the learned method, since a network is taught by labels, and knows mud or bushes as flat as
-    grass; stripes see relief alone. Where no network ships, or it was trained for another grid, it is the filter.
+    The default is the learned method: a network trained on labels recognises mud or bushes that are as flat as grass,
+    while stripes show only relief. If no network for the grid is included, the default is the filter.
 
     Raises
     ------
     UsageError
-        No network ships, or the network or the stripe classes are for another grid.
+        No network is included, or the network or the stripe classes are for another grid.
     BadInputError
         The network or the stripe classes cannot be read.
     """

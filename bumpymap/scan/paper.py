@@ -1,9 +1,9 @@
-"""The filter method by the paper's own rules, for comparison: ``--compat paper``.
+"""The filter method exactly as in the paper, for comparison: ``compat='paper'``.
 
-The grid stands still, heightmaps fill the bounding box of a sector's points in x and y, are scaled from their lowest to
-their highest pixel, and an empty pixel is black. The stripes are those that the sensor's scan lines leave in such a
-picture, so their direction turns with the azimuth; and the classes are found in each scan anew, so that class 0 is
-whatever has the most stripes in it.
+The grid does not turn with the scan. Heightmaps cover the bounding box of a sector's points in x and y, are scaled from
+their lowest to their highest pixel, and empty pixels are black. The stripes are the sensor's scan lines in such an
+image, so their direction depends on the azimuth. The classes are fitted in each scan, so class 0 is whatever has the
+most stripes in it.
 """
 
 import math
@@ -20,19 +20,19 @@ __all__ = ["classify_paper", "paper_heights", "paper_settings"]
 
 
 def paper_settings(settings: PolarSettings) -> PolarSettings:
-    """Take from a grid what the paper has not: the anchor and the look at what is overhead."""
+    """Return the grid without what the paper does not have: the anchor and the overhead check."""
     return replace(settings, anchored=False, overhead_m=math.inf)
 
 
 def classify_paper(scan: Scan, settings: PolarSettings | None = None, seed: int = 0) -> ClassedSectors:
-    """Class the sectors of one scan by the paper's rules.
+    """Classify the sectors of one scan by the paper's rules.
 
     Parameters
     ----------
     scan : Scan
     settings : PolarSettings, optional
     seed : int
-        Of k-means++.
+        Seed of k-means++.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def classify_paper(scan: Scan, settings: PolarSettings | None = None, seed: int 
 
 
 def _as_waves(heights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Take the mean off each picture, and scale it to the power of a wave of amplitude 1."""
+    """Subtract the mean of each image, and scale it to the power of a wave of amplitude 1."""
     waves = heights - heights.mean(axis=(1, 2), keepdims=True)
     power = np.sqrt(2.0 * (waves**2).mean(axis=(1, 2), keepdims=True))
     scaled: NDArray[np.float32] = np.asarray(waves / np.where(power > 0.0, power, 1.0), np.float32)
@@ -60,13 +60,13 @@ def _as_waves(heights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def paper_heights(scan: Scan, stack: SectorStack) -> NDArray[np.float32]:
-    """Give the paper's heightmaps.
+    """Return the paper's heightmaps.
 
     Returns
     -------
     (n, pixels, pixels) float32
         Mean z of a pixel, 0 for the lowest to 1 for the highest of the sector; north row (greatest y) first, west
-        column first; 0 where no point fell.
+        column first; 0 in pixels without points.
     """
     pixels, count = stack.settings.pixels, len(stack.zone)
     inside = np.flatnonzero(stack.point_sector >= 0)

@@ -1,8 +1,8 @@
 """From a scan to measured sectors of the concentric-zone polar grid.
 
-Sectors are fixed shares of a turn, so a scan that turns by part of a sector would be cut anew, and ground near a
-border would be judged in other company. The grid is therefore anchored to the scan: sector 0 starts in the mean
-direction of its points, and turns with them. A robot that turns on the spot keeps the sectors of the ground around it.
+Sectors are fixed fractions of a turn, so if the robot turned by part of a sector, the ground would be divided
+differently. The grid is therefore anchored to the scan: sector 0 starts in the mean direction of the points, and turns
+with them. When a robot turns on the spot, the sectors of the ground around it stay the same.
 """
 
 import math
@@ -21,17 +21,17 @@ RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
 _LABELS = 32_768
 _BLOCK = 512
-"""Points whose distance and direction are found at once: they stay in the nearest cache."""
+"""Points whose distance and direction are computed together: they fit into the L1 cache."""
 
 
 class SectorBuffers:
-    """Scratch arrays that grow to the largest scan seen and are used again for the next; for one thread at a time."""
+    """Scratch arrays that are reused from scan to scan and grow to the largest one; for one thread at a time."""
 
     def __init__(self) -> None:
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def empty(self, name: str, length: int, dtype: type, rows: int = 1) -> NDArray[Any]:
-        """Give an array (length,), or (rows, length) where there is more than one row, with anything in it."""
+        """Return an uninitialised array (length,), or (rows, length) if ``rows`` is more than one."""
         size = rows * length
         kept = self._arrays.get(name)
         if kept is None or len(kept) < size:
@@ -49,14 +49,14 @@ def polar_sectors(
     ----------
     scan : Scan
     settings : PolarSettings, optional
-        The paper's grid, where none is given.
+        The default is the paper's grid.
     buffers : SectorBuffers, optional
-        Of earlier scans; nothing of what is returned lies in them.
+        Reused from earlier scans; the returned arrays do not share their memory.
 
     Returns
     -------
     SectorStack
-        Sorted by zone, ring, sector; without rows where no sector holds enough points.
+        Sorted by zone, ring, sector; empty if no sector holds enough points.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def polar_sectors(
 
 
 def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:
-    """Mean direction of the points inside the grid, radians from 0 to 2 pi; 0 where they have none."""
+    """Return the mean direction of the points inside the grid, rad from 0 to 2 pi; 0 if it is undefined."""
     total = np.zeros(2)
     point_directions(points, np.array([settings.zone_starts_m[0], settings.end_m]), total)
     return math.atan2(total[1], total[0]) % (2.0 * math.pi)
@@ -114,7 +114,7 @@ def _measure(
     pixels: int,
     buffers: SectorBuffers,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-    """Scalars, normals and heightmaps, as ``measure_sectors`` fills them."""
+    """Return scalars, normals and heightmaps as ``measure_sectors`` computes them."""
     scalars, normal = np.empty((len(cells), 4)), np.empty((len(cells), 3), np.float32)
     heights = np.empty((len(cells), pixels, pixels), np.float32)
     most = int(np.diff(starts)[cells].max(initial=0))
@@ -140,7 +140,7 @@ def _measure(
 def _places(
     cells: NDArray[np.int64], sectors: NDArray[np.int64], rings: NDArray[np.int64]
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Zone, ring and sector of cells."""
+    """Return zone, ring and sector of cells."""
     ends = np.cumsum(sectors * rings)
     zone = np.searchsorted(ends, cells, side="right")
     ring, sector = np.divmod(cells - (ends - sectors * rings)[zone], sectors[zone])

@@ -1,15 +1,15 @@
-"""The filter method: Gabor filters look for stripes on the ground, k-means++ on their count makes the classes.
+"""The filter method: Gabor filters detect stripes on the ground, and k-means++ on their number makes the classes.
 
-Scan lines draw stripes on the ground. Where it is smooth they are straight; relief bends and breaks them, because a
-point that lies higher is met nearer to the sensor. But how many there are depends on the sensor, on its height and on
-the distance, and so would the class. Therefore the lines are drawn anew, in the same way for every sensor: over the
-sector's heightmap, one stripe every ``wavelength_px`` rows, displaced outwards or inwards by one stripe for every
-``metres_per_stripe`` of height. Smooth ground shows ``pixels / wavelength_px`` of them, whatever it was measured with.
+Scan lines form stripes on the ground. On smooth ground they are straight; relief bends and breaks them, because a beam
+hits a higher point nearer to the sensor. Their number depends on the sensor, its height and the distance, and so would
+the class. Therefore synthetic lines are drawn in the same way for every sensor: over the sector's heightmap, one stripe
+every ``wavelength_px`` rows, displaced outwards or inwards by one stripe for every ``metres_per_stripe`` of height.
+Smooth ground shows ``pixels / wavelength_px`` of them, whatever the sensor.
 
-The filters tell where stripes are left. Each of the 8 orientations answers 1 where stripes run straight in its own
-direction and 0 where there is no pattern; the greatest counts, so that a long swell, which turns the stripes, leaves
-them, and short bumps break them. What is counted is, up each column, the runs of pixels with an answer of ``threshold``
-or more.
+The filters find the stripes that remain. Each of the 8 orientations responds with 1 to straight stripes in its own
+direction and with 0 to no pattern. The largest response is used, so that long undulations, which only turn the
+stripes, do not matter, while short bumps break them. Counted are the runs of pixels, along each column, with a response
+of ``threshold`` or more.
 """
 
 import json
@@ -48,18 +48,18 @@ _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
 
 @dataclass(frozen=True, slots=True)
 class StripeFilter:
-    """How stripes are drawn and counted."""
+    """Settings of drawing and counting stripes."""
 
     wavelength_px: float = 3.0
-    """From one stripe to the next, and of the filters: the paper's."""
+    """Distance of stripes, and wavelength of the filters; as in the paper."""
     gamma: float = 0.5
-    """Width of a filter across the stripes over that along them: the paper's."""
+    """Ratio of a filter's width across the stripes to that along them; as in the paper."""
     orientations: int = 8
-    """Filters, in equal steps of half a turn: the paper's."""
+    """Number of filters, in equal steps over half a turn; as in the paper."""
     metres_per_stripe: float = 0.25
     """Height that displaces the stripes by one. A relief of white noise breaks half of them at 0.21 times this, m."""
     threshold: float = 0.5
-    """A filter's answer from here on is a stripe; 1 is an unbroken one."""
+    """Smallest filter response that is a stripe; an unbroken one has 1."""
 
     def __post_init__(self) -> None:
         sizes = (self.wavelength_px, self.gamma, self.metres_per_stripe, self.threshold)
@@ -69,34 +69,34 @@ class StripeFilter:
 
 @dataclass(frozen=True, slots=True)
 class StripeModel:
-    """What ``fit_stripes`` found: the same classes for every scan."""
+    """Stripe classes from ``fit_stripes``, the same for every scan."""
 
     filter: StripeFilter
     pixels: int
     """Rows and columns of the heightmaps."""
     centres: tuple[float, float, float]
-    """Stripes at the middle of class 0, 1 and 2; falling."""
+    """Number of stripes at the centre of class 0, 1 and 2; decreasing."""
     scans: int
-    """It was fitted on so many."""
+    """Number of scans that it was fitted to."""
     sectors: int
-    """Traversable sectors in them."""
+    """Number of traversable sectors in them."""
     seed: int
-    """Of k-means++."""
+    """Seed of k-means++."""
 
 
 def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = None) -> NDArray[np.float32]:
-    """Draw stripes over heightmaps and count those that the relief leaves.
+    """Draw stripes over heightmaps and count those that the relief does not break.
 
     Parameters
     ----------
     heights : (n, pixels, pixels) float32
-        Above the plane of the sector, rows outwards, without holes, m.
+        Height above the plane of the sector, rows outwards, without holes, m.
     settings : StripeFilter, optional
 
     Returns
     -------
     (n,) float32
-        Mean number of stripes up a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
+        Mean number of stripes along a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
     """
     settings = settings or StripeFilter()
     pixels = heights.shape[1]
@@ -106,7 +106,7 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
 
 
 def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.float32]:
-    """Count the stripes that pictures show.
+    """Count the stripes in images.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.
     Returns
     -------
     (n,) float32
-        Mean number of stripes up a column.
+        Mean number of stripes along a column.
     """
     count, pixels = maps.shape[:2]
     bank = gabor_bank(pixels, settings)
@@ -133,13 +133,13 @@ def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.
 
 @cache
 def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
-    """Give the weights of a map's pixels in the filters' answers.
+    """Return the weights of an image's pixels in the filter responses.
 
     Returns
     -------
     (pixels^2, orientations, padded) float32
-        Real parts: for the answer at each pixel, the weight of each, padded with zeros to a multiple of ``STEP``. A
-        filter that reaches beyond the map is weighted so that unbroken stripes still give 1.
+        Real parts: the weight of each pixel in the response at each pixel, padded with zeros to a multiple of
+        ``STEP``. A filter that extends beyond the image is scaled so that unbroken stripes still give 1.
     """
     row, column = (axis.ravel() for axis in np.indices((pixels, pixels), dtype=np.float64))
     down, right = row - row[:, None], column - column[:, None]
@@ -157,12 +157,12 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
 
 
 def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFilter | None = None) -> StripeModel:
-    """Find the classes of stripe counts over many scans, by k-means++.
+    """Fit the classes of stripe counts to many scans by k-means++.
 
     Parameters
     ----------
     stacks : sequence of SectorStack
-        Their traversable sectors count.
+        Only traversable sectors are used.
     seed : int
     settings : StripeFilter, optional
 
@@ -185,7 +185,7 @@ def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFi
 
 
 def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[float, float, float]:
-    """Find the middle of class 0, 1 and 2 among the stripe counts of some scans' traversable sectors."""
+    """Return the centres of class 0, 1 and 2 of the stripe counts of traversable sectors."""
     try:
         from sklearn.cluster import KMeans
     except ImportError as error:
@@ -202,13 +202,13 @@ def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[fl
 
 
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
-    """Give every traversable sector the class whose centre is nearest to its stripe count.
+    """Assign to every traversable sector the class whose centre is nearest to its stripe count.
 
     Parameters
     ----------
     stack : SectorStack
     model : StripeModel, optional
-        The one that ships, where none is given.
+        The default is the included one.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
 def nearest_class(
     stack: SectorStack, stripes: NDArray[np.float32], centres: tuple[float, float, float]
 ) -> ClassedSectors:
-    """Class sectors by their stripe counts."""
+    """Assign to each sector the class with the nearest centre."""
     class_id = np.abs(stripes[:, None] - np.array(centres, np.float32)).argmin(axis=1).astype(np.uint8)
     class_id[~stack.traversable] = NOT_TRAVERSABLE
     return ClassedSectors(stack, class_id, stripes, "filter")
@@ -240,12 +240,12 @@ def save_stripes(model: StripeModel, path: Path) -> None:
 
 
 def load_stripes(path: Path | None = None) -> StripeModel:
-    """Read a model; the one that ships, fitted on simulated scans of 64 and 128 lines, where no path is given.
+    """Read a model; without a path the included one, fitted to simulated scans of 64 and 128 lines.
 
     Raises
     ------
     BadInputError
-        No such file, or no file of ``save_stripes``.
+        The file does not exist, or was not written by ``save_stripes``.
     """
     return _shipped() if path is None else _parse(_text(path), str(path))
 

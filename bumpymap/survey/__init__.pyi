@@ -3,7 +3,7 @@ from .advice import (
     Outcome as Outcome,
     advise as advise,
     enough_points as enough_points,
-    made_for as made_for,
+    models_for as models_for,
     size_options as size_options,
 )
 from .api import (
@@ -24,6 +24,8 @@ from .engine.resource_estimate import (
     estimate as estimate,
 )
 from .pipeline import (
-    MapResult as MapResult,
     map_surveys as map_surveys,
+)
+from .result import (
+    MapResult as MapResult,
 )

@@ -1,4 +1,4 @@
-"""How many tiles of a survey are unknown, why, and what would help: in the same words before a run and after it."""
+"""How many tiles of a survey are unknown, why, and what would help; the same text before and after a run."""
 
 import math
 from collections.abc import Mapping
@@ -8,34 +8,34 @@ from typing import Literal
 from bumpymap.core import REASON_TEXT, FeatureSettings, Reason
 from bumpytiles import Grid
 
-__all__ = ["Measured", "Outcome", "advise", "enough_points", "made_for", "size_options"]
+__all__ = ["Measured", "Outcome", "advise", "enough_points", "models_for", "size_options"]
 
 Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
-_FEW = 0.1
-"""A smaller share of unknown tiles is said, but nothing is advised: every survey has a rim."""
+_FEW_UNKNOWN = 0.1
+"""Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 _LARGEST_TILE = 20
-"""Tiles beyond this say little about what a wheel meets, m."""
+"""Largest tile that advice suggests, m: larger ones say little about what a wheel meets."""
 _WITHOUT_HOLES = 1.5
-"""With so many times the points that cover enough, density makes few holes: of 4,000 tiles with points at random,
-49 % had too many holes with 65 points, 2.4 % with 72, none with 90."""
-_SMALL = 16
-"""Of so many tiles, 4 x 4, most lie on the rim."""
+"""With this many times the points of `enough_points` few tiles have holes: of 4,000 tiles with random points, 49 % had
+too many holes with 65 points, 2.4 % with 72, none with 90."""
+_MOSTLY_EDGE = 16
+"""Up to this number of tiles, 4 x 4, most are at the edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of the tiles of a survey, or will."""
+    """The tiles of a survey, after a run or forecast."""
 
     tiles: int
-    """That hold a point."""
+    """Number of tiles that hold a point."""
     unknown: Mapping[Reason, float]
-    """Tiles without a class, by reason."""
+    """Number of tiles without a class, by reason."""
     measured: Measured
-    """What a run measures."""
+    """The points that a run measures."""
     points_per_tile: float
-    """Of what is measured: median over the tiles."""
+    """Median number of measured points per tile."""
     all_points_per_tile: float
-    """All points that count: mean over the tiles."""
+    """Mean number of points per tile, of all classes."""
 
     @property
     def share(self) -> float:
@@ -44,7 +44,7 @@ class Outcome:
 
 
 def enough_points(grid: Grid, settings: FeatureSettings) -> int:
-    """Points from which on a tile can probably be judged.
+    """Return the number of points with which a tile can probably be classified.
 
     Points scattered at random over ``m`` pixels leave a pixel empty with probability ``exp(-n / m)``, so ``n`` points
     cover the share ``1 - exp(-n / m)``.
@@ -53,24 +53,24 @@ def enough_points(grid: Grid, settings: FeatureSettings) -> int:
     return max(settings.min_points, math.ceil(for_coverage))
 
 
-def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold: bool) -> str:
-    """Say in one line which share of the tiles is unknown, why, and what would help; nothing where it is few.
+def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_run: bool) -> str:
+    """Return in one line which share of the tiles is unknown, why, and what would help; empty if there are few.
 
     Parameters
     ----------
     outcome : Outcome
     grid : Grid
-        Of its tiles.
+        Grid of the tiles.
     settings : FeatureSettings
-        When a tile is unknown.
-    foretold : bool
-        Before a run, not after it.
+        Limits that make a tile unknown.
+    before_run : bool
+        Whether the run is still to come.
     """
-    if outcome.share <= _FEW:
+    if outcome.share <= _FEW_UNKNOWN:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
-    head = f"{outcome.share:.0%} of the tiles {'will be' if foretold else 'are'} unknown"
-    head = f"about {head}" if foretold else head
+    head = f"{outcome.share:.0%} of the tiles {'will be' if before_run else 'are'} unknown"
+    head = f"about {head}" if before_run else head
     why, help_ = {
         Reason.TOO_MANY_HOLES: _holes,
         Reason.OUTLIER_RELIEF: _outliers,
@@ -78,8 +78,8 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, foretold:
     return f"{head}, mostly because of {REASON_TEXT[most]}: {why}. {help_}"
 
 
-def made_for(grid: Grid) -> str:
-    """Say how to get what tiles of another size want: a calibration and a network."""
+def models_for(grid: Grid) -> str:
+    """Return the commands that make the calibration and the network for tiles of another size."""
     size = size_options(grid)
     return (
         "a calibration and a texture network made for them: "
@@ -89,7 +89,7 @@ def made_for(grid: Grid) -> str:
 
 
 def size_options(grid: Grid) -> str:
-    """Give the options of a grid that is not the default one; empty for that."""
+    """Return the options of a grid; empty for the default one."""
     size = f"--tile-size {grid.tile_size:g}" if grid.tile_size != Grid().tile_size else ""
     pixels = f"--pixels {grid.pixels}" if grid.pixels != Grid().pixels else ""
     return " ".join(filter(None, (size, pixels)))
@@ -103,21 +103,24 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
     )
     if outcome.measured == "points":
         return why, _larger_tiles(outcome, grid, enough)
-    every = f"{outcome.all_points_per_tile:.0f} per tile on average"
+    mean_points = f"{outcome.all_points_per_tile:.0f} per tile on average"
     if outcome.all_points_per_tile < enough:
-        return why, f"All points (--ground all) are too few as well, {every}. {_larger_tiles(outcome, grid, enough)}"
-    return why, _all_points(outcome, every)
+        return (
+            why,
+            f"All points (--ground all) are too few as well, {mean_points}. {_larger_tiles(outcome, grid, enough)}",
+        )
+    return why, _all_points(outcome, mean_points)
 
 
-def _all_points(outcome: Outcome, every: str) -> str:
-    said = f"--ground all measures every point, {every}, vegetation too"
+def _all_points(outcome: Outcome, mean_points: str) -> str:
+    text = f"--ground all measures every point, {mean_points}, vegetation too"
     if outcome.measured == "ground points (class 2)":
-        said += "; --ground csf detects ground points where the survey has any"
-    return said
+        text += "; --ground csf detects ground points where the survey has any"
+    return text
 
 
 def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
-    """Larger tiles with as many pixels hold more points in each."""
+    """Suggest larger tiles with the same number of pixels, which hold more points each."""
     held = outcome.points_per_tile if outcome.measured == "points" else outcome.all_points_per_tile
     size = math.ceil(grid.tile_size * math.sqrt(enough / max(held, 1.0)))
     if size > _LARGEST_TILE:
@@ -126,7 +129,7 @@ def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
     option = size_options(larger) + ("" if outcome.measured == "points" else " --ground all")
     return (
         f"A denser survey would help, or larger tiles: bumpymap info {option} says what they would give; they need "
-        f"{made_for(larger)}"
+        f"{models_for(larger)}"
     )
 
 
@@ -135,8 +138,8 @@ def _holes(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str
         f"ground more than {settings.max_hole:g} m from every pixel with a point, or less than "
         f"{settings.min_coverage:.0%} of the pixels with one"
     )
-    if outcome.tiles <= _SMALL:
-        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them on its rim"
+    if outcome.tiles <= _MOSTLY_EDGE:
+        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them at its edge"
     if outcome.measured != "points" and outcome.all_points_per_tile >= enough_points(grid, settings):
         return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} per tile on average")
     without_holes = _WITHOUT_HOLES * enough_points(grid, settings)

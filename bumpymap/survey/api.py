@@ -1,4 +1,4 @@
-"""Map surveys from Python: one call, the layers back."""
+"""Map surveys from Python: one call that returns the layers."""
 
 import os
 import shutil
@@ -65,9 +65,9 @@ def map_survey(
     Parameters
     ----------
     surveys : path, or several
-        Files and folders (LAS, LAZ, COPC, PLY, PCD), or URLs: strings and path-like objects alike.
+        Files and folders (LAS, LAZ, COPC, PLY, PCD), or URLs; strings or path-like objects.
     out : path, optional
-        Folder for the layers. Without one they are made in memory: their files go when the returned object does.
+        Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
@@ -81,9 +81,9 @@ def map_survey(
     Raises
     ------
     BumpymapError
-        Anything that the inputs, the settings or the disk can cause; no file is left half-written.
+        Bad inputs or settings, or a full disk; no file is left half-written.
     TypeError
-        There is no setting of such a name.
+        There is no setting of this name.
 
     Examples
     --------
@@ -109,7 +109,7 @@ def map_survey(
         shutil.rmtree(folder, ignore_errors=True)
         end.__notes__ = [
             note for note in getattr(end, "__notes__", []) if "`resume=True`" not in note
-        ]  # nothing is kept
+        ]  # the temporary folder is deleted, so there is nothing to resume
         raise
 
 
@@ -121,7 +121,7 @@ def _refuse_unknown(settings: Mapping[str, Any]) -> None:
 
 
 def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
-    """Turn one place or several into paths; URLs stay texts."""
+    """Convert one path or several to Path objects; URLs stay strings."""
     several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
     if not isinstance(several, Iterable):
         raise UsageError(f"surveys is {several!r}; give a path or a list of them")
@@ -132,7 +132,7 @@ def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
 
 
 def _place(name: str, place: PathLike) -> str:
-    """Return the text of a path that can be one."""
+    """Return a path as text; raise UsageError if it is not a valid path."""
     if not isinstance(place, str | os.PathLike):
         raise UsageError(f"{name} is {place!r}; it must be a path")
     text = os.fspath(place)

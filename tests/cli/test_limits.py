@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.cli._ending import end_of
+from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError, OutputError, missing_resource
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,9 +114,9 @@ def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys
 
     if type(error) is RuntimeError and not what:
         with pytest.raises(RuntimeError):
-            end_of(fail, [])
+            exit_code_of(fail, [])
         return
-    assert end_of(fail, []) == 3
+    assert exit_code_of(fail, []) == 3
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert (f"the machine has no {what} left" in said[0]) == bool(what)

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from bumpymap.cli import _progress, main
-from bumpymap.cli._ending import end_of
+from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.cli._progress import EventProgress, LineProgress, show_progress
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress, Steps, counted
@@ -53,7 +53,7 @@ def test_a_line_has_time_stage_and_share(capsys):
 
 def test_a_bar_shows_a_name_as_it_is():
     shown = io.StringIO()
-    with _progress._drawn(Console(file=shown, force_terminal=True, width=120)) as bars:
+    with _progress._moving_bars(Console(file=shown, force_terminal=True, width=120)) as bars:
         bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
         bars.advance(3)
     assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
@@ -257,7 +257,7 @@ def test_what_stands_after_two_dashes_is_no_option(tmp_path, capsys):
     def fail():
         raise BadInputError("no")
 
-    assert end_of(fail, ["map", "--", "--log-json"]) == 3
+    assert exit_code_of(fail, ["map", "--", "--log-json"]) == 3
     assert capsys.readouterr().err == "Error: no\n"
 
 
@@ -266,8 +266,8 @@ def test_a_fault_is_an_event_with_its_traceback(capsys):
         raise KeyError("x")
 
     with pytest.raises(KeyError):
-        end_of(fail, ["map"])
-    assert end_of(fail, ["map", "--log-json"]) == 1
+        exit_code_of(fail, ["map"])
+    assert exit_code_of(fail, ["map", "--log-json"]) == 1
     last = events(capsys.readouterr().err)[-1]
     assert (last["event"], last["kind"]) == ("error", "KeyError")
     assert "Traceback" in last["traceback"]

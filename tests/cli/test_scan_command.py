@@ -250,12 +250,10 @@ def test_a_bad_frame_among_others(scan, frame, tmp_path):
 
 
 def test_ctrl_c(scan, frame, tmp_path, monkeypatch):
-    from bumpymap.scan import pipeline as scan_pipeline
-
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(scan_pipeline, "write_frame", stop)
+    monkeypatch.setattr("bumpymap.scan.frame_products.write_frame", stop)
     result = scan(frame)
     assert result.exit_code == 130
     assert result.stderr == "Interrupted. No file is half-written.\n"

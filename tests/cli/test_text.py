@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.cli._text import complain, safe, say, say_json, say_table
+from bumpymap.cli._text import escape, print_error, print_json, print_line, print_table
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -29,27 +29,27 @@ def nothing_acts(text):
 
 def test_no_letter_acts():
     for letter in map(chr, [*range(0x3000), *range(0xD800, 0xE000), *range(0xE0000, 0xE0100)]):
-        shown = safe(f"a{letter}b")
+        shown = escape(f"a{letter}b")
         assert (shown[0], shown[-1]) == ("a", "b")
         assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
 
 
 def test_what_is_printable_stays():
     text = "quarry (2).laz é 道 [red] \\n {x} 'a b'"
-    assert safe(text) == text
-    assert safe("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
+    assert escape(text) == text
+    assert escape("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
 
 
 def test_every_way_out_shows_it(capsys):
-    say(WICKED, "bold")
-    say_table([(WICKED, WICKED)])
-    say_table([(WICKED, WICKED)], ["one", "two"])
-    say_json({"name": WICKED})
-    complain(WICKED)
+    print_line(WICKED, "bold")
+    print_table([(WICKED, WICKED)])
+    print_table([(WICKED, WICKED)], ["one", "two"])
+    print_json({"name": WICKED})
+    print_error(WICKED)
     out, err = capsys.readouterr()
     assert nothing_acts(out)
     assert nothing_acts(err)
-    assert out.splitlines()[0] == err.rstrip("\n") == safe(WICKED)
+    assert out.splitlines()[0] == err.rstrip("\n") == escape(WICKED)
     assert "[red]d[/red] :smile:" in err
     assert json.loads(out.splitlines()[-1])["name"] == WICKED
 
@@ -57,7 +57,7 @@ def test_every_way_out_shows_it(capsys):
 def test_an_encoding_without_the_letters(monkeypatch):
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
-    say("é 道")
+    print_line("é 道")
     assert raw.getvalue() == b"\\xe9 \\u9053\n"
 
 

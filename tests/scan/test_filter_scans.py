@@ -29,8 +29,8 @@ def classes(scan):
 
 def test_classing_a_scan_loads_neither_the_compiler_nor_the_workshops():
     code = (
-        "import sys, numpy as np; from bumpymap.core import Scan; "
-        "from bumpymap.scan import classify_filter, polar_sectors; r = np.random.default_rng(1);"
+        "import sys, numpy as np; from bumpymap.core import Scan; from bumpymap.scan import classify_filter, "
+        "polar_sectors; r = np.random.default_rng(1);"
         "p = r.uniform(-30, 30, (20000, 3)).astype('f4'); p[:, 2] = -1.5;"
         "c = classify_filter(polar_sectors(Scan(p))); assert (c.class_id == 0).sum() > 100; print(*sys.modules)"
     )

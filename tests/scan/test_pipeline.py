@@ -23,7 +23,8 @@ from bumpymap.layers import name_frames, write_frame
 from bumpymap.readers import Robot, read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.pipeline import fit_frames, scan_frames
+from bumpymap.scan.fit import fit_frames
+from bumpymap.scan.pipeline import scan_frames
 
 POSES = [
     (Rotation.from_euler("zyx", (0.4, 0.02, -0.03)), np.array([1003.0, 2001.0, 51.5])),
@@ -210,7 +211,7 @@ def done_frames(monkeypatch):
         read.append(path.stem)
         return read_scan(path, robot)
 
-    monkeypatch.setattr("bumpymap.scan.pipeline.read_scan", reading)
+    monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
     return read
 
 
@@ -251,7 +252,7 @@ def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tm
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.scan.pipeline.remove_stale_products", killed)
+        patch.setattr("bumpymap.scan.frame_products.remove_stale_products", killed)
         with pytest.raises(KeyboardInterrupt):
             scan_frames(config)
     assert (left / "scan.json").exists()

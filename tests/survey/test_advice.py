@@ -94,14 +94,14 @@ def outcome(reason, share, measured="points", held=20.0, every=200.0, tiles=100)
             outcome(Reason.TOO_MANY_HOLES, 0.9, "ground points (found by the cloth)"),
             "--ground all measures every point",
         ),
-        (outcome(Reason.TOO_MANY_HOLES, 0.9, tiles=4), "4 tiles of 3 m, most of them on its rim"),
+        (outcome(Reason.TOO_MANY_HOLES, 0.9, tiles=4), "4 tiles of 3 m, most of them at its edge"),
         (outcome(Reason.TOO_MANY_HOLES, 0.9, held=500.0), "max_hole"),
         (outcome(Reason.TOO_MANY_HOLES, 0.9, held=40.0), "--tile-size 5"),
         (outcome(Reason.OUTLIER_RELIEF, 0.9), "class 7 or 18"),
     ],
 )
 def test_what_would_help(outcome, words):
-    said = advise(outcome, Grid(), SETTINGS, foretold=False)
+    said = advise(outcome, Grid(), SETTINGS, before_run=False)
     assert words in said
     assert bool(said) == bool(words)
     assert "--ground csf" not in said or outcome.measured == CLASS_2

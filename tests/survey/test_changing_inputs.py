@@ -16,7 +16,8 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, open_survey
 from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
-from bumpymap.scan import pipeline as scan_pipeline
+from bumpymap.scan import frame_run
+from bumpymap.scan.frames import FrameReader
 from bumpymap.survey import pipeline
 from bumpymap.survey.engine.collector import ResultCollector
 from bumpymap.survey.engine.results import ReadResult
@@ -136,17 +137,17 @@ def write_frame(path, lift=0.0):
     return path
 
 
-@pytest.mark.parametrize("moment", ["_read", "report_frame"])
-def test_scan_refuses_a_frame_that_changes(tmp_path, monkeypatch, moment):
+@pytest.mark.parametrize(("owner", "moment"), [(FrameReader, "read"), (frame_run, "report_frame")])
+def test_scan_refuses_a_frame_that_changes(tmp_path, monkeypatch, owner, moment):
     """While it is read, or between that and its checksum."""
     frame, out = write_frame(tmp_path / "a.bin"), tmp_path / "out"
-    original = getattr(scan_pipeline, moment)
+    original = getattr(owner, moment)
 
     def change_before(*arguments):
         again(frame, lambda path: write_frame(path, lift=5.0))
         return original(*arguments)
 
-    monkeypatch.setattr(scan_pipeline, moment, change_before)
+    monkeypatch.setattr(owner, moment, change_before)
     refused(run("scan", frame, "--out", out), frame, out)
 
 
@@ -176,7 +177,7 @@ def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
         def refuse(_, error):
             raise error
 
-        checkpoints = Mock(early=[], take_up=list)
+        checkpoints = Mock(early=[], load_results=list)
         collector = ResultCollector([reader], [len(seen)], checkpoints, refuse, skip_bad=False)
         for number, place in enumerate(seen):
             own = stats if number == 0 else PointStats()

@@ -397,7 +397,7 @@ def test_a_map_without_classes_says_what_to_do(site, tmp_path):
 
 
 def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.pipeline.measure", None)
+    monkeypatch.setattr("bumpymap.survey.tile_rating.measure", None)
     far = write_las(tmp_path / "far.laz", [500_001.0, 800_001.0], [4_000_002.0, 4_300_002.0], [1.0, 2.0])
     result = run("map", far, "--out", tmp_path / "layers")
     assert result.exit_code == 3

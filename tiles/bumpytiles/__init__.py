@@ -1,4 +1,4 @@
-"""The tiling engine: points in, tiles out. It does not know what roughness is."""
+"""The tiling engine: points in, tiles out. It is independent of roughness."""
 
 import lazy_loader
 

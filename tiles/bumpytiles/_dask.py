@@ -1,14 +1,14 @@
 """Workers of dask.distributed, on this machine or on others: the one module that imports dask.
 
-Workers are started or found, asked something one by one, and given tasks. No more tasks are handed out than keep the
-workers busy, and each result is given away when it comes, so nothing piles up on the scheduler or in the client. A
-task whose worker dies is done again by another one; what it does must bear that.
+Workers are started here or found at a scheduler, and are given tasks. Only as many tasks are submitted as keep the
+workers busy, and each result is yielded when it arrives, so nothing piles up on the scheduler or in the client. A task
+whose worker dies is done again by another one; tasks must allow this.
 
-A scheduler runs whatever code it is sent. Workers that are started here talk TLS among each other, with a certificate
-of their own that lives as long as they do: no other user of the machine gets in.
+A scheduler runs any code that it is sent. Workers that are started here use TLS with a temporary certificate of their
+own, so no other user of the machine can connect.
 """
 # mypy: allow-untyped-calls
-# (distributed says that it is typed, and leaves half of its functions out)
+# (distributed claims to be typed, but half of its functions are not)
 
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -27,64 +27,64 @@ from bumpytiles.signals import blocked_signals
 
 __all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
-_AHEAD = 2
-"""Tasks handed out for each worker: one is done, one is at hand when it is finished."""
-_LOOK_S = 10.0
-"""So often it is looked whether workers are left, s."""
-_LOOKS, _LOCAL_LOOKS = 30, 3
-"""So many times in a row without workers are the end: of a cluster, of workers that were started here."""
+_TASKS_PER_WORKER = 2
+"""Tasks submitted per worker: one that runs, and one that is ready when it ends."""
+_CHECK_S = 10.0
+"""Interval at which the number of workers is checked, s."""
+_CHECKS, _LOCAL_CHECKS = 30, 3
+"""Give up after this many checks in a row without workers: at a scheduler, with workers started here."""
 
 
 _NO_PAGES: dict[str, Any] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
-"""Nothing is shown to browsers: those pages are open to every user of the machine."""
+"""Serve no web pages: they would be open to every user of the machine."""
 
 
 class TlsFiles(NamedTuple):
-    """PEM files with which a client shows a scheduler who it is, and knows the scheduler."""
+    """PEM files with which client and scheduler authenticate each other."""
 
     ca: str
     """Certificate of the authority that signed the certificates of scheduler, workers and client."""
     cert: str
     """Certificate of this client."""
     key: str
-    """Its key."""
+    """Key of the client's certificate."""
 
 
 class ClusterError(Exception):
-    """There are no workers, or they were lost."""
+    """No workers were found, or they were lost."""
 
 
 class Workers:
-    """What does tasks.
+    """The workers of a cluster.
 
     Parameters
     ----------
     client : distributed.Client
-    looks : int
-        So many times in a row without workers are the end.
+    checks : int
+        Give up after this many checks in a row without workers.
     """
 
-    def __init__(self, client: Client, looks: int = _LOOKS) -> None:
-        self._client, self._looks = client, looks
+    def __init__(self, client: Client, checks: int = _CHECKS) -> None:
+        self._client, self._checks = client, checks
 
     def count(self) -> int:
-        """Workers that are there now."""
-        with _losses():
+        """Return the number of workers that are connected."""
+        with _connection_errors():
             return len(self._client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on.
+        """Call a function on every worker, beside its tasks; return the result or the exception by address.
 
-        Workers that are lost meanwhile do not count.
+        Workers that are lost during the call are left out.
 
         Raises
         ------
         ClusterError
             No worker is left.
         """
-        with _losses():
+        with _connection_errors():
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
-        # What is asked here raises no OSError of its own: it is the connection that broke.
+        # The functions called here raise no OSError themselves, so it is the connection that broke.
         left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
         if not left:
             were = f"all {len(answers)} workers were lost" if len(answers) > 1 else "the last worker was lost"
@@ -96,28 +96,28 @@ class Workers:
     ) -> Generator[tuple[int, Any], None, None]:
         """Do ``function(*task)`` for each task; yield the number of the task and its result, in any order.
 
-        Close the generator to give up: tasks that were not begun are taken back, others run to their end unheard.
+        Closing the generator cancels tasks that have not started; the results of running ones are discarded.
 
         Parameters
         ----------
         function : callable
-            Picklable; done once or, where a worker dies or is cut off, several times, even at the same time.
+            Picklable. Called once per task or, if a worker dies or is cut off, several times, even concurrently.
         tasks : iterable of tuple
-            Arguments; drawn as they are needed.
+            Arguments; consumed lazily.
 
         Raises
         ------
         ClusterError
-            Workers died again and again over a task, or none is left, or the scheduler is gone.
+            Several workers died while doing one task, no worker is left, or the scheduler is lost.
         Exception
-            What a task raised.
+            Any exception of a task.
         """
         waiting = enumerate(tasks)
         numbers: dict[Future[Any], int] = {}
         finished: SimpleQueue[Future[Any]] = SimpleQueue()
         try:
             while True:
-                room = max(_AHEAD * self.count(), 1) - len(numbers)
+                room = max(_TASKS_PER_WORKER * self.count(), 1) - len(numbers)
                 for number, task in islice(waiting, max(room, 0)):
                     future = self._client.submit(function, *task, pure=False)
                     numbers[future] = number
@@ -127,32 +127,32 @@ class Workers:
                 future = self._next(finished)
                 yield numbers.pop(future), _result(future)
         finally:
-            with suppress(Exception):  # there may be no scheduler any more
+            with suppress(Exception):  # the scheduler may be lost
                 self._client.cancel(list(numbers), force=True)
 
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
-        """Wait for a task; look meanwhile whether there are workers at all."""
+        """Wait for a finished task, and check meanwhile that there are workers."""
         without = 0
-        while without < self._looks:
+        while without < self._checks:
             with suppress(Empty):
-                return finished.get(timeout=_LOOK_S)
+                return finished.get(timeout=_CHECK_S)
             without = 0 if self.count() else without + 1
-        raise ClusterError(f"all workers were lost, and none came within {_LOOK_S * self._looks:.0f} s")
+        raise ClusterError(f"all workers were lost, and none came within {_CHECK_S * self._checks:.0f} s")
 
 
 @contextmanager
 def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
-    """Start worker processes on this machine, each of which does one task at a time; stop them in the end.
+    """Start worker processes on this machine, each of which does one task at a time; stop them at the end.
 
     Raises
     ------
     ImportError
         ``cryptography``, which makes their certificate, is not installed.
     """
-    _quiet()
-    security = Security.temporary()  # its key stays in memory; a worker is handed it through a pipe
+    _silence_dask()
+    security = Security.temporary()  # its key stays in memory; workers receive it through a pipe
     with ExitStack() as running:
-        resource_tracker.ensure_running()  # or it starts with the first worker, and unblocks the signals
+        resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
         with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
             running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES}))
@@ -163,17 +163,17 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
                     processes=True,
                     host="127.0.0.1",
                     security=security,
-                    # It listens for browsers all the same, without pages: on any free port, the usual may be taken.
+                    # The HTTP server starts all the same, without pages: on a free port, as the usual one may be taken.
                     dashboard_address=None,
                     scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                    memory_limit=0,  # tasks keep to their own budget
+                    memory_limit=0,  # tasks limit their memory themselves
                     silence_logs=logging.CRITICAL,
                     local_directory=folder,
                     env=dict(environment),
                 )
             )
             workers = Workers(
-                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_LOOKS
+                running.enter_context(Client(cluster, security=security, set_as_default=False)), _LOCAL_CHECKS
             )
         try:
             yield workers
@@ -184,7 +184,7 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
 
 @contextmanager
 def workers_at(address: str, patience_s: float, tls: TlsFiles | None = None) -> Iterator[Workers]:
-    """Use the workers of a scheduler.
+    """Connect to the workers of a scheduler.
 
     Parameters
     ----------
@@ -196,9 +196,9 @@ def workers_at(address: str, patience_s: float, tls: TlsFiles | None = None) -> 
     Raises
     ------
     ClusterError
-        No scheduler answers there within ``patience_s`` seconds, or it has no workers for as long.
+        No scheduler answers within ``patience_s`` seconds, or it has no workers by then.
     """
-    _quiet()
+    _silence_dask()
     try:
         client = Client(address, security=_security(tls), timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -218,17 +218,17 @@ def _security(tls: TlsFiles | None) -> Security | None:
 
 
 def threads_here() -> int:
-    """Threads that the worker was started with in which this is called."""
+    """Return the number of threads that the calling worker was started with."""
     return int(get_worker().state.nthreads)
 
 
-def _quiet() -> None:
-    """Keep dask's own log lines off the terminal: what goes wrong is raised, and workers that are stopped complain."""
+def _silence_dask() -> None:
+    """Silence dask's log: errors are raised, and workers that are stopped would log errors."""
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def _result(future: Future[Any]) -> Any:
-    with _losses():
+    with _connection_errors():
         error = future.exception()
         if error is None:
             return future.result()
@@ -238,8 +238,8 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextmanager
-def _losses() -> Iterator[None]:
-    """Tell what the client raises when it loses the scheduler."""
+def _connection_errors() -> Iterator[None]:
+    """Turn the exceptions of a client that lost the scheduler into ClusterError."""
     try:
         yield
     except (OSError, CancelledError) as error:

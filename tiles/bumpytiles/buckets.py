@@ -1,4 +1,4 @@
-"""Points that wait for their block: in memory while there is room, in packs on disk beyond."""
+"""Points that wait until their block is complete: in memory up to a limit, beyond that in packs on disk."""
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,11 +25,11 @@ __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
 _TILES = BLOCK_TILES**2
 _SLICE = 1 << 20
-"""Points of a block on disk that are looked at together where the block as a whole is too large."""
+"""Points that are read together from a block on disk that is too large to read as a whole."""
 
 
 class TooManyPointsError(Exception):
-    """One tile holds more points than there is room for."""
+    """One tile holds more points than fit into memory."""
 
     def __init__(self, col: int, row: int, points: int, allowed: int) -> None:
         super().__init__(f"tile ({col}, {row}) holds {points:,} points; there is room for {allowed:,}")
@@ -38,19 +38,19 @@ class TooManyPointsError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class MemoryLimits:
-    """How much may be held in memory, and where the rest goes."""
+    """How many points may be in memory, and where the others are written."""
 
     points: int
     """Most points in memory."""
     block_points: int
-    """Most points of one block that are put in order together."""
+    """Most points of one block that are sorted together."""
     scratch: Path
     """Folder for packs of points."""
 
 
 @dataclass(slots=True)
 class _Waiting:
-    """Chunks in memory, oldest first, and where each block's points are in them."""
+    """Chunks in memory, oldest first, with an index of the blocks in them."""
 
     chunks: list[tuple[int, GroupedPoints]] = field(default_factory=list)
     index: dict[BlockKey, list[tuple[GroupedPoints, int]]] = field(default_factory=dict)
@@ -75,15 +75,15 @@ class _Waiting:
 
 
 class TileBuckets:
-    """Collects points by block; hands out whole blocks with their points sorted into tiles.
+    """Collects points by block; yields whole blocks with their points sorted into tiles.
 
     Parameters
     ----------
     grid : Grid
-    room : Room, optional
-        None: everything stays in memory.
+    limits : MemoryLimits, optional
+        None: all points stay in memory.
     packs : iterable of Pack
-        Points of an earlier run, or of other machines.
+        Packs with points of an earlier run, or of other machines.
 
     Examples
     --------
@@ -94,20 +94,20 @@ class TileBuckets:
     [(0, 2), (1, 1)]
     """
 
-    def __init__(self, grid: Grid, room: MemoryLimits | None = None, packs: Iterable[Pack] = ()) -> None:
+    def __init__(self, grid: Grid, limits: MemoryLimits | None = None, packs: Iterable[Pack] = ()) -> None:
         self.grid = grid
-        self.room = room
+        self.limits = limits
         self.packs: list[Pack] = list(packs)
         self.done: set[BlockKey] = set()
-        """Blocks whose points are not wanted any more."""
+        """Blocks whose points are no longer needed."""
         self.final: int | None = None
-        """Chunks before this one cannot be dropped any more; None: none can. Packs hold chunks of one kind alone."""
+        """Chunks before this number can no longer be dropped; None: no chunk can. A pack never mixes both kinds."""
         self._waiting = _Waiting()
         self._spilling: Future[Pack] | None = None
         self._writer = ThreadPoolExecutor(1)
 
     def __len__(self) -> int:
-        """Count the blocks that hold points."""
+        """Return the number of blocks that hold points."""
         return len(self.keys())
 
     def add(
@@ -117,31 +117,31 @@ class TileBuckets:
         upward: NDArray[np.float64],
         flag: NDArray[np.bool_],
     ) -> None:
-        """Add a chunk of points; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
+        """Add a chunk of points; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
         self.add_chunk(group_points(self.grid, easting, northing, upward, flag))
 
     def add_chunk(self, chunk: GroupedPoints, number: int = 0) -> None:
-        """Add a grouped chunk. Numbers grow; chunks of the same number stay together."""
+        """Add a grouped chunk. Numbers must not decrease; chunks of the same number stay together."""
         self._waiting.add(number, chunk)
 
     @property
     def is_full(self) -> bool:
-        """Whether more points are in memory than there is room for: it is time to ``spill``."""
-        return self.room is not None and self._waiting.points > self.room.points
+        """Whether more points are in memory than the limit: call ``spill``."""
+        return self.limits is not None and self._waiting.points > self.limits.points
 
     def blocks_to_spill(self) -> list[BlockKey]:
-        """Blocks that ``spill`` would write and of which no point is on disk yet, south-west first."""
+        """Return the blocks that ``spill`` would write and of which no point is on disk yet, south-west first."""
         self.wait()
         keys = {key for _, chunk in self._oldest() for key in chunk.keys} - self.done
         return sorted(key for key in keys if not any(pack.rows(key) for pack in self.packs))
 
     def spill(self) -> tuple[int, int]:
-        """Begin to write the older half of the points, but those of done blocks; gives their first and last chunk.
+        """Start to write the older half of the points, without those of done blocks; return the first and last chunk.
 
-        One pack is written at a time, while the caller goes on; ``wait`` adds it to ``packs``.
+        One pack is written at a time, in the background; ``wait`` adds it to ``packs``.
         """
-        if self.room is None:
-            raise ValueError("without a Room there is no folder to spill to")
+        if self.limits is None:
+            raise ValueError("without MemoryLimits there is no folder to spill to")
         self.wait()
         chosen = self._oldest()
         chunks = {id(chunk) for _, chunk in chosen}
@@ -149,12 +149,12 @@ class TileBuckets:
         held = {key: [entry for entry in self._held(key) if id(entry[0]) in chunks] for key in keys}
         first, last = chosen[0][0], chosen[-1][0]
         self._waiting.drop(chosen)
-        path = self.room.scratch / f"points-{first:08d}-{last:08d}.pack"
+        path = self.limits.scratch / f"points-{first:08d}-{last:08d}.pack"
         self._spilling = self._writer.submit(_write, path, held, {"first": first, "last": last})
         return first, last
 
     def wait(self) -> Pack | None:
-        """Wait until what was spilled last is on disk; gives its pack, once."""
+        """Wait until the last spill is on disk; return its pack, None if it was returned before."""
         if self._spilling is None:
             return None
         pack, self._spilling = self._spilling.result(), None
@@ -162,7 +162,7 @@ class TileBuckets:
         return pack
 
     def drop_from(self, first: int) -> None:
-        """Drop the points of the chunks from ``first`` on, which must not be final."""
+        """Drop the points of chunk ``first`` and all later ones, which must not be final."""
         self.wait()
         self._waiting.drop([held for held in self._waiting.chunks if held[0] >= first])
         for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
@@ -170,7 +170,7 @@ class TileBuckets:
             pack.path.unlink(missing_ok=True)
 
     def in_memory(self) -> NDArray[np.int64]:
-        """Row, column and number of points of each block of each chunk in memory, (n, 3)."""
+        """Return row, column and number of points of each block of each chunk in memory, (n, 3)."""
         found = [
             np.column_stack([chunk.keys, np.diff(chunk.starts)]) for _, chunk in self._waiting.chunks if chunk.keys
         ]
@@ -182,23 +182,23 @@ class TileBuckets:
         return not self._waiting.chunks
 
     def keys(self) -> list[BlockKey]:
-        """Blocks that hold points and are not done, south-west first."""
+        """Return the blocks that hold points and are not done, south-west first."""
         self.wait()
         return sorted({*self._waiting.index, *(key for pack in self.packs for key in pack.keys)} - self.done)
 
     def window(self) -> TileWindow:
-        """Rectangle of whole blocks around all points (there must be some)."""
+        """Return the smallest window of whole blocks around all points (at least one)."""
         rows, cols = (np.array(axis) for axis in zip(*{*self.keys(), *self.done}, strict=True))
         around = TileWindow.around(cols, rows)
         return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
 
     def points(self, key: BlockKey) -> int:
-        """Count the points of a block, duplicates among them."""
+        """Return the number of points of a block, duplicates included."""
         in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._held(key))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
     def marks(self, key: BlockKey) -> tuple[int, int]:
-        """Count a block's tiles with points, and those in which at least one point is flagged."""
+        """Return the number of tiles with points in a block, and of those with at least one flagged point."""
         seen = np.zeros((2, _TILES), np.bool_)
         for part in self._parts(key, ("tile", "flag")):
             seen[0, part["tile"]] = True
@@ -207,24 +207,24 @@ class TileBuckets:
         return tiles, flagged
 
     def flagged_share(self) -> float:
-        """Share of the tiles holding points in which at least one point is flagged, 0..1 (0 without points)."""
+        """Return the share of tiles with points that hold a flagged point, 0..1 (0 without points)."""
         tiles, flagged = np.sum([self.marks(key) for key in self.keys()] or [(0, 0)], axis=0)
         return float(flagged / tiles) if tiles else 0.0
 
     def blocks(self) -> Iterator[TilePoints]:
-        """Hand out the blocks, south-west first."""
+        """Yield the blocks, south-west first."""
         for key in self.keys():
             yield from self.block(key)
 
     def block(self, key: BlockKey) -> Iterator[TilePoints]:
-        """Hand out a block: at once, or some tiles at a time where it is too large for that. Thread-safe.
+        """Yield a block in one piece, or some tiles at a time if it is too large to sort at once. Thread-safe.
 
         Raises
         ------
         TooManyPointsError
-            One tile alone is too large.
+            A single tile is too large.
         """
-        most = self.room.block_points if self.room else None
+        most = self.limits.block_points if self.limits else None
         names = [column.name for column in POINT_COLUMNS]
         if most is None or self.points(key) <= most:
             yield sort_block(self.grid, key, list(self._parts(key, names)))
@@ -237,7 +237,7 @@ class TileBuckets:
             yield sort_block(self.grid, key, parts)
 
     def _shares(self, key: BlockKey, most: int) -> Iterator[NDArray[np.bool_]]:
-        """Share out the tiles of a block so that no share holds more than ``most`` points; (256,) masks."""
+        """Yield masks (256,) that split the tiles of a block into groups of at most ``most`` points."""
         counts = np.zeros(_TILES, np.int64)
         for part in self._parts(key, ("tile",), _SLICE):
             counts += np.bincount(part["tile"], minlength=_TILES)
@@ -269,12 +269,12 @@ class TileBuckets:
         return self._waiting.index.get(key, [])
 
     def _oldest(self) -> list[tuple[int, GroupedPoints]]:
-        """Choose the oldest chunks: half of what may be held, all chunks of a number, all of them final or none."""
+        """Choose the oldest chunks, about half of the limit; never split a number, never mix final and other chunks."""
         chosen: list[tuple[int, GroupedPoints]] = []
         is_final, held = False, 0
         for number, chunk in self._waiting.chunks:
             same = self.final is None or number < self.final
-            full = self.room is not None and held >= self.room.points // 2 and number != chosen[-1][0]
+            full = self.limits is not None and held >= self.limits.points // 2 and number != chosen[-1][0]
             if chosen and (is_final != same or full):
                 break
             chosen.append((number, chunk))

@@ -1,7 +1,7 @@
 """The global tile grid: pure algebra between coordinates, tile indices and bounds.
 
 The grid is anchored at the CRS origin, so that two surveys of one site share tiles. Tiles are half-open,
-``[west, east) x [south, north)``. Everything is in metres; the caller turns CRS units into metres first.
+``[west, east) x [south, north)``. All lengths are in metres; the caller converts CRS units first.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class TileWindow:
-    """A rectangle of tiles: ``cols`` x ``rows`` of them, the south-west one at ``(col, row)``."""
+    """A rectangle of ``cols`` x ``rows`` tiles, the south-west one at ``(col, row)``."""
 
     col: int
     row: int
@@ -33,14 +33,14 @@ class TileWindow:
 
     @classmethod
     def around(cls, col: NDArray[np.integer], row: NDArray[np.integer]) -> "TileWindow":
-        """Smallest window that holds every given tile (at least one)."""
+        """Return the smallest window that contains every given tile (at least one)."""
         west, south = int(col.min()), int(row.min())
         return cls(west, south, int(col.max()) - west + 1, int(row.max()) - south + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Square tiles of ``tile_size`` metres, each cut into ``pixels`` x ``pixels``."""
+    """Square tiles of ``tile_size`` metres, each divided into ``pixels`` x ``pixels``."""
 
     tile_size: float = 3.0
     """Side of a tile, m."""
@@ -59,9 +59,9 @@ class Grid:
         return self.tile_size / self.pixels
 
     def index(self, coordinate: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Tile index along one axis: the ``i`` with ``i * size <= coordinate < (i + 1) * size``, exactly.
+        """Return the tile index along one axis: the ``i`` with ``i * size <= coordinate < (i + 1) * size``, exactly.
 
-        The quotient may round across a border; the two comparisons put such points back where the borders say.
+        The quotient may round across a border; two comparisons with the borders correct this.
 
         Parameters
         ----------
@@ -79,12 +79,12 @@ class Grid:
         return i.astype(np.int64)
 
     def bounds(self, col: int, row: int) -> Bounds:
-        """Bounds of one tile, m."""
+        """Return the bounds of one tile, m."""
         size = self.tile_size
         return Bounds(col * size, row * size, (col + 1) * size, (row + 1) * size)
 
     def window_bounds(self, window: TileWindow) -> Bounds:
-        """Bounds of a window of tiles, m."""
+        """Return the bounds of a window of tiles, m."""
         size = self.tile_size
         return Bounds(
             window.col * size,

@@ -1,13 +1,12 @@
-"""Packs: files of array columns grouped by block, written once, whole or not at all.
+"""Packs: files of array columns grouped by block, written atomically.
 
-What leaves memory during a run goes into packs: points that wait for their block, and results of finished tiles. A
-pack is data (the columns of one block back to back, block after block), then an index, then a trailer that says where
-the index is. It is written under another name and renamed, so a pack that can be seen is complete; the index has a
-checksum of its own.
+A run writes waiting points and finished tiles to packs. A pack is data (the columns of one block, block after block),
+then an index with a checksum, then a trailer with the position of the index. It is written under a temporary name and
+renamed, so a file with its final name is complete.
 
-Arrow's IPC file was tried instead. Its footer has no checksum (of 639 bytes changed one at a time outside the columns,
-4 gave other data without an error), some rows of a large block cannot be read alone, and small blocks take 1.6 times
-as long to write.
+Arrow IPC files were tried instead. Their footer has no checksum (of 639 bytes changed one at a time outside the
+columns, 4 gave other data without an error), it is not possible to read only some rows of a large block, and small
+blocks take 1.6 times as long to write.
 """
 
 import json
@@ -35,7 +34,7 @@ BlockKey = tuple[int, int]
 
 
 class PackError(Exception):
-    """A file is no pack, or a damaged one."""
+    """A file is not a pack, or is damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +53,15 @@ class Column:
 
 
 class PackWriter:
-    """Writes a pack; use it in a ``with``, which renames the file where the body succeeds and removes it elsewhere.
+    """Writes a pack as a context manager: the file appears if the body succeeds, and is deleted if it fails.
 
     Parameters
     ----------
     path : Path
-        The file that shall appear.
+        File to write.
     columns : sequence of Column
     meta : mapping
-        Anything that JSON can hold; read back as ``Pack.meta``.
+        JSON-serialisable; read back as ``Pack.meta``.
     """
 
     def __init__(self, path: Path, columns: Sequence[Column], meta: Mapping[str, Any]) -> None:
@@ -80,7 +79,7 @@ class PackWriter:
         return self
 
     def add(self, key: BlockKey, rows: int, columns: Mapping[str, Iterable[NDArray[Any]]]) -> None:
-        """Write a block: ``rows`` rows; each column comes in one or more arrays that follow each other."""
+        """Write a block of ``rows`` rows; each column is given as arrays to be concatenated."""
         self._index.append((*key, rows, self._at))
         for column in self._columns:
             size = 0
@@ -117,18 +116,18 @@ class PackWriter:
 
 
 def _bytes(array: NDArray[Any]) -> memoryview:
-    """Bytes of a contiguous array, not copied."""
+    """Return the bytes of a contiguous array without a copy."""
     flat: Any = array.reshape(-1).view(np.uint8) if array.size else b""
     return memoryview(flat)
 
 
 class Pack:
-    """A pack on disk. Only the index is in memory; columns are read when they are asked for.
+    """A pack on disk. Only the index is in memory; columns are read on request.
 
     Raises
     ------
     PackError
-        No pack, or a damaged one.
+        The file is not a pack, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,7 +150,7 @@ class Pack:
         return 0 if place is None else int(self._entries[place, 2])
 
     def _find(self, key: BlockKey) -> int | None:
-        # No dict: a large survey has millions of entries, and 32 bytes each are enough.
+        # Not a dict: a large survey has millions of entries, which take only 32 bytes each here.
         row, col = self._entries[:, 0], self._entries[:, 1]
         first, last = np.searchsorted(row, [key[0], key[0] + 1])
         place = int(first + np.searchsorted(col[first:last], key[1]))
@@ -173,7 +172,7 @@ class Pack:
         rows, at = (int(number) for number in self._entries[place, 2:])
         stop = rows if stop is None else min(stop, rows)
         found = {}
-        # Opened for each read: any number of packs, any number of threads, and a closed one cannot be forgotten.
+        # Opened for each read: safe with any number of packs and threads, and nothing is left open.
         with self.path.open("rb", buffering=0) as file:
             for column in self.columns:
                 if column.name in names:
@@ -213,18 +212,18 @@ def _read_index(path: Path, file: BinaryIO) -> tuple[tuple[Column, ...], NDArray
 
 
 class MemoryPack:
-    """The same, in memory: for results that never leave it."""
+    """A pack in memory, with the methods of `Pack` for reading."""
 
     def __init__(self) -> None:
         self._blocks: dict[BlockKey, dict[str, NDArray[Any]]] = {}
 
     def add(self, key: BlockKey, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Keep a block."""
+        """Add a block."""
         self._blocks[key] = dict(columns)
 
     @property
     def keys(self) -> list[BlockKey]:
-        """The blocks, in the order in which they came."""
+        """The blocks, in the order in which they were added."""
         return list(self._blocks)
 
     def rows(self, key: BlockKey) -> int:
@@ -235,5 +234,5 @@ class MemoryPack:
     def read(
         self, key: BlockKey, names: Sequence[str], start: int = 0, stop: int | None = None
     ) -> dict[str, NDArray[Any]]:
-        """Columns of a block (rows ``start:stop``)."""
+        """Read columns of a block (rows ``start:stop``)."""
         return {name: array[start:stop] for name, array in self._blocks[key].items() if name in names}

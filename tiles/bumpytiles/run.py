@@ -1,4 +1,4 @@
-"""Run a function over blocks on threads, in order, with few blocks in flight."""
+"""Apply a function to blocks on several threads; results come in order, and few blocks are in memory."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -14,15 +14,15 @@ Result = TypeVar("Result")
 def run_blocks(function: Callable[[Block], Result], blocks: Iterable[Block], workers: int) -> Iterator[Result]:
     """Yield ``function(block)`` in the order of the blocks.
 
-    At most ``2 * workers`` blocks are in flight, so a lazy ``blocks`` stays lazy. The function should release the GIL
-    (NumPy sorts and compiled kernels do).
+    At most ``2 * workers`` blocks are pending, so ``blocks`` may be a lazy iterator. The function should release the
+    GIL (NumPy sorts and compiled kernels do).
 
     Parameters
     ----------
     function : callable
-        A pure function of one block.
+        Pure function of one block.
     blocks : iterable
-        Blocks; drawn as they are needed.
+        Consumed lazily.
     workers : int
         Number of threads, at least 1.
     """

@@ -1,4 +1,4 @@
-"""Signals that are for the main process alone, while it starts or stops others."""
+"""Blocking of signals while the main process starts or stops others."""
 
 import os
 import signal
@@ -10,10 +10,10 @@ __all__ = ["blocked_signals"]
 
 @contextmanager
 def blocked_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until the body is done; threads and processes that it starts never hear them.
+    """Block SIGINT and SIGTERM during the body; threads and processes that it starts keep them blocked.
 
-    They reach every process of a terminal or a batch job: the main one alone shall answer, and end its workers. One
-    that is hit while it imports, or is half begun or half closed, ends with a traceback.
+    Both signals reach every process of a terminal or a batch job, but only the main process handles them, and stops
+    its workers. A process that receives one while it imports, starts or stops would end with a traceback.
     """
     if os.name != "posix":
         yield

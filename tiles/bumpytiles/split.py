@@ -1,12 +1,12 @@
 """Sort a stream of points into tiles.
 
 Points arrive in any order, in chunks of any size, from any number of files. Each chunk is grouped by blocks of tiles;
-when a block is complete its points are put in order *once*: by tile, and inside a tile by a hash of their own
-coordinates. That one order gives three things at a time:
+when a block is complete its points are sorted *once*: by tile, and inside a tile by a hash of their coordinates. This
+order has three advantages:
 
-- it no longer depends on how the points came, so plain floating-point sums over a tile have the same bits for any
-  chunk size, any order of files, any number of threads;
-- exact duplicates become neighbours, and count once;
+- it does not depend on the order of arrival, so floating-point sums over a tile have the same bits for any chunk size,
+  order of files and number of threads;
+- exact duplicates become neighbours, and are counted once;
 - the first k points of a tile are a random sample of it.
 """
 
@@ -30,7 +30,7 @@ POINT_COLUMNS = (
     Column("tile", "|u1"),
     Column("flag", "|b1"),
 )
-"""A point that waits for its block: 26 bytes."""
+"""A waiting point: 26 bytes."""
 
 PointColumns = dict[str, NDArray[Any]]
 """Columns of `POINT_COLUMNS`, (n,) each."""
@@ -38,7 +38,7 @@ PointColumns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class TilePoints:
-    """The points of some tiles. Tile ``t`` owns the points ``starts[t]:starts[t + 1]``, in their canonical order."""
+    """The points of some tiles. Tile ``t`` owns the points ``starts[t]:starts[t + 1]``, in their sorted order."""
 
     grid: Grid
     col: NDArray[np.int64]
@@ -54,7 +54,7 @@ class TilePoints:
     upward: NDArray[np.float64]
     """(points,) m."""
     flag: NDArray[np.bool_]
-    """(points,) the mark that came with each point."""
+    """(points,) the mark that was passed with each point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +62,19 @@ class GroupedPoints:
     """A chunk of points, grouped by block."""
 
     keys: list[BlockKey]
-    """Blocks that it has points of, south-west first."""
+    """Blocks with points in the chunk, south-west first."""
     starts: NDArray[np.int64]
     """(blocks + 1,) where each block's points begin."""
     points: PointColumns
     """(n,) columns."""
 
     def block(self, place: int) -> PointColumns:
-        """Points of its ``place``-th block (views)."""
+        """Return views of the points of the block ``keys[place]``."""
         span = slice(int(self.starts[place]), int(self.starts[place + 1]))
         return {name: array[span] for name, array in self.points.items()}
 
     def __len__(self) -> int:
-        """Count the points."""
+        """Return the number of points."""
         return int(self.starts[-1])
 
 
@@ -85,7 +85,7 @@ def group_points(
     upward: NDArray[np.float64],
     flag: NDArray[np.bool_],
 ) -> GroupedPoints:
-    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) travels with them."""
+    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
     n = len(easting)
     points: PointColumns = {column.name: np.empty(n, column.dtype) for column in POINT_COLUMNS}
     if n == 0:
@@ -106,7 +106,7 @@ def group_points(
 
 
 def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
-    """Group points that lie far apart: no table can hold every block between them."""
+    """Group points that are far apart: a table of all blocks between them would be too large."""
     easting, northing, _, _ = columns
     col, row = grid.index(easting), grid.index(northing)
     order = np.lexsort((col // BLOCK_TILES, row // BLOCK_TILES))
@@ -120,7 +120,7 @@ def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
 
 
 def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointColumns]) -> TilePoints:
-    """Put the points of a block, which came in parts (at least one), into their canonical order."""
+    """Sort the points of a block, given in one or more parts, by tile and hash; drop duplicates."""
     names = [column.name for column in POINT_COLUMNS]
     joined = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in names}
     columns = [joined[name] for name in names]

@@ -1,4 +1,4 @@
-"""All tiles of a run as one table that is never in memory as a whole: read by window, assembled from packs."""
+"""All tiles of a run as one table, which is read from packs window by window and never held in memory as a whole."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -14,9 +14,9 @@ __all__ = ["TileTable"]
 
 
 class TileTable:
-    """Rows of tiles, by block, from any number of packs; each block stands in one of them.
+    """A table with one row per tile, stored by block in any number of packs; each block is in one of them.
 
-    Every pack has the columns ``col`` and ``row`` (tile indices) beside others.
+    Every pack has the columns ``col`` and ``row`` (tile indices), and others.
 
     Parameters
     ----------
@@ -27,20 +27,20 @@ class TileTable:
 
     def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack]) -> None:
         self.grid = grid
-        self._home: dict[BlockKey, Pack | MemoryPack] = {
+        self._pack_of: dict[BlockKey, Pack | MemoryPack] = {
             key: pack for pack in packs for key in pack.keys if pack.rows(key)
         }
-        self.tiles = sum(pack.rows(key) for key, pack in self._home.items())
+        self.tiles = sum(pack.rows(key) for key, pack in self._pack_of.items())
         """Number of tiles."""
         if not self.tiles:
-            raise ValueError("a mosaic needs at least one tile")
-        self._rows, self._cols = np.ascontiguousarray(np.array(sorted(self._home), dtype=np.int64).T)
+            raise ValueError("a table needs at least one tile")
+        self._rows, self._cols = np.ascontiguousarray(np.array(sorted(self._pack_of), dtype=np.int64).T)
         self.window = self._tight_window()
-        """The smallest window that holds every tile."""
+        """The smallest window that contains every tile."""
 
     @classmethod
     def of(cls, grid: Grid, columns: Mapping[str, NDArray[Any]]) -> "TileTable":
-        """Make a mosaic of columns in memory; one row a tile, in any order, ``col`` and ``row`` among them."""
+        """Make a table of columns in memory, ``col`` and ``row`` included; one row per tile, in any order."""
         pack = MemoryPack()
         rows, cols = columns["row"] // BLOCK_TILES, columns["col"] // BLOCK_TILES
         order = np.lexsort((cols, rows))
@@ -51,13 +51,13 @@ class TileTable:
         return cls(grid, [pack])
 
     def holds(self, window: TileWindow) -> bool:
-        """Say whether blocks that reach into a window hold tiles: False is certain, True may mean their other parts."""
+        """Return False if a window has no tiles; True if blocks that overlap it have tiles, perhaps outside it."""
         return next(self._runs(window), None) is not None
 
     def read(self, names: Sequence[str], window: TileWindow | None = None) -> dict[str, NDArray[Any]]:
         """Read columns of the tiles in a window (None: of all), north row first, then west column first.
 
-        ``col`` and ``row`` are always among the columns. A window without tiles gives arrays without rows.
+        ``col`` and ``row`` are always included. For a window without tiles the arrays are empty.
 
         Raises
         ------
@@ -69,14 +69,14 @@ class TileTable:
         parts = [self._part(key, wanted, window) for run in self._runs(window) for key in run]
         if not parts:
             some = (int(self._rows[0]), int(self._cols[0]))
-            parts = [self._home[some].read(some, wanted, 0, 0)]
-        # Pieces go as soon as they are joined: they are most of what is in memory.
+            parts = [self._pack_of[some].read(some, wanted, 0, 0)]
+        # Each part is released as soon as it is joined: the parts take most of the memory.
         col, row = (np.concatenate([part.pop(name) for part in parts]) for name in ("col", "row"))
-        # One number a tile that grows in canonical order: sorting it takes a third of the time of sorting two columns.
+        # One number per tile that increases in that order: sorting it takes a third of the time of sorting two columns.
         place = (window.row + window.rows - row) * window.cols + (col - window.col)
         order = np.argsort(place, kind="stable")
         if np.any(np.diff(place[order]) == 0):
-            raise ValueError("two rows of the mosaic are the same tile")
+            raise ValueError("two rows of the table are the same tile")
         found = {"col": col[order], "row": row[order]}
         for name in wanted[2:]:
             found[name] = np.concatenate([part.pop(name) for part in parts])[order]
@@ -85,14 +85,14 @@ class TileTable:
     def strips(self, most: int, window: TileWindow | None = None) -> Iterator[TileWindow]:
         """Cut the tiles in a window (None: all) into windows of at most ``most`` tiles (but at least a block).
 
-        They come north first, then west first. One is a row of blocks high, or what of it lies in the window, and as
-        many blocks wide as fit; each tile lies in just one of them.
+        They are ordered from north to south, then from west to east. Each is one row of blocks high, clipped to the
+        window, and as many blocks wide as fit; each tile is in exactly one of them.
         """
         window = window or self.window
         for run in self._runs(window):
             start, held = run[0], 0
             for key in run:
-                tiles = self._home[key].rows(key)
+                tiles = self._pack_of[key].rows(key)
                 if held and held + tiles > most:
                     yield _strip(start, key[1], window)
                     start, held = key, 0
@@ -100,8 +100,8 @@ class TileTable:
             yield _strip(start, run[-1][1] + 1, window)
 
     def _part(self, key: BlockKey, wanted: Sequence[str], window: TileWindow) -> dict[str, NDArray[Any]]:
-        """Columns of those tiles of a block that lie in a window."""
-        part = self._home[key].read(key, wanted)
+        """Read columns of the tiles of a block that are in a window."""
+        part = self._pack_of[key].read(key, wanted)
         west, south = key[1] * BLOCK_TILES, key[0] * BLOCK_TILES
         if _strip(key, key[1] + 1, window) == TileWindow(west, south, BLOCK_TILES, BLOCK_TILES):
             return part
@@ -114,7 +114,7 @@ class TileTable:
         return {name: array[inside] for name, array in part.items()}
 
     def _runs(self, window: TileWindow) -> Iterator[list[BlockKey]]:
-        """Blocks that reach into a window, row by row: north first, in each west first; rows without blocks are out."""
+        """Yield the blocks that overlap a window, one list per row, north row first; each from west to east."""
         west, south = window.col // BLOCK_TILES, window.row // BLOCK_TILES
         east = (window.col + window.cols - 1) // BLOCK_TILES
         north = (window.row + window.rows - 1) // BLOCK_TILES
@@ -125,18 +125,18 @@ class TileTable:
                 yield [(row, col) for col in self._cols[start:end].tolist()]
 
     def _tight_window(self) -> TileWindow:
-        """Look at the tiles of the outermost blocks only."""
+        """Return the smallest window around all tiles, from those of the outermost blocks."""
         row, col = self._rows, self._cols
-        rim = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
-        keys = zip(row[rim].tolist(), col[rim].tolist(), strict=True)
-        found = [self._home[key].read(key, ("col", "row")) for key in keys]
+        edge = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
+        keys = zip(row[edge].tolist(), col[edge].tolist(), strict=True)
+        found = [self._pack_of[key].read(key, ("col", "row")) for key in keys]
         return TileWindow.around(
             np.concatenate([part["col"] for part in found]), np.concatenate([part["row"] for part in found])
         )
 
 
 def _strip(start: BlockKey, stop: int, window: TileWindow) -> TileWindow:
-    """Cut a window down to blocks of one row, from ``start`` up to the column ``stop`` of blocks."""
+    """Clip blocks of one row, from ``start`` up to but without block column ``stop``, to a window."""
     row, col = start
     west, east = max(col * BLOCK_TILES, window.col), min(stop * BLOCK_TILES, window.col + window.cols)
     south, north = max(row * BLOCK_TILES, window.row), min((row + 1) * BLOCK_TILES, window.row + window.rows)

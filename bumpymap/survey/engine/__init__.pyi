@@ -22,7 +22,6 @@ from .resource_estimate import (
 )
 from .run import (
     Executor as Executor,
-    Inputs as Inputs,
     run_engine as run_engine,
 )
 from .workspace import (

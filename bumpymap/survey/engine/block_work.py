@@ -1,4 +1,4 @@
-"""The work that is done with each block, what comes of a run, and what to say where it fails."""
+"""The work that is done on each block, the result of a run, and the messages when memory or disk run out."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,24 +33,24 @@ TileColumns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class BlockWork:
-    """What is done with each block; picklable, so that it can travel."""
+    """The work that is done on each block; picklable, because workers of a cluster do it too."""
 
     grid: Grid
     columns: tuple[Column, ...]
     """Of a finished tile."""
     rate: Callable[[TilePoints, bool], TileColumns]
-    """Points of some tiles, and whether only ground counts, to columns of those tiles."""
+    """Takes the points of some tiles, and whether only ground is measured; returns the columns of these tiles."""
     ground: Ground
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What may have to be measured while it is not known yet which points count: ``all``, ``ground``, or both."""
+        """What to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
         return {"auto": ("all", "ground"), "all": ("all",)}.get(self.ground, ("ground",))
 
     def finish(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
     ) -> Iterator[tuple[BlockKey, TileColumns]]:
-        """Finish blocks, in order."""
+        """Rate blocks; yield their columns in the given order."""
 
         def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
             shares = [self.rate(points, ground_only) for points in self._points(buckets, key)]
@@ -60,8 +60,8 @@ class BlockWork:
         return run_blocks(finish, keys, threads)
 
     def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
-        """Hand out a block: as a whole where a cloth falls on it, since a part would be given other ground."""
-        most = buckets.room.block_points if buckets.room else None
+        """Yield the points of a block: in one piece for the cloth filter, which would find other ground in a part."""
+        most = buckets.limits.block_points if buckets.limits else None
         if self.ground == "csf" and most is not None and (points := buckets.points(key)) > most:
             side = BLOCK_TILES * self.grid.tile_size
             raise UsageError(
@@ -74,7 +74,7 @@ class BlockWork:
     def finish_early(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
     ) -> None:
-        """Finish blocks in every way that may be wanted, with what is needed to choose between them."""
+        """Rate blocks for each of ``kinds`` and count their tiles with ground, so that one kind can be chosen later."""
         for kind, sink in sinks.items():
             for key, columns in self.finish(buckets, keys, threads, ground_only=kind == "ground"):
                 sink.add(key, columns, buckets.marks(key))
@@ -84,18 +84,18 @@ class BlockWork:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTiles:
-    """What came of reading and measuring."""
+    """The result of reading and measuring."""
 
     table: TileTable
     ground_only: bool
     dropped: list[dict[str, int] | None]
-    """For each input, points that did not count by reason; None where it was skipped."""
+    """For each input the number of dropped points by reason; None if it was skipped."""
     points: int
-    """Points that count; duplicates are still among them."""
+    """Number of points used; duplicates are included."""
 
     @classmethod
     def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
-        """Give what a run has finished, by the record that it left in its workspace."""
+        """Return what a run has finished, from the record in its workspace."""
         kind = "ground" if record["ground_only"] else "all"
         packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
         return cls(TileTable(work.grid, packs), record["ground_only"], record["dropped"], record["points"])
@@ -103,7 +103,7 @@ class MeasuredTiles:
 
 @contextmanager
 def engine_errors(budget: Budget) -> Iterator[None]:
-    """Say what to do where memory or disk do not suffice."""
+    """Turn a shortage of memory or disk into an error that says what to do."""
     try:
         yield
     except TooManyPointsError as error:

@@ -1,8 +1,8 @@
-"""What a memory budget buys: how many points may wait, how many are read and put in order at a time.
+"""How a memory budget is divided: how many points may wait, and how many are read and sorted at a time.
 
-The shares were measured: a point that waits takes 26 bytes, one that is being read up to 95 (its record, its
-coordinates, its place in a run), one that is being put in order 63. What waits may reach one and a half times its limit
-while the older half is written to disk.
+The shares were measured: a waiting point takes 26 bytes, one that is being read up to 95 (its record, its coordinates,
+its index in a block), one that is being sorted 63. Waiting points may reach one and a half times their limit while the
+older half is written to disk.
 """
 
 import re
@@ -13,10 +13,10 @@ from bumpymap.core import UsageError
 __all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
 
 LEAST_MEMORY = 128 << 20
-"""Less is no use: one piece of a file alone needs this much."""
+"""Smallest budget, bytes: one chunk of a file alone needs this much."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 POINT_BYTES = 26
-"""A point that waits, in memory or on disk."""
+"""Size of a waiting point, in memory or on disk."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
 _MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
 _PIECE_POINTS = 500_000
@@ -24,12 +24,12 @@ _LEAST_PIECE = 50_000
 
 
 def memory_bytes(text: str) -> int:
-    """Bytes that a text such as ``1GB`` or ``800 MB`` names (1 GB = 2^30 bytes).
+    """Parse a size such as ``1GB`` or ``800 MB`` and return it in bytes (1 GB = 2^30 bytes).
 
     Raises
     ------
     UsageError
-        Not a size, or less than ``LEAST_MEMORY``.
+        The text is not a size, or less than ``LEAST_MEMORY``.
     """
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)\s*", text.lower())
     unit = found[2].replace("i", "") if found else ""
@@ -45,27 +45,27 @@ class Budget:
     """Shares of a memory budget, in points."""
 
     memory: int
-    """Bytes over what the interpreter and its libraries take."""
+    """Bytes, in addition to what the interpreter and its libraries take."""
     threads: int
 
     @property
     def waiting_points(self) -> int:
-        """Most points that wait for their block in memory."""
+        """Most points that wait in memory until their block is complete."""
         return int(_MOST_WAITING / 1.5 * self.memory / POINT_BYTES)
 
     @property
     def block_points(self) -> int:
-        """Most points of one block that a thread puts in order together."""
+        """Most points of one block that a thread sorts together."""
         return int(_SORTING * self.memory / _SORTING_BYTES / self.threads)
 
     @property
     def chunk_points(self) -> int:
-        """Points of a piece of a file; each thread holds one, and one is being decoded."""
+        """Points in a chunk of a file; each thread holds one chunk, and one is being decoded."""
         fitting = int(_READING * self.memory / _READING_BYTES / (self.threads + 1))
         return max(_LEAST_PIECE, min(_PIECE_POINTS, fitting))
 
     def most_bytes(self, points: int) -> int:
-        """Bytes that a survey of so many points can take of the budget."""
+        """Return the most bytes of the budget that a survey of this many points can take."""
         waiting = int(1.5 * POINT_BYTES * min(points, self.waiting_points))
         reading = _READING_BYTES * min(points, self.chunk_points * (self.threads + 1))
         sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)

@@ -1,4 +1,4 @@
-"""Where the points of which blocks are, and how blocks are shared out among tasks."""
+"""Which packs hold the points of which blocks, and how blocks are grouped into tasks."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,31 +12,31 @@ from bumpytiles import BlockKey
 __all__ = ["BlockCatalogue", "BlockGroup"]
 
 _SIDE = 8
-"""Blocks along a side of the squares that groups are taken from: near blocks stand in the same packs."""
+"""Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
 _MOST_BLOCKS = 64
-"""So many hold at most 16,384 tiles: one pack."""
+"""Most blocks in a group; they hold at most 16,384 tiles: one pack."""
 _MOST_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class BlockGroup:
-    """Blocks that one worker finishes, and the packs that hold those of their points that are on disk."""
+    """Blocks that one task finishes, and the packs that hold their points on disk."""
 
     keys: tuple[BlockKey, ...]
     packs: tuple[Path, ...]
 
 
 class BlockCatalogue:
-    """Knows where the points of each block are: numbers alone, 32 bytes for each block of each pack."""
+    """Knows which packs hold points of each block; takes 32 bytes for each block of each pack."""
 
     def __init__(self) -> None:
         self._paths: list[Path | None] = []
         self._entries: list[NDArray[np.int64]] = []
 
     def add(self, path: Path | None, blocks: NDArray[np.int64]) -> None:
-        """Note what a pack holds, or (None) the memory of this process.
+        """Add the blocks of a pack, or of the memory of this process (``path`` None).
 
-        ``blocks`` (n, 3) has row, column and number of points of each block; a block may come several times.
+        ``blocks`` (n, 3) holds row, column and number of points of each block; a block may occur several times.
         """
         number = np.full((len(blocks), 1), len(self._paths), np.int64)
         self._paths.append(path)
@@ -47,7 +47,7 @@ class BlockCatalogue:
         return np.unique(self._all()[:, :2], axis=0)
 
     def groups(self, skip: Collection[BlockKey] = (), *, single: bool = False) -> Iterator[BlockGroup]:
-        """Share out the blocks but those to ``skip``: some neighbours at a time by their points, or ``single``: all."""
+        """Yield groups of neighbouring blocks, without those in ``skip``; one group of all of them if ``single``."""
         entries = self._all()
         row, col = entries[:, 0], entries[:, 1]
         entries = entries[np.lexsort((col, row, col // _SIDE, row // _SIDE))]

@@ -1,7 +1,7 @@
-"""What a run notes on disk, so that it is not done again: finished tiles, and which chunks are read.
+"""Checkpoints of a run: finished tiles, and records of the chunks that are read.
 
-A record names chunks of which every point is safe: in a pack of points that wait, or in finished tiles. It lies beside
-the points, and goes where they go.
+A record lists chunks of which every point is on disk: in a pack of waiting points, or in finished tiles. Records are
+stored in the folder of the points.
 """
 
 import json
@@ -23,27 +23,27 @@ __all__ = ["Checkpoints"]
 
 
 class Checkpoints:
-    """Gives results the names under which they count, and takes up those of an earlier run.
+    """Saves results as checkpoints, and loads those of an earlier run.
 
     Parameters
     ----------
     space : Workspace
     kinds : sequence of str
-        Of `BlockWork`: what is measured of a block that is finished while points are read.
+        `BlockWork.kinds`: what is measured of blocks that are finished while points are read.
     """
 
     def __init__(self, space: Workspace, kinds: Sequence[str]) -> None:
         self._space, self._kinds = space, [f"{kind}-early" for kind in kinds]
         self.early: list[Pack] = []
-        """Packs of the first of ``kinds`` with blocks that were finished while points were read."""
+        """Packs, of the first kind, of blocks that were finished while points were read."""
 
-    def take_up(self) -> list[ReadResult]:
-        """Give what an earlier run has read; forget what it was about to note."""
-        early = self._whole_early()
+    def load_results(self) -> list[ReadResult]:
+        """Return what an earlier run has read; delete files that no complete record lists."""
+        early = self._complete_early()
         records = {path: parse_json(path.read_text("utf-8")) for path in self._space.records()}
-        # A later pack leaves out points of blocks that were finished: where such tiles are lost, so are these points.
+        # Later packs leave out the points of blocks that were finished: if such tiles are lost, so are these points.
         lost = {number for record in records.values() for number in record["early"]} - early
-        whole = {path: record for path, record in records.items() if not lost and self._is_there(record)}
+        whole = {path: record for path, record in records.items() if not lost and self._has_packs(record)}
         self._clear(early, whole)
         self.early = [Pack(self._space.tile_pack(self._kinds[0], number)) for number in sorted(early)]
         self._next = {self._kinds[0]: 1 + max(early, default=-1)}
@@ -51,8 +51,8 @@ class Checkpoints:
         return [self._result(record) for record in whole.values()]
 
     def save(self, result: ReadResult) -> None:
-        """Note that chunks are read, unless their points are in memory alone."""
-        early = self._take_tiles(result.tiles, self._kinds)
+        """Save finished tiles; record that chunks are read, unless some of their points are only in memory."""
+        early = self._number_packs(result.tiles, self._kinds)
         self.early += [Pack(self._space.tile_pack(self._kinds[0], number)) for number in early]
         if result.in_memory is not None:
             return
@@ -69,11 +69,11 @@ class Checkpoints:
         )
 
     def save_tiles(self, kind: str, packs: Sequence[Path]) -> None:
-        """Keep packs of finished tiles."""
-        self._take_tiles([packs], [kind])
+        """Save packs of finished tiles."""
+        self._number_packs([packs], [kind])
 
-    def _take_tiles(self, packs: Sequence[Sequence[Path]], kinds: Sequence[str]) -> list[int]:
-        """Give packs their names, for each kind as many; gives the numbers in these."""
+    def _number_packs(self, packs: Sequence[Sequence[Path]], kinds: Sequence[str]) -> list[int]:
+        """Move packs, as many of each kind, to their numbered names; return the numbers."""
         if kinds[0] not in self._next:
             taken = (int(path.stem[-6:]) for path in self._space.tiles(kinds[0]))
             self._next[kinds[0]] = 1 + max(taken, default=-1)
@@ -85,12 +85,12 @@ class Checkpoints:
         self._next[kinds[0]] = number
         return list(range(first, number))
 
-    def _whole_early(self) -> set[int]:
-        """Numbers of early packs that are there for each kind; a run may have been killed between two kinds."""
+    def _complete_early(self) -> set[int]:
+        """Return the numbers of early packs that exist for every kind: a run may have been killed between two kinds."""
         return set.intersection(*({int(path.stem[-6:]) for path in self._space.tiles(kind)} for kind in self._kinds))
 
     def _clear(self, early: set[int], records: Mapping[Path, Mapping[str, Any]]) -> None:
-        """Take away early tiles, records and folders of points that do not count."""
+        """Delete early tiles, records and folders of points that are not part of a checkpoint."""
         for path in self._space.tiles("*-early"):
             if int(path.stem[-6:]) not in early:
                 path.unlink()
@@ -106,7 +106,7 @@ class Checkpoints:
             temporary.write_text(json.dumps(record), encoding="utf-8")
         self._next_record += 1
 
-    def _is_there(self, record: Mapping[str, Any]) -> bool:
+    def _has_packs(self, record: Mapping[str, Any]) -> bool:
         return all(self._points(path).exists() for path, _ in record["packs"])
 
     def _points(self, path: str) -> Path:

@@ -1,8 +1,8 @@
-"""Chunks of files, one after the other: fetched ahead, and converted and grouped beside that.
+"""A stream of chunks in file order: chunks are fetched ahead while earlier ones are converted and grouped.
 
-The decoder works in a process of its own and uses every core; conversion and grouping are compiled and hold no lock. So
-all of them go on at once: one thread fetches the chunk that comes next, some convert and group the chunks before it,
-and the caller takes what is ready, in order.
+The decoder runs in its own process and uses every core; conversion and grouping are compiled and release the GIL. One
+thread fetches the next chunk, other threads convert and group the chunks before it, and the caller receives them in
+order.
 """
 
 from collections import deque
@@ -21,9 +21,9 @@ from bumpytiles import Grid, GroupedPoints, group_points
 __all__ = ["BadFile", "ChunkStream", "OpenRange", "ReadChunk"]
 
 _LARGEST_KEPT = (1 << 25) - (1 << 16)
-"""glibc's malloc keeps freed memory for the next array up to the size of the largest block that was ever freed, and to
-32 MB at most. One is reserved and freed, untouched, since nothing else here is that large: without it the arrays of
-every chunk and block come from the system page by page (20 million points: 250,000 page faults, 0.5 s)."""
+"""glibc's malloc reuses freed memory for arrays up to the size of the largest allocation that was ever freed, at most
+32 MB. So an array of this size is allocated once and freed untouched: without it the arrays of every chunk and block
+come from the system page by page (20 million points: 250,000 page faults, 0.5 s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class OpenRange:
     range: ChunkRange
     reader: SurveyReader
     chunks: Sequence[Chunk]
-    """Of the range."""
+    """The chunks of the range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +45,17 @@ class ReadChunk:
     points: GroupedPoints
     stats: PointStats
     flagged: bool
-    """Whether any of them is ground."""
+    """Whether any point is ground."""
 
     @property
     def is_last(self) -> bool:
-        """Whether it is the last one of its range."""
+        """Whether this is the last chunk of its range."""
         return self.chunk.index + 1 == self.source.range.stop
 
 
 @dataclass(frozen=True, slots=True)
 class BadFile:
-    """A file that cannot be read."""
+    """A file that cannot be read, and why."""
 
     source: OpenRange
     error: BadInputError
@@ -70,7 +70,7 @@ class ChunkStream:
     Parameters
     ----------
     ranges : sequence of OpenRange
-        One of each file at a time.
+        At most one range of each file.
     grid : Grid
     threads : int
     """
@@ -80,18 +80,18 @@ class ChunkStream:
         self._skipped: set[int] = set()
 
     def skip(self, file: int) -> None:
-        """Read no more of a file."""
+        """Stop reading a file."""
         self._skipped.add(file)
 
     def read(self) -> Iterator[ReadChunk | BadFile]:
-        """Give the chunks in order; a file that cannot be read is named once, after its chunks before the fault."""
+        """Yield the chunks in order; for a file that cannot be read, yield one `BadFile` after its good chunks."""
         np.empty(_LARGEST_KEPT, np.uint8)
         pending: _Pending = deque()
         fetcher, pool = ThreadPoolExecutor(1), ThreadPoolExecutor(self._threads)
         try:
             for source, chunk, fetching in self._fetched(fetcher):
                 if source.range.file in self._skipped:
-                    continue  # refused while this was fetched
+                    continue  # found to be bad while this chunk was fetched
                 try:
                     fetched = fetching.result()
                 except BadInputError as error:
@@ -108,7 +108,7 @@ class ChunkStream:
             close_decoder()
 
     def _fetched(self, fetcher: ThreadPoolExecutor) -> Iterator[tuple[OpenRange, Chunk, Future[Any]]]:
-        """Give chunks in order, each with what is fetched of it; while one is dealt with the next is fetched."""
+        """Yield chunks in order, each with the future of its data; one chunk is fetched ahead."""
         ahead: deque[tuple[OpenRange, Chunk, Future[Any]]] = deque()
         for source in self._ranges:
             for chunk in source.chunks:
@@ -126,7 +126,7 @@ class ChunkStream:
         return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()))
 
     def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:
-        """Give what is ready, in order, until at most ``most`` chunks are under way."""
+        """Yield grouped chunks in order until at most ``most`` are pending."""
         while len(pending) > most:
             source, future = pending.popleft()
             if source.range.file in self._skipped:

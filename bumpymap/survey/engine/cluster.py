@@ -1,7 +1,7 @@
-"""The executor of a run on the workers of dask.distributed: each task may be done by any of them.
+"""The executor of a run on the workers of dask.distributed: any worker may do any task.
 
-Workers hand each other points and finished tiles as files in folders that all of them see. This process sees counts and
-names of files alone.
+Workers exchange points and finished tiles as files in folders that all of them see. This process receives only counts
+and file names.
 """
 
 import time
@@ -16,7 +16,7 @@ from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.plan import ReadTask, range_points, shared_tasks
-from bumpymap.survey.engine.pool import PATIENCE_S, WorkerPool, worker_losses
+from bumpymap.survey.engine.pool import TIMEOUT_S, WorkerPool, worker_errors
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.tasks import (
@@ -37,7 +37,7 @@ _REMEDY = "Look at their logs. Workers that run short of memory die: give them m
 
 
 class ClusterExecutor:
-    """Shares tasks out among workers; points that wait for others are in packs.
+    """Distributes tasks among workers; points that wait for other tasks are in packs.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class ClusterExecutor:
         In folders that every worker sees.
     budget : Budget
         Of each worker.
-    told : Progress
+    progress : Progress
     pool : WorkerPool
     options : ReadOptions
-        With which the readers were opened.
+        The settings that the readers were opened with.
     versions : callable
-        Gives the versions of the software where it is called.
+        Returns the versions of the software on the machine that calls it.
     """
 
     one_group = False
@@ -66,50 +66,50 @@ class ClusterExecutor:
         options: ReadOptions,
         versions: Callable[[], Mapping[str, str]],
     ) -> None:
-        self._space, self._told, self._pool = space, progress, pool
+        self._space, self._progress, self._pool = space, progress, pool
         self._options, self._versions = options, versions
         self._context = RunContext(work, budget.memory, pool.threads, space.points_folder, space.new_tiles, uuid4().hex)
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """See that every worker fits and sees the folders; tell the workers when the run ends."""
+        """Check that every worker has the same software and sees the folders; tell the workers when the run ends."""
         folders = (self._context.points, self._context.tiles)
         for folder in folders:
             (folder / ALIVE).write_text(self._context.run_id, encoding="utf-8")
-        with worker_losses(_REMEDY):
+        with worker_errors(_REMEDY):
             try:
-                self._look()
+                self._check_workers()
                 yield
             finally:
                 for folder in folders:
                     (folder / ALIVE).unlink(missing_ok=True)
-                self._wait()
+                self._wait_until_idle()
 
     def range_points(self, points: int) -> int | None:
-        """Share the points out among the workers."""
+        """Return the most points of a range, so that every worker gets several ranges."""
         return range_points(points, self._pool.workers.count())
 
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
-        """Read all that is unread."""
+        """Read all ranges that are unread."""
         shared = shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished)
         tasks = ((self._context, self._source(plan, task), task) for task in shared)
         with closing(self._pool.workers.run(read_range, tasks)) as results:
             for number, result in results:
                 yield result
-                self._told.advance(plan.unread[number].points)
+                self._progress.advance(plan.unread[number].points)
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
-        """Count tiles, and those with ground points."""
-        yield from self._done(count_marks, ((self._context, group) for group in groups))
+        """Yield the number of tiles, and of those with ground points, for each group."""
+        yield from self._run_tasks(count_marks, ((self._context, group) for group in groups))
 
     def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
-        """Finish blocks."""
+        """Rate the blocks of each group."""
         tasks = ((self._context, group, ground_only) for group in groups)
-        for tiles in self._done(finish_group, tasks):
+        for tiles in self._run_tasks(finish_group, tasks):
             yield tiles
-            self._told.advance(tiles.blocks)
+            self._progress.advance(tiles.blocks)
 
-    def _done(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
+    def _run_tasks(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
         with closing(self._pool.workers.run(function, tasks)) as results:
             for _, result in results:
                 yield result
@@ -121,8 +121,8 @@ class ClusterExecutor:
         chunk_points = self._space.run_spec["cut"]["chunk_points"]
         return FileSource(place, self._options, (known["size"], known["digest"]), chunk_points)
 
-    def _look(self) -> None:
-        """Ask every worker what it lacks."""
+    def _check_workers(self) -> None:
+        """Raise UsageError if a worker lacks something that the run needs."""
         answers = self._pool.workers.each(missing_on_worker, self._context, self._versions, self._versions())
         for address, answer in answers.items():
             if isinstance(answer, BaseException):
@@ -132,11 +132,11 @@ class ClusterExecutor:
             if answer is not None:
                 raise UsageError(f"{answer} (worker {address})")
 
-    def _wait(self) -> None:
-        """Wait until no worker is at it any more: what it writes must not come after the folders are gone."""
+    def _wait_until_idle(self) -> None:
+        """Wait until no worker is busy with the run: it must not write after the folders are removed."""
         from bumpytiles import ClusterError
 
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         with suppress(ClusterError):
             while time.monotonic() < end and any(answer is True for answer in self._pool.workers.each(busy).values()):
                 time.sleep(0.1)

@@ -1,7 +1,7 @@
-"""Collects what workers hand back: which chunks are read, which files are sound, and where points wait.
+"""Collects the results of tasks: which chunks are read, which files are good, and which packs hold points.
 
-Where bad files end the run, each result counts at once. Where they are skipped, a result counts when its files are
-whole and found sound; those of a bad file never do.
+If a bad file ends the run, each result is saved at once. If bad files are skipped, a result is saved when its files
+have been read completely and found good; results of a bad file are discarded.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -20,8 +20,8 @@ __all__ = ["ResultCollector"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """What a result says of one file."""
+class _FileResult:
+    """The part of a result that concerns one file."""
 
     first: int
     stop: int
@@ -31,7 +31,7 @@ class _Part:
 
 
 class ResultCollector:
-    """Takes the results of tasks; see the module. What an earlier run has read is among them from the start.
+    """Collects the results of tasks; starts with those of an earlier run. See the module.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ class ResultCollector:
         Number of chunks of each file.
     checkpoints : Checkpoints
     refuse : callable
-        Called with a bad file and why; raises, or notes that it is skipped.
+        Called with the reader of a bad file and the error; raises it, or records that the file is skipped.
     skip_bad : bool
-        Whether ``refuse`` may return.
+        Whether bad files are skipped.
     """
 
     def __init__(
@@ -57,25 +57,25 @@ class ResultCollector:
         self._readers, self._chunks, self._checkpoints = readers, chunks, checkpoints
         self._refuse, self._skip_bad = refuse, skip_bad
         self.catalogue = BlockCatalogue()
-        """Of the points that wait."""
+        """Where the waiting points are."""
         self.stats = [PointStats() for _ in readers]
-        """Of each file that is whole and sound."""
+        """For each file, once it is read completely and found good."""
         self.flagged = False
-        """Whether any point that counts is ground."""
+        """Whether any point used is ground."""
         self.skipped: set[int] = set()
-        self._parts: dict[int, list[_Part]] = {file: [] for file in range(len(readers))}
+        self._results: dict[int, list[_FileResult]] = {file: [] for file in range(len(readers))}
         self._held: list[ReadResult] = []
         self._sound: set[int] = set()
         self._bad: dict[int, BadInputError] = {}
-        self._answered = 0
-        for result in checkpoints.take_up():
-            self._note_parts(result)
+        self._decided = 0
+        for result in checkpoints.load_results():
+            self._note_results(result)
             self._count(result)
-        self._judge(self._parts)
+        self._judge(self._results)
 
     def read_spans(self) -> dict[int, list[tuple[int, int]]]:
-        """Chunks of each file that are read: first, and the one behind the last."""
-        return {file: [(part.first, part.stop) for part in parts] for file, parts in self._parts.items()}
+        """Return the chunks of each file that are read, as (first, last + 1)."""
+        return {file: [(part.first, part.stop) for part in parts] for file, parts in self._results.items()}
 
     @property
     def finished(self) -> set[BlockKey]:
@@ -84,19 +84,19 @@ class ResultCollector:
 
     @property
     def marks(self) -> tuple[int, int]:
-        """Tiles of these blocks, and those of them with ground points."""
+        """Number of tiles in the finished blocks, and of those with ground points."""
         marks = np.sum([(0, 0), *(pack.meta["marks"] for pack in self._checkpoints.early)], axis=0)
         return int(marks[0]), int(marks[1])
 
     def window(self) -> TileWindow:
-        """Rectangle of tiles in which all blocks lie (there must be some)."""
+        """Return the smallest window of whole blocks around all blocks (at least one)."""
         keys = [*self.catalogue.keys().tolist(), *self.finished]
         rows, cols = np.array(keys).T
         around = TileWindow.around(cols, rows)
         return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
 
     def add(self, result: ReadResult) -> None:
-        """Take what came of some chunks.
+        """Add the result of reading some chunks.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class ResultCollector:
         files = [file for file, _, _ in result.spans]
         if result.error is not None and not self._skip_bad:
             self._refuse(self._readers[files[0]], result.error)
-        self._note_parts(result)
+        self._note_results(result)
         if self._skip_bad:
             self._held.append(result)
         else:
@@ -115,39 +115,39 @@ class ResultCollector:
         self._keep_sound()
 
     def add_tiles(self, kind: str, tiles: FinishedTiles) -> None:
-        """Take finished tiles."""
+        """Save finished tiles."""
         self._checkpoints.save_tiles(kind, tiles.packs)
 
-    def _note_parts(self, result: ReadResult) -> None:
+    def _note_results(self, result: ReadResult) -> None:
         for file, first, stop in result.spans:
             stats = result.stats.get(file, PointStats())
-            self._parts[file].append(_Part(first, stop, stats, result.error, result.seen))
+            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen))
 
     def _judge(self, files: Iterable[int]) -> None:
-        """Judge files that are whole; skip bad ones in the order of files, once all before them are judged."""
+        """Judge files that are read completely; skip bad ones in file order, so that messages come in that order."""
         for file in files:
-            parts = sorted(self._parts[file], key=lambda part: part.first)
+            parts = sorted(self._results[file], key=lambda part: part.first)
             if file in self._sound | self._bad.keys() or sum(p.stop - p.first for p in parts) < self._chunks[file]:
                 continue
             try:
-                self.stats[file] = self._judged(file, parts)
+                self.stats[file] = self._merged_stats(file, parts)
                 self._sound.add(file)
             except BadInputError as error:
                 self._bad[file] = error
-        while self._answered in self._sound | self._bad.keys():
-            if self._answered in self._bad:
-                self._refuse(self._readers[self._answered], self._bad[self._answered])
-                self.skipped.add(self._answered)
-            self._answered += 1
+        while self._decided in self._sound | self._bad.keys():
+            if self._decided in self._bad:
+                self._refuse(self._readers[self._decided], self._bad[self._decided])
+                self.skipped.add(self._decided)
+            self._decided += 1
 
-    def _judged(self, file: int, parts: Sequence[_Part]) -> PointStats:
+    def _merged_stats(self, file: int, parts: Sequence[_FileResult]) -> PointStats:
         stats = PointStats()
         seen: dict[str, Version | None] = {}
         for part in parts:
             if part.error is not None:
                 raise part.error
             stats = stats.merge(part.stats)
-            # Copies on several machines may differ in the time of their writing.
+            # Copies on several machines may differ in their modification time.
             if part.seen is not None and seen.setdefault(*part.seen) != part.seen[1]:
                 where = f"workers on {part.seen[0]} saw several versions of it"
                 raise file_changed(self._readers[file].info.path, where)
@@ -156,7 +156,7 @@ class ResultCollector:
         return stats
 
     def _keep_sound(self) -> None:
-        """Keep what came of files that are sound by now; drop what came of bad ones."""
+        """Save the results of files that were found good; discard those of bad ones."""
         waiting = []
         for result in self._held:
             files = {file for file, _, _ in result.spans}

@@ -1,4 +1,4 @@
-"""The plan of reading: which chunks each task reads, and which blocks other tasks reach as well."""
+"""The plan of reading: which chunks each task reads, and where other tasks may add points to the same blocks."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,60 +12,60 @@ from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid
 __all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks", "single_tasks"]
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
-"""For each file some chunks: first, and the one behind the last."""
+"""For each file some ranges of chunks, as (first, last + 1)."""
 _LEAST, _MOST = 2_000_000, 256_000_000
 _RANGES_A_WORKER = 4
-"""At the end of reading some workers have nothing left to do: a quarter of a worker's share at most."""
+"""Ranges per worker: near the end some workers idle, for at most a quarter of a worker's share."""
 _MARGIN = 1.01
-"""As in `BlockCompletion`: so far outside its bounds a point may lie, m."""
+"""How far outside its bounds a point may lie, m; as in `BlockCompletion`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkRange:
-    """Some chunks of a file that follow each other."""
+    """Consecutive chunks of a file."""
 
     file: int
-    """Which reader."""
+    """Index of its reader."""
     first: int
     """Its first chunk."""
     stop: int
-    """The chunk behind its last one."""
+    """Its last chunk + 1."""
     points: int
     bounds: Bounds | None
-    """Where its points lie, m; None where that is not known."""
+    """Bounds of its points, m; None if they are not known."""
     is_whole: bool
-    """Whether it is all of its file."""
+    """Whether the range is the whole file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadTask:
-    """A range to read, and what must be known of the others."""
+    """A range to read, and what the task must know of other ranges."""
 
     range: ChunkRange
     nearby: tuple[Bounds, ...] | None
-    """Where others than this worker have points, or will: no block there is complete. None: everywhere."""
+    """Bounds in which other workers have or will have points: no block there is complete. None: everywhere."""
     finished: frozenset[BlockKey] = frozenset()
-    """Blocks in its bounds that an earlier run has finished: their points are not wanted any more."""
+    """Blocks in its bounds that an earlier run has finished: their points are dropped."""
 
 
 def range_points(points: int, workers: int) -> int:
-    """Most points of a range, where so many points are shared out among so many workers."""
+    """Return the most points of a range when ``points`` are distributed among ``workers``."""
     return max(_LEAST, min(_MOST, points // (_RANGES_A_WORKER * workers)))
 
 
 def cut_ranges(
     readers: Sequence[SurveyReader], chunks: Sequence[Sequence[Chunk]], most: int | None, done: Spans
 ) -> tuple[list[ChunkRange], list[ChunkRange]]:
-    """Cut what is not ``done`` yet into ranges of at most about ``most`` points each; a small file is one range.
+    """Cut the chunks that are not ``done`` into ranges of about ``most`` points at most; a small file is one range.
 
-    A file that can only be decoded from its start on is one range, however large it is.
+    A file that can only be decoded from its start is one range, however large it is.
 
     Returns
     -------
     list of ChunkRange
-        To be read.
+        Ranges to read.
     list of ChunkRange
-        Done.
+        Ranges that are done.
     """
     unread: list[ChunkRange] = []
     read: list[ChunkRange] = []
@@ -112,7 +112,7 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
 def single_tasks(
     unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]
 ) -> Iterator[ReadTask]:
-    """Make the tasks of one worker that reads everything: only what was read before is not its own."""
+    """Yield the tasks of a worker that reads everything: only ranges read by an earlier run count as others'."""
     known = [box.bounds for box in read if box.bounds is not None]
     nearby = tuple(known) if len(known) == len(read) else None
     keys = frozenset(finished)
@@ -122,7 +122,7 @@ def single_tasks(
 def shared_tasks(
     grid: Grid, unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]
 ) -> Iterator[ReadTask]:
-    """Make tasks that any worker may do: to each of them all the others' ranges are those of others."""
+    """Yield tasks that any worker may do: for each of them all other ranges count as others'."""
     ranges = [*unread, *read]
     all_known = all(part.bounds for part in ranges)
     boxes = [part.bounds or Bounds(0, 0, 0, 0) for part in ranges]
@@ -134,7 +134,7 @@ def shared_tasks(
 
 
 def _nearby(grid: Grid, sides: NDArray[np.float64], number: int) -> tuple[Bounds, ...] | None:
-    """Give the boxes of the others near a range; None where it shares every block that it may have."""
+    """Return the bounds of other ranges near a range; None if it shares all of its blocks with one of them."""
     reach = BLOCK_TILES * grid.tile_size + 2 * _MARGIN
     west, south, east, north = sides
     own = Bounds(*sides[:, number].tolist())

@@ -8,47 +8,47 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bumpymap.core import UsageError, error_chain
-from bumpymap.survey.engine.tls import plain_note, read_tls_settings
+from bumpymap.survey.engine.tls import read_tls_settings, warning_without_tls
 
 if TYPE_CHECKING:
     from bumpytiles import Workers
 
-__all__ = ["PATIENCE_S", "WorkerPool", "connect", "worker_losses"]
+__all__ = ["TIMEOUT_S", "WorkerPool", "connect", "worker_errors"]
 
 _log = logging.getLogger(__name__)
 
-PATIENCE_S = 30.0
-"""So long a scheduler may take to answer, and tasks of a run that was given up may take to notice."""
+TIMEOUT_S = 30.0
+"""How long a scheduler may take to answer, and tasks of a cancelled run may take to end, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
-    """Workers, and what each of them may use."""
+    """Workers, and the threads that each may use."""
 
     workers: "Workers"
     threads: int | None
-    """None: as many as each worker was started with."""
+    """None: the number that each worker was started with."""
 
 
 @contextmanager
 def connect(
     scheduler: str | None, workers: int | None, threads: int, tls_config: Path | None = None
 ) -> Iterator[WorkerPool | None]:
-    """Find the workers of a scheduler, or start some here that share out the threads; None where neither was wanted.
+    """Connect to the workers of a scheduler, or start local ones that share ``threads``; yield None if neither is set.
 
     Raises
     ------
     UsageError
-        dask.distributed is not installed, or the scheduler does not answer or has no workers; certificates that cannot
+        dask.distributed is not installed, the scheduler does not answer or has no workers, or the certificates cannot
         be used.
     """
     with ExitStack() as stack:
         try:
             pool = None
             if scheduler is not None:
-                pool = _found(scheduler, tls_config, stack)
+                pool = _find_workers(scheduler, tls_config, stack)
             elif workers is not None:
-                pool = _started(workers, threads, stack)
+                pool = _start_workers(workers, threads, stack)
         except ImportError as error:
             raise UsageError(
                 f"`scheduler` and `workers` need dask.distributed and cryptography ({error}). Install them: "
@@ -57,49 +57,49 @@ def connect(
         yield pool
 
 
-def _found(scheduler: str, tls_config: Path | None, stack: ExitStack) -> WorkerPool:
+def _find_workers(scheduler: str, tls_config: Path | None, stack: ExitStack) -> WorkerPool:
     from bumpytiles import TlsFiles, workers_at
 
     start = "Start it: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address"
-    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// where it uses TLS"
+    tls, remedy = None, f"{start}, such as tcp://10.0.0.1:8786, or tls:// if it uses TLS"
     if tls_config is not None:
         settings = read_tls_settings(tls_config)
         tls = TlsFiles(str(settings.ca), str(settings.cert), str(settings.key))
         remedy = f"Was it started with TLS and a certificate that the authority in {settings.ca} signed? {start}"
-    elif (note := plain_note(scheduler)) is not None:
+    elif (note := warning_without_tls(scheduler)) is not None:
         _log.warning(note)
-    stack.enter_context(worker_losses(remedy))
-    return WorkerPool(stack.enter_context(workers_at(scheduler, PATIENCE_S, tls)), None)
+    stack.enter_context(worker_errors(remedy))
+    return WorkerPool(stack.enter_context(workers_at(scheduler, TIMEOUT_S, tls)), None)
 
 
-def _started(workers: int, threads: int, stack: ExitStack) -> WorkerPool:
+def _start_workers(workers: int, threads: int, stack: ExitStack) -> WorkerPool:
     from bumpytiles import local_workers
 
     each = max(1, threads // workers)
-    # The LAZ decoder takes every core unless it is told otherwise.
-    started = _with_reasons(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}))
+    # The LAZ decoder uses every core by default.
+    started = _explain_failed_start(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}))
     return WorkerPool(stack.enter_context(started), each)
 
 
 @contextmanager
-def _with_reasons(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
-    """Start workers here, and stop them in the end; say what to do where they do not start."""
+def _explain_failed_start(workers: AbstractContextManager["Workers"]) -> Iterator["Workers"]:
+    """Start local workers, stop them at the end; raise UsageError with advice if they do not start."""
     with ExitStack() as stack:
         try:
             found = stack.enter_context(workers)
         except (RuntimeError, OSError) as error:
             if any(isinstance(cause, OSError) and cause.errno is not None for cause in error_chain(error)):
-                raise  # the system says why
+                raise  # the message of the system says why
             raise UsageError(
                 f"the workers did not start ({error}); they may have been killed. Try again, or fewer `workers`"
             ) from error
-        with worker_losses("Try fewer `workers`"):
+        with worker_errors("Try fewer `workers`"):
             yield found
 
 
 @contextmanager
-def worker_losses(remedy: str) -> Iterator[None]:
-    """Say what to do where workers cannot be had or were lost."""
+def worker_errors(remedy: str) -> Iterator[None]:
+    """Turn the loss of workers into a UsageError that says what to do."""
     from bumpytiles import ClusterError
 
     try:

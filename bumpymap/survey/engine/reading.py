@@ -1,4 +1,4 @@
-"""Reading ranges into the memory of a worker: complete blocks are finished early, what finds no room goes to packs."""
+"""Reading ranges into the memory of a worker: complete blocks are rated early, points beyond the limit go to packs."""
 
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,10 +17,10 @@ from bumpymap.survey.engine.results import ReadResult, Span
 from bumpymap.survey.engine.sink import TileSink
 from bumpytiles import BlockKey, Bounds, Pack, TileBuckets
 
-__all__ = ["RangeReading", "refuse_no_points"]
+__all__ = ["RangeReader", "refuse_no_points"]
 
 _NAMED = 5
-"""A message names so many files."""
+"""Number of files that a message names."""
 _WHY = {
     "withheld": "are flagged as withheld",
     "noise": "are of class 7 or 18 (noise)",
@@ -29,7 +29,7 @@ _WHY = {
 
 
 def refuse_no_points(readers: Sequence[SurveyReader], stats: Sequence[PointStats]) -> None:
-    """Raise BadInputError where no point of any file counts; files that were skipped have empty statistics."""
+    """Raise BadInputError if no point is left in any file; skipped files have empty statistics."""
     seen, dropped = sum(own.points for own in stats), Counter[str]()
     for own in stats:
         dropped.update(own.dropped)
@@ -49,8 +49,8 @@ def refuse_no_points(readers: Sequence[SurveyReader], stats: Sequence[PointStats
 
 
 @dataclass(frozen=True, slots=True)
-class _Taken:
-    """What is to be reported of a chunk that is in memory or on its way to disk."""
+class _PendingChunk:
+    """A chunk that is in memory or being written to disk, and not in a result yet."""
 
     number: int
     span: Span
@@ -58,24 +58,24 @@ class _Taken:
     flagged: bool
 
 
-class RangeReading:
-    """One pass over some ranges; see `run`.
+class RangeReader:
+    """Reads some ranges in one pass; see `run`.
 
     Parameters
     ----------
     ranges : sequence of OpenRange
     store : TileBuckets
-        Keeps the points.
+        Receives the points.
     work : BlockWork
     sinks : mapping of str to TileSink
         For finished tiles, by `BlockWork.kinds`.
     nearby : sequence of (tuple of Bounds or None)
-        See `ReadTask`; of all the ranges.
+        See `ReadTask`; for all ranges.
     threads : int
     progress : Progress
     skip_bad : bool
-        Whether others are read on where a file is bad. Points of a file are then not final, and none of its blocks is
-        complete, before its last chunk was judged; ranges are whole files.
+        Whether reading goes on after a bad file. Ranges are then whole files; the points of a file can be dropped, and
+        none of its blocks is complete, until its last chunk has been judged.
     """
 
     def __init__(
@@ -96,17 +96,17 @@ class RangeReading:
         self._areas, bounds = _areas(ranges)
         others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
         self._completion = BlockCompletion(work.grid, [*bounds, *others])
-        self._taken: deque[_Taken] = deque()
+        self._pending: deque[_PendingChunk] = deque()
         self._next = 0
         self._stats = PointStats()
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
-        """Whether nothing that is still to be read, here or by others, can bring points to a block."""
+        """Return whether no unread chunk, of this worker or others, can add points to a block."""
         return self._completion.is_complete(key)
 
     def run(self) -> Iterator[ReadResult]:
-        """Read; gives what is safe on disk, as soon as it is, and what went wrong."""
+        """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files."""
         self._store.final = 0 if self._skip_bad else None
         for read in self._stream.read():
             if isinstance(read, BadFile):
@@ -115,9 +115,9 @@ class RangeReading:
                 yield from self._add(read)
         yield from self._spilled()
 
-    def rest(self) -> ReadResult | None:
-        """Give what is still in memory in the end; None where nothing is to be reported any more."""
-        if not self._taken and self._store.is_empty:
+    def remainder(self) -> ReadResult | None:
+        """Return the result for chunks that are still in memory at the end; None if there are none."""
+        if not self._pending and self._store.is_empty:
             return None
         return replace(self._report(self._next), in_memory=self._store.in_memory())
 
@@ -126,7 +126,7 @@ class RangeReading:
         if read.chunk.index == source.range.first:
             self._stats = PointStats()
         span = (source.range.file, read.chunk.index, read.chunk.index + 1)
-        self._taken.append(_Taken(self._next, span, read.stats, read.flagged))
+        self._pending.append(_PendingChunk(self._next, span, read.stats, read.flagged))
         self._store.add_chunk(read.points, self._next)
         self._next += 1
         self._stats = self._stats.merge(read.stats)
@@ -146,22 +146,22 @@ class RangeReading:
             yield from self._make_room()
 
     def _make_room(self) -> Iterator[ReadResult]:
-        """Finish what is complete, then send the older half of what waits to disk."""
+        """Rate complete blocks, then write the older half of the waiting points to disk."""
         yield from self._spilled()
         ready = [key for key in self._store.blocks_to_spill() if self.is_complete(key)]
         if any(tiles := self.finish_early(ready)):
-            yield ReadResult((), tiles=tiles)  # they are safe, whatever becomes of the points
+            yield ReadResult((), tiles=tiles)  # tiles are saved even if writing the points fails
         _, last = self._store.spill()
         self._spilling = self._report(last)
 
     def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
-        """Finish blocks before it is known which points count: in every way that may be wanted."""
+        """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
         self._work.finish_early(self._store, keys, self._threads, self._sinks)
         self._store.done.update(keys)
         return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _spilled(self) -> Iterator[ReadResult]:
-        """Wait for what is on its way to disk, and report it."""
+        """Wait until the pack that is being written is on disk, and yield its result."""
         pack = self._store.wait()
         if pack is not None and self._spilling is not None:
             blocks = blocks_of(pack)
@@ -169,12 +169,12 @@ class RangeReading:
             yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
 
     def _report(self, last: int) -> ReadResult:
-        """Sum up the chunks up to ``last`` that were not reported yet."""
+        """Return the result for the pending chunks up to number ``last``."""
         spans: list[Span] = []
         stats: dict[int, PointStats] = {}
         flagged = False
-        while self._taken and self._taken[0].number <= last:
-            taken = self._taken.popleft()
+        while self._pending and self._pending[0].number <= last:
+            taken = self._pending.popleft()
             file, first, stop = taken.span
             if spans and spans[-1][0] == file and spans[-1][2] == first:
                 spans[-1] = (file, spans[-1][1], stop)
@@ -185,12 +185,12 @@ class RangeReading:
         return ReadResult(tuple(spans), stats, flagged)
 
     def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
-        """Drop the points of a file; what was reported of it does not count any more."""
+        """Drop the points of a bad file and yield its error; earlier results of the file become void."""
         part = bad.source.range
         yield from self._spilled()
         self._stream.skip(part.file)
-        while self._taken and self._taken[-1].span[0] == part.file:
-            self._taken.pop()
+        while self._pending and self._pending[-1].span[0] == part.file:
+            self._pending.pop()
         if self._skip_bad:
             self._store.drop_from(self._store.final or 0)
             self._mark_all_read(bad.source)
@@ -207,7 +207,7 @@ class RangeReading:
 
 
 def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:
-    """Give each chunk that has bounds an area of its own; the last one of a range stands for those that have none."""
+    """Return the areas for `BlockCompletion`, one per chunk with bounds; the last chunk of a range covers the rest."""
     areas: dict[tuple[int, int], int] = {}
     bounds: list[Bounds | None] = []
     for source in ranges:
@@ -219,5 +219,5 @@ def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], lis
 
 
 def blocks_of(pack: Pack) -> NDArray[np.int64]:
-    """Row, column and points of the blocks of a pack, (n, 3)."""
+    """Return row, column and number of points of the blocks of a pack, (n, 3)."""
     return np.array([(*key, pack.rows(key)) for key in pack.keys], np.int64).reshape(-1, 3)

@@ -1,7 +1,7 @@
-"""What a run will take, told before it: memory and disk at most, time about.
+"""An estimate before a run: upper bounds of memory and disk space, and the approximate time.
 
-Bounds follow from how the engine works; rates and what lies outside the budget were measured on two cores of an AMD
-EPYC server, on made-up surveys of 1 to 20 million points and on real ones.
+The bounds follow from how the engine works; rates, and memory outside the budget, were measured on two cores of an AMD
+EPYC server, on synthetic surveys of 1 to 20 million points and on real ones.
 """
 
 from collections.abc import Sequence
@@ -19,55 +19,55 @@ _READING_BASE = 330 << 20
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
 _STRIP_COPIES = 2
-"""Heightmaps of a row of blocks are held so often while layers are written."""
+"""Copies of the heightmaps of a row of blocks that are in memory while layers are written."""
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
-"""Head of a pack, and what it notes of each block."""
+"""Size of the header of a pack, and of its index entry of a block, bytes."""
 _LAYER_HEIGHTS, _LAYER_NUMBERS = 8, 300
-"""Layers: bytes a pixel of a heightmap (it is stored twice), and bytes a tile beside that; before compression."""
+"""Layers before compression: bytes per pixel of a heightmap (stored twice), and other bytes per tile."""
 
 _START_S = 1.6
-"""Imports, checks and what every run writes, s."""
+"""Time for imports, checks and the files that every run writes, s."""
 _POINT_NS = {"LAZ": 330.0, "COPC": 330.0, "LAS": 130.0, "PLY": 180.0, "PCD": 100.0}
-"""Processor time a point by format: decoding, grouping, measuring, ns."""
+"""CPU time per point by format: decoding, grouping, measuring, ns."""
 _TEXT_POINT_NS = 600.0
 _SPILLED_POINT_NS = 100.0
-"""To write a point to disk and read it again, ns."""
+"""CPU time to write a point to disk and read it again, ns."""
 _TILE_NS = 30_000.0
-"""Processor time a tile: classifying it and writing it, ns."""
+"""CPU time per tile: classifying and writing it, ns."""
 _WRITERS = 2
-"""Cores that writing layers keeps busy."""
+"""Cores that are used while layers are written."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What ``map`` will take on one machine."""
+    """The resources that ``map`` needs on one machine."""
 
     points: int
-    """As the headers promise."""
+    """Number according to the headers."""
     tiles: int | None
-    """At most; None where nothing is known of where the points lie."""
+    """Upper bound; None if the bounds of the points are not known."""
     memory: int
-    """Resident at most, helper processes included, bytes."""
+    """Upper bound of resident memory, helper processes included, bytes."""
     scratch: int
-    """Points on disk at most, bytes; less where blocks are complete early."""
+    """Upper bound of the points on disk, bytes; less if blocks are complete early."""
     out: int | None
-    """In the folder of the layers: finished tiles and the layers made from them, at most, bytes."""
+    """Upper bound of the folder of the layers, finished tiles and layers together, bytes."""
     seconds: float
-    """About."""
+    """Approximate wall time."""
 
 
 def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int | None = None) -> Estimate:
-    """Estimate a run.
+    """Estimate the resources of a run.
 
     Parameters
     ----------
     infos : sequence of SurveyInfo
-        What the headers of its files say (at least one).
+        From the headers of its files (at least one).
     grid : Grid
     budget : Budget
     tiles : int, optional
-        Tiles that hold points, where they were counted.
+        Number of tiles with points, if they were counted.
     """
     points = sum(info.point_count for info in infos)
     boxes = [info.bounds for info in infos]
@@ -89,7 +89,7 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
 
 
 def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int | None:
-    """Count the tiles that points in these boxes can fall into at most; None where a box is not known."""
+    """Return the most tiles that points in these boxes can fall into; None if a box is not known."""
     total = 0
     for box in boxes:
         if box is None:
@@ -100,7 +100,7 @@ def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int |
 
 
 def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
-    """Give the box around all boxes that are known; nothing where none is."""
+    """Return the box around all known boxes, as a list of one; an empty list if none is known."""
     known = [box for box in boxes if box is not None]
     if not known:
         return []
@@ -109,14 +109,14 @@ def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
 
 
 def _sides(box: Bounds, grid: Grid) -> tuple[int, int]:
-    """Columns and rows of tiles that a box touches."""
+    """Return the columns and rows of tiles that a box overlaps."""
     cols = int(box.east // grid.tile_size) - int(box.west // grid.tile_size) + 1
     rows = int(box.north // grid.tile_size) - int(box.south // grid.tile_size) + 1
     return cols, rows
 
 
 def _scratch(points: int, blocks: int | None, files: int, budget: Budget) -> int:
-    """Bytes of the packs of points, were every block to wait until the end; nothing where memory holds all points."""
+    """Return the bytes of the packs if every block waits until the end; 0 if all points fit into memory."""
     if points <= budget.waiting_points:
         return 0
     # Each pack holds half of what may wait, but for the last one of each file.

@@ -1,4 +1,4 @@
-"""What workers hand back: counts and names of files, no points."""
+"""The results of tasks: counts and file names, no points."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,33 +12,33 @@ from bumpymap.readers import PointStats, Version
 __all__ = ["FinishedTiles", "ReadResult", "Span"]
 
 Span = tuple[int, int, int]
-"""File, first chunk, and the chunk behind the last."""
+"""Index of the file, first chunk, last chunk + 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadResult:
-    """What came of some chunks."""
+    """The result of reading some chunks."""
 
     spans: tuple[Span, ...]
     stats: dict[int, PointStats] = field(default_factory=dict)
-    """By file."""
+    """Statistics by file."""
     flagged: bool = False
     """Whether any point is ground."""
     packs: tuple[tuple[Path, NDArray[np.int64]], ...] = ()
-    """Packs of points that wait, and what they hold: (n, 3) row, column, points of each block."""
+    """Packs of waiting points, each with the row, column and number of points of its blocks, (n, 3)."""
     tiles: tuple[tuple[Path, ...], ...] = ()
-    """Packs of finished tiles; those of each `BlockWork.kinds` together."""
+    """Packs of finished tiles, grouped by `BlockWork.kinds`."""
     in_memory: NDArray[np.int64] | None = None
-    """Blocks as in ``packs`` whose points wait in the memory of this process: nothing of this outlives it."""
+    """Blocks, as in ``packs``, whose points are only in the memory of this process: they cannot be resumed."""
     error: BadInputError | None = None
     """Why the file is bad."""
     seen: tuple[str, Version | None] | None = None
-    """Which machine read it, and which version of the file is there; None where this process did."""
+    """Name of the machine that read the chunks, and the version of the file there; None for this process."""
 
 
 @dataclass(frozen=True, slots=True)
 class FinishedTiles:
-    """Packs of finished tiles, and how many blocks they hold."""
+    """Packs of finished tiles, and the number of blocks in them."""
 
     packs: tuple[Path, ...]
     blocks: int

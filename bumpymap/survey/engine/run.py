@@ -1,15 +1,15 @@
-"""A run of the engine, on one machine or many: read, decide which points count, finish every block.
+"""A run of the engine, on one machine or many: read, decide which points to use, rate every block.
 
-The plan is the same everywhere: ranges of chunks are read, a catalogue says where the points of which blocks are,
-groups of blocks are finished, and one collector keeps what comes of it. Who does the tasks is up to an executor.
+The plan is always the same: ranges of chunks are read, a catalogue says which packs hold the points of which blocks,
+groups of blocks are rated, and one collector saves the results. An executor does the tasks.
 """
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
+from bumpymap.core import Progress, Stopwatch, decide_ground
 from bumpymap.readers import Chunk, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
 from bumpymap.survey.engine.budget import Budget
@@ -20,71 +20,59 @@ from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.workspace import Workspace
-from bumpytiles import BlockKey, Pack, TileWindow
+from bumpymap.survey.inputs import SurveyInputs
+from bumpytiles import BlockKey, Pack
 
-__all__ = ["Executor", "Inputs", "ReadPlan", "run_engine"]
-
-
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """The files of a run, and what to do where they cannot be mapped."""
-
-    readers: Sequence[SurveyReader]
-    refuse: Callable[[SurveyReader, BadInputError], None]
-    """Called with a bad file; raises, or notes that it is skipped."""
-    check_window: Callable[[TileWindow], None]
-    """Raises where a map of that window cannot be made."""
-    skip_bad: bool
-    """Whether ``refuse`` may return."""
+__all__ = ["Executor", "ReadPlan", "run_engine"]
 
 
 @dataclass(frozen=True, slots=True)
 class ReadPlan:
-    """What is to be read."""
+    """What is to be read, and what an earlier run has done."""
 
     readers: Sequence[SurveyReader]
     chunks: Sequence[Sequence[Chunk]]
-    """Of each file."""
+    """Chunks of each file."""
     unread: Sequence[ChunkRange]
     read: Sequence[ChunkRange]
-    """What was read before."""
+    """Ranges that an earlier run has read."""
     finished: set[BlockKey]
-    """Blocks that were finished before."""
+    """Blocks that an earlier run has finished."""
     skip_bad: bool
 
 
 class Executor(Protocol):
-    """Does the tasks of a run. Generators must be closed; tasks that were not begun are given up then."""
+    """Does the tasks of a run. Callers must close the generators; this cancels tasks that have not started."""
 
     one_group: bool
-    """Whether one task finishes all blocks."""
+    """Whether one task rates all blocks."""
 
     def range_points(self, points: int) -> int | None:
-        """Most points of a range where there are so many in all; None: a file is one."""
+        """Return the most points of a range, given their total number; None: each file is one range."""
 
     def running(self) -> AbstractContextManager[None]:
-        """Make sure that tasks can be done; give up what is under way in the end."""
+        """Check on entry that tasks can be done; stop running tasks on exit."""
 
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
-        """Read all that is unread."""
+        """Read all ranges that are unread."""
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
-        """Count tiles, and those with ground points."""
+        """Yield the number of tiles, and of those with ground points, for each group."""
 
     def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
-        """Finish blocks."""
+        """Rate the blocks of each group."""
 
 
 def run_engine(
-    inputs: Inputs, work: BlockWork, space: Workspace, budget: Budget, executor: Executor, progress: Progress,
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, budget: Budget, executor: Executor, progress: Progress,
     clock: Stopwatch,
 ) -> MeasuredTiles:  # fmt: skip
-    """Read and measure what is not there yet.
+    """Read and rate what an earlier run has not finished.
 
     Raises
     ------
     BadInputError
-        A bad file that may not be skipped; no point is left.
+        A file is bad and may not be skipped, or no point is left.
     OutputError
         The disk is full, or a worker does not see the folders.
     UsageError
@@ -99,12 +87,12 @@ def run_engine(
 
 
 def _read_and_measure(
-    inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress, clock: Stopwatch
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress, clock: Stopwatch
 ) -> dict[str, Any]:
     with clock.stage("read"):
         collector = _read(inputs, work, space, executor, progress)
     refuse_no_points(inputs.readers, collector.stats)
-    inputs.check_window(collector.window())
+    inputs.check_window(work.grid, collector.window())
     with clock.stage("measure"):
         ground_only = _decide(work, collector, executor)
         _finish(collector, space, executor, progress, ground_only=ground_only)
@@ -113,13 +101,15 @@ def _read_and_measure(
     return {"ground_only": ground_only, "dropped": dropped, "points": counted}
 
 
-def _read(inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress) -> ResultCollector:
+def _read(
+    inputs: SurveyInputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress
+) -> ResultCollector:
     readers = inputs.readers
     chunks = [reader.chunks(space.run_spec["cut"]["chunk_points"]) for reader in readers]
     total = sum(reader.info.point_count for reader in readers)
     checkpoints = Checkpoints(space, work.kinds)
     counts = [len(own) for own in chunks]
-    collector = ResultCollector(readers, counts, checkpoints, inputs.refuse, skip_bad=inputs.skip_bad)
+    collector = ResultCollector(readers, counts, checkpoints, inputs.skip, skip_bad=inputs.skip_bad)
     unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
     progress.start("reading points", total)
     progress.advance(sum(part.points for part in read))
@@ -131,7 +121,7 @@ def _read(inputs: Inputs, work: BlockWork, space: Workspace, executor: Executor,
 
 
 def _decide(work: BlockWork, collector: ResultCollector, executor: Executor) -> bool:
-    """Decide whether ground alone counts; tiles are counted only where that makes a difference."""
+    """Decide whether only ground is measured; count tiles only if the decision depends on them."""
     if work.ground != "auto" or not collector.flagged:
         return decide_ground(work.ground, 1, int(collector.flagged))
     tiles, with_ground = collector.marks

@@ -1,4 +1,4 @@
-"""Finished blocks on their way to disk: collected into packs of some megabytes."""
+"""Collecting finished blocks into packs of some megabytes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,17 +11,17 @@ from bumpytiles import BlockKey, Column, PackWriter
 __all__ = ["TileSink"]
 
 _PACK_TILES = 16_384
-"""Tiles in a pack: 17 MB at 15 x 15 pixels. What a killed run has to do again is no more than that."""
+"""Tiles in a pack: 17 MB at 15 x 15 pixels. A killed run loses no more than that."""
 
 
 class TileSink:
-    """Takes finished blocks and writes packs ``tiles-KIND-NUMBER.pack``.
+    """Writes finished blocks to packs ``tiles-KIND-NUMBER.pack``.
 
     Parameters
     ----------
     folder : Path
     kind : str
-        What was measured, such as ``all`` points, or ``ground-early``: ground alone, while others were still read.
+        What was measured, such as ``all`` points, or ``ground-early``: only ground, before reading was complete.
     columns : sequence of Column
     """
 
@@ -33,7 +33,7 @@ class TileSink:
         self._marks = [0, 0]
 
     def add(self, key: BlockKey, columns: Mapping[str, NDArray[Any]], marks: tuple[int, int] = (0, 0)) -> None:
-        """Take a block; ``marks`` counts its tiles with points, and those with flagged points, where that is known."""
+        """Add a block; ``marks`` are the numbers of its tiles with points and with flagged points, if counted."""
         self._held[key] = columns
         self._tiles += len(columns["col"])
         self._marks = [mine + more for mine, more in zip(self._marks, marks, strict=True)]
@@ -41,7 +41,7 @@ class TileSink:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is held."""
+        """Write the blocks that are not written yet."""
         if not self._held:
             return
         path = self._folder / f"tiles-{self._kind}-{self._number:06d}.pack"
@@ -53,6 +53,6 @@ class TileSink:
         self._held, self._tiles, self._marks = {}, 0, [0, 0]
 
     def new_packs(self) -> list[Path]:
-        """Give the packs that were written since this was asked last."""
+        """Return the packs that were written since the last call."""
         new, self._written = self._written, []
         return new

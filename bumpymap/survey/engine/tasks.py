@@ -1,8 +1,8 @@
-"""Tasks that workers of a cluster do: read a range of chunks, count marks, finish blocks.
+"""Tasks of workers in a cluster: read a range of chunks, count tiles with ground, rate blocks.
 
-A task may be done twice, even at the same time, because a worker died or was cut off. Each attempt therefore writes to
-folders of its own, and only the files that its result names count. A worker does one task at a time, with all its
-threads, so that its memory is that of one task.
+A task may run twice, even at the same time, because a worker died or was cut off. Each attempt therefore writes to its
+own folders, and only files named in its result are used. A worker does one task at a time, with all its threads, so
+that it needs the memory of one task.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -22,7 +22,7 @@ from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.chunk_stream import OpenRange
 from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
-from bumpymap.survey.engine.worker import Worker, own_folder
+from bumpymap.survey.engine.worker import Worker, new_folder
 
 __all__ = [
     "ALIVE",
@@ -37,27 +37,27 @@ __all__ = [
 
 _AT_WORK = Lock()
 ALIVE = "alive"
-"""Name of a file that is there as long as the run goes on."""
+"""Name of a file that exists while the run goes on."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What every task of a run must know."""
+    """What every task of a run needs."""
 
     work: BlockWork
     memory: int
     """Bytes, see `Budget`."""
     threads: int | None
-    """None: as many as the worker was started with."""
+    """None: the number that the worker was started with."""
     points: Path
-    """Folder for points that wait; client and workers see it."""
+    """Folder for waiting points, visible to client and workers."""
     tiles: Path
-    """Folder for finished tiles, the same."""
+    """Folder for finished tiles, visible to client and workers."""
     run_id: str
-    """What the file ``alive`` holds in both folders; no other run has the same."""
+    """Content of the file ``alive`` in both folders; unique to the run."""
 
     def check(self) -> None:
-        """Raise OutputError where the folders are not to be seen, or the run has ended."""
+        """Raise OutputError if the folders are not visible, or the run has ended."""
         for folder in (self.points, self.tiles):
             try:
                 found = (folder / ALIVE).read_text(encoding="utf-8")
@@ -72,19 +72,19 @@ class RunContext:
 
 @dataclass(frozen=True, slots=True)
 class FileSource:
-    """A file, as a worker must know it."""
+    """A file that a worker opens."""
 
     path: Location
     options: ReadOptions
     identity: tuple[int, str]
-    """Bytes and digest of the file, see `bumpymap.readers.source.identity`."""
+    """Size in bytes and digest of the file, see `bumpymap.readers.source.identity`."""
     chunk_points: int
 
 
 def missing_on_worker(
     context: RunContext, versions: Callable[[], Mapping[str, str]], wanted: Mapping[str, str]
 ) -> str | None:
-    """Say what a worker lacks for a run, if it does: the folders, or the same software."""
+    """Return what this worker lacks for a run, the same software or the folders; None if it lacks nothing."""
     here = versions()
     other = [
         f"{name} {here.get(name, 'not at all')}, not {want}" for name, want in wanted.items() if here.get(name) != want
@@ -105,12 +105,12 @@ def missing_on_worker(
 
 
 def busy() -> bool:
-    """Whether a task is under way in this process."""
+    """Return whether a task is running in this process."""
     return _AT_WORK.locked()
 
 
 def read_range(context: RunContext, source: FileSource, task: ReadTask) -> ReadResult:
-    """Read a range; finish the blocks that no other range reaches, keep the points of all others in packs."""
+    """Read a range; rate blocks that no other range overlaps, write the points of all others to packs."""
     with _worker(context) as worker:
         try:
             reader = _opened(source.path, source.options, source.identity, context.run_id)
@@ -120,17 +120,17 @@ def read_range(context: RunContext, source: FileSource, task: ReadTask) -> ReadR
         except BadInputError as error:
             return ReadResult(((task.range.file, task.range.first, task.range.stop),), error=error)
         finally:
-            close_decoder()  # opening a file starts it, even where nothing is read then
+            close_decoder()  # opening a file starts it, even if nothing is read
 
 
 def count_marks(context: RunContext, group: BlockGroup) -> tuple[int, int]:
-    """Count the tiles with points, and those with ground points, in some blocks."""
+    """Return the number of tiles with points, and of those with ground points, in some blocks."""
     with _worker(context) as worker:
         return worker.count_marks(group)
 
 
 def finish_group(context: RunContext, group: BlockGroup, ground_only: bool) -> FinishedTiles:
-    """Finish blocks; gives the packs of their tiles."""
+    """Rate blocks; return the packs of their tiles."""
     with _worker(context) as worker:
         _opened.cache_clear()  # nothing is read any more
         packs = [pack for tiles in worker.finish(group, ground_only=ground_only) for pack in tiles.packs]
@@ -144,13 +144,13 @@ def _worker(context: RunContext) -> Iterator[Worker]:
     with _AT_WORK:
         context.check()
         budget = Budget(context.memory, context.threads or threads_here())
-        points, tiles = own_folder(context.points), own_folder(context.tiles)
+        points, tiles = new_folder(context.points), new_folder(context.tiles)
         with engine_errors(budget):
-            yield Worker(context.work, budget, points, tiles, _RunWatch(context))
+            yield Worker(context.work, budget, points, tiles, _RunCheck(context))
 
 
-class _RunWatch:
-    """Ends a task where the run has ended."""
+class _RunCheck:
+    """A progress that ends the task when the run has ended."""
 
     def __init__(self, context: RunContext) -> None:
         self._context = context
@@ -159,13 +159,13 @@ class _RunWatch:
         """Do nothing."""
 
     def advance(self, steps: int) -> None:
-        """Look whether the run goes on."""
+        """Raise OutputError if the run has ended."""
         self._context.check()
 
 
 @lru_cache(maxsize=1)
 def _opened(path: Location, options: ReadOptions, known: tuple[int, str], _run_id: str) -> SurveyReader:
-    """Open a file once for all its ranges; the next run opens it anew."""
+    """Open a file once for all its ranges; ``_run_id`` makes the next run open it again."""
     remedy = "Every worker must reach the same files under the same names: use a shared folder, or URLs"
     try:
         reader, here = reopen_survey(path, options), identity(path)

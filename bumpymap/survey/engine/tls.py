@@ -1,4 +1,4 @@
-"""Who may use a scheduler: the certificates of ``--tls-config``, and what it means to go without."""
+"""TLS connections to a scheduler: reading the certificates, and the warning about a connection without TLS."""
 
 import ssl
 from dataclasses import dataclass, fields
@@ -8,12 +8,12 @@ from urllib.parse import urlsplit
 
 from bumpymap.core import UsageError, read_settings_file
 
-__all__ = ["TlsSettings", "plain_note", "read_tls_settings"]
+__all__ = ["TlsSettings", "read_tls_settings", "warning_without_tls"]
 
 
 @dataclass(frozen=True, slots=True)
 class TlsSettings:
-    """PEM files. Scheduler, workers and client trust each other where one authority signed all their certificates."""
+    """PEM files. Scheduler, workers and client trust each other if one authority signed all their certificates."""
 
     ca: Path
     """Certificate of the authority."""
@@ -24,12 +24,12 @@ class TlsSettings:
 
 
 def read_tls_settings(path: Path) -> TlsSettings:
-    """Read the file of ``--tls-config`` and try what it names.
+    """Read a settings file (``tls_config``) and check that its certificates can be used.
 
     Raises
     ------
     UsageError
-        The file, or one that it names, cannot be read, or holds something else.
+        The file, or one that it names, cannot be read or has the wrong content.
     """
     given = read_settings_file(path, TlsSettings)
     names = [field.name for field in fields(TlsSettings)]
@@ -47,7 +47,7 @@ def read_tls_settings(path: Path) -> TlsSettings:
     except ssl.SSLError as error:
         raise UsageError(f"{path}: ca = {settings.ca} holds no certificate in PEM format ({_reason(error)})") from error
     try:
-        context.load_cert_chain(settings.cert, settings.key, password="")  # no question on the terminal
+        context.load_cert_chain(settings.cert, settings.key, password="")  # do not ask for a passphrase
     except ssl.SSLError as error:
         raise UsageError(
             f"{path}: cert = {settings.cert} and key = {settings.key} do not work together ({_reason(error)}). They "
@@ -56,10 +56,10 @@ def read_tls_settings(path: Path) -> TlsSettings:
     return settings
 
 
-def plain_note(address: str) -> str | None:
-    """Say what it means where a scheduler of another machine is used without TLS."""
+def warning_without_tls(address: str) -> str | None:
+    """Return a warning if a scheduler on another machine is used without TLS; else None."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
-    if parts.scheme == "tls" or _is_here(parts.hostname or ""):
+    if parts.scheme == "tls" or _is_loopback(parts.hostname or ""):
         return None
     return (
         f"{address} is used without TLS: whoever reaches that port can run programs as the user of the scheduler and "
@@ -68,7 +68,7 @@ def plain_note(address: str) -> str | None:
     )
 
 
-def _is_here(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -1,7 +1,7 @@
-"""What a worker does: it reads ranges of chunks, counts marks of blocks, finishes blocks.
+"""A worker: reads ranges of chunks, counts tiles with ground, rates blocks.
 
-The worker of this process keeps points in memory between its tasks. One of a cluster does each task with a new `Worker`
-and leaves what others need in packs.
+On one machine a single worker keeps points in memory between tasks. In a cluster each task uses a new `Worker`, which
+writes what other tasks need to packs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,16 +20,16 @@ from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.chunk_stream import OpenRange
 from bumpymap.survey.engine.plan import ReadTask
-from bumpymap.survey.engine.reading import RangeReading, blocks_of
+from bumpymap.survey.engine.reading import RangeReader, blocks_of
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.sink import TileSink
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
 
-__all__ = ["Worker", "own_folder"]
+__all__ = ["Worker", "new_folder"]
 
 
-def own_folder(parent: Path) -> Path:
-    """Make a folder that nobody else writes to."""
+def new_folder(parent: Path) -> Path:
+    """Make a folder with a unique name and return it."""
     folder = parent / uuid4().hex
     folder.mkdir()
     return folder
@@ -43,7 +43,7 @@ class Worker:
     work : BlockWork
     budget : Budget
     points : Path
-        Folder for packs of points that wait.
+        Folder for packs of waiting points.
     tiles : Path
         Folder for packs of finished tiles.
     progress : Progress
@@ -56,14 +56,14 @@ class Worker:
         self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
 
     def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
-        """Read ranges; gives what is safe on disk, what went wrong, and in the end what is in memory."""
+        """Read ranges; yield results whose points are on disk, errors, and last the result for points in memory."""
         reading = self._reading(tasks, ranges, skip_bad=skip_bad)
         yield from reading.run()
-        if (rest := reading.rest()) is not None:
-            yield rest
+        if (remainder := reading.remainder()) is not None:
+            yield remainder
 
     def read_to_disk(self, task: ReadTask, source: OpenRange) -> ReadResult:
-        """Read a range; in the end every block is finished that no other range reaches, and all others are in packs."""
+        """Read a range; rate the blocks that no other range overlaps, write the points of all others to packs."""
         reading, store = self._reading([task], [source], skip_bad=False), self._store
         results = list(reading.run())
         bad = next((result for result in results if result.error is not None), None)
@@ -73,21 +73,23 @@ class Worker:
             return bad
         ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
         early = reading.finish_early(ready)
-        if (rest := reading.rest()) is not None:
-            results.append(replace(rest, in_memory=None))
+        if (remainder := reading.remainder()) is not None:
+            results.append(replace(remainder, in_memory=None))
         while not store.is_empty:
             store.spill()
             store.wait()
-        return replace(_joined(results, task), packs=self._left(), tiles=_by_kind([*(r.tiles for r in results), early]))
+        return replace(
+            _joined(results, task), packs=self._unfinished_packs(), tiles=_by_kind([*(r.tiles for r in results), early])
+        )
 
     def count_marks(self, group: BlockGroup) -> tuple[int, int]:
-        """Count the tiles with points, and those with ground points, in some blocks."""
+        """Return the number of tiles with points, and of those with ground points, in some blocks."""
         self._store.packs = [Pack(path) for path in group.packs]
         marks = np.sum(list(run_blocks(self._store.marks, group.keys, self._threads)), axis=0)
         return int(marks[0]), int(marks[1])
 
     def finish(self, group: BlockGroup, *, ground_only: bool) -> Iterator[FinishedTiles]:
-        """Finish blocks; gives their tiles pack by pack."""
+        """Rate blocks; yield their tiles pack by pack."""
         sink = TileSink(self._tiles, "ground" if ground_only else "all", self._work.columns)
         self._store.packs = [Pack(path) for path in group.packs]
         blocks = 0
@@ -101,15 +103,15 @@ class Worker:
         sink.flush()
         yield FinishedTiles(tuple(sink.new_packs()), blocks)
 
-    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> RangeReading:
+    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> RangeReader:
         self._store.done = set().union(*(task.finished for task in tasks))
         nearby = [task.nearby for task in tasks]
-        return RangeReading(
+        return RangeReader(
             ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress, skip_bad=skip_bad
         )
 
-    def _left(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
-        """Packs of blocks that are not finished; others go away."""
+    def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
+        """Return the packs that hold points of unfinished blocks; delete the others."""
         found = []
         for pack in self._store.packs:
             blocks = blocks_of(pack)

@@ -1,7 +1,7 @@
-"""What a run of the engine keeps: finished tiles, points that wait, what is to be said of the reading.
+"""The files of a run of the engine: finished tiles, waiting points, and a record of what was read.
 
-It lies in the folder of the run (see `bumpymap.core.run_folder`). Points may wait in a folder of the run's own on
-another disk, whose name nobody can tell beforehand; the run notes where.
+They are in the folder of the run (see `bumpymap.core.run_folder`). Points may wait in another folder, with a random
+name, on another disk; the run records its path.
 """
 
 import json
@@ -23,7 +23,7 @@ ADVICE = "Pass `resume=True` to the same command to continue from the finished t
 _READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
 _POINTS, _NEW_TILES = "points", "new-tiles"
 _PREFIX = "bumpymap-"
-"""How the names of folders begin that runs make in ``--scratch``."""
+"""Prefix of the folders that runs make in ``scratch``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,27 +32,27 @@ class Workspace:
 
     folder: Path
     scratch: Path
-    """Points that wait; may lie on another disk."""
+    """Folder for waiting points; may be on another disk."""
     run_spec: dict[str, Any]
-    """What the run was asked, see `RunFolder`. Beside it ``cut``, how files are cut into pieces: a run that goes on
-    keeps to the earlier one."""
+    """What the results depend on, see `RunFolder`; and ``cut``, how files are cut into chunks: a resumed run uses
+    that of the earlier one."""
 
     @classmethod
     @contextmanager
     def opened(
         cls, out: Path, scratch: Path | None, run_spec: Mapping[str, Any], *, resume: bool, advice: str = ADVICE
     ) -> Iterator["Workspace"]:
-        """Take up the work of an earlier run, or begin anew. The caller holds the lock of ``out``.
+        """Resume the work of an earlier run, or start a new one. The caller holds the lock of ``out``.
 
-        All of it goes away where the body succeeds. Where it ends early, it is kept as `what_to_keep` says, if tiles
-        are finished or chunks are read.
+        All files are deleted if the body succeeds. If it fails, they are kept as `what_is_kept` says, provided that
+        tiles are finished or chunks are read.
 
         Raises
         ------
         UsageError
-            The earlier run was asked something else.
+            The earlier run had other inputs or settings.
         OutputError
-            The place cannot be written.
+            The folders cannot be written.
         """
         with RunFolder.opened(
             out,
@@ -64,7 +64,7 @@ class Workspace:
         ) as run:
             _drop_damaged(run.path)
             with writing_to(scratch or run.path, "`out` or `scratch`"):
-                waiting = _waiting(run, out, scratch)
+                waiting = _choose_points_folder(run, out, scratch)
             try:
                 space = cls(run.path, waiting, run.run_spec)
                 space._make_folders()
@@ -76,44 +76,44 @@ class Workspace:
             shutil.rmtree(waiting, ignore_errors=True)
 
     def _make_folders(self) -> None:
-        shutil.rmtree(self.new_tiles, ignore_errors=True)  # an earlier run's, which do not count
+        shutil.rmtree(self.new_tiles, ignore_errors=True)  # leftovers of an earlier run
         for folder in (self.new_tiles, self.points_folder):
             folder.mkdir(mode=0o700, exist_ok=True)
 
     def tiles(self, kind: str = "*") -> list[Path]:
-        """Packs of finished tiles of a kind (see `TileSink`), in the order of writing."""
+        """Return the packs of finished tiles of a kind (see `TileSink`), in the order of writing."""
         return _tiles(self.folder, kind)
 
     def tile_pack(self, kind: str, number: int) -> Path:
-        """Path of a pack of finished tiles."""
+        """Return the path of a pack of finished tiles."""
         return self.folder / f"tiles-{kind}-{number:06d}.pack"
 
     @property
     def points_folder(self) -> Path:
-        """Folder for packs of points that wait (absolute), with a folder for each worker or task."""
+        """Folder for packs of waiting points (absolute), with a subfolder for each worker or task."""
         return (self.scratch / _POINTS).absolute()
 
     @property
     def new_tiles(self) -> Path:
-        """Folder for packs of tiles that do not count yet (absolute), with a folder for each worker or task."""
+        """Folder for packs of tiles that are not checkpoints yet (absolute), with subfolders of workers or tasks."""
         return (self.folder / _NEW_TILES).absolute()
 
     def record(self, number: int) -> Path:
-        """Path of a record of chunks that are read, see `Checkpoints`."""
+        """Return the path of a record of chunks that are read, see `Checkpoints`."""
         return self.scratch / f"read-{number:06d}.json"
 
     def records(self) -> list[Path]:
-        """Give the records of chunks that are read, in the order of writing."""
+        """Return the records of chunks that are read, in the order of writing."""
         return _records(self.scratch)
 
     def save_checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Note that every block is finished, and what is to be said of the reading."""
+        """Save the record of a run that has finished every block."""
         packs = [path.name for path in self.tiles()]
         with atomic(self.folder / _READ) as temporary:
             temporary.write_text(json.dumps({"packs": packs, "record": dict(record)}), encoding="utf-8")
 
     def checkpoint(self) -> dict[str, Any] | None:
-        """Give what was noted; None where blocks are not all finished, or are not all there any more."""
+        """Return the saved record; None if blocks are unfinished, or packs of tiles are missing."""
         noted = read_record(self.folder / _READ) or {}
         there = noted.get("packs") == [path.name for path in self.tiles()]
         return noted["record"] if there else None
@@ -128,13 +128,13 @@ def _records(folder: Path) -> list[Path]:
 
 
 def _holds_work(folder: Path, out: Path) -> bool:
-    """Whether there are finished tiles, or records of chunks that are read."""
-    places = (folder / _POINTS, _earlier(folder, out))
+    """Return whether there are finished tiles, or records of chunks that are read."""
+    places = (folder / _POINTS, _earlier_points_folder(folder, out))
     return bool(_tiles(folder)) or any(_records(place) for place in places if place is not None)
 
 
 def _drop_damaged(folder: Path) -> None:
-    """Take away packs that a power cut has spoilt; their blocks are finished anew."""
+    """Delete packs that a power cut has damaged; their blocks are rated again."""
     for path in _tiles(folder):
         try:
             Pack(path)
@@ -142,12 +142,12 @@ def _drop_damaged(folder: Path) -> None:
             path.unlink()
 
 
-def _waiting(run: RunFolder, out: Path, scratch: Path | None) -> Path:
-    """Give the folder in which points wait: that of the earlier run where it lies in the same place, else a new one.
+def _choose_points_folder(run: RunFolder, out: Path, scratch: Path | None) -> Path:
+    """Return the folder for waiting points: that of the earlier run if it is in the same place, else a new one.
 
-    Points that an earlier run left elsewhere go away: nobody would find them.
+    Points that an earlier run left elsewhere are deleted.
     """
-    inside, earlier = run.path / _POINTS, _earlier(run.path, out)
+    inside, earlier = run.path / _POINTS, _earlier_points_folder(run.path, out)
     if scratch is None:
         waiting = inside
         waiting.mkdir(mode=0o700, exist_ok=True)
@@ -167,10 +167,10 @@ def _waiting(run: RunFolder, out: Path, scratch: Path | None) -> Path:
     return waiting
 
 
-def _earlier(folder: Path, out: Path) -> Path | None:
-    """Give the folder in which the points of an earlier run wait; None unless it says that it is of this output.
+def _earlier_points_folder(folder: Path, out: Path) -> Path | None:
+    """Return the folder with the waiting points of an earlier run; None unless its owner record names this output.
 
-    This output may be a copy, and what is noted in it may name any folder.
+    The output may be a copy, and its record may name any folder.
     """
     noted = read_record(folder / _SCRATCH) or {}
     path = Path(str(noted.get("path")))

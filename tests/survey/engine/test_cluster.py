@@ -529,7 +529,7 @@ def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
 
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("bumpymap.survey.engine.pool.PATIENCE_S", 0.5)
+    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
         result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", address)
         assert result.exit_code == 2, (address, result.output, result.exception)
@@ -545,7 +545,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
-    monkeypatch.setattr("bumpymap.survey.engine.pool.PATIENCE_S", 5.0)  # it is tried for so long to reach it again
+    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
     ) as cluster:

@@ -139,7 +139,7 @@ def certificates(tmp_path):
 
 
 def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.engine.pool.PATIENCE_S", 5.0)
+    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 5.0)
     security = distributed.Security.temporary()
     ours = write_certificates(tmp_path / "ours", security) / "tls.toml"
     others = write_certificates(tmp_path / "others", distributed.Security.temporary()) / "tls.toml"

@@ -14,7 +14,7 @@ from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork
 from bumpymap.survey.engine.chunk_stream import OpenRange
 from bumpymap.survey.engine.plan import cut_ranges
-from bumpymap.survey.engine.reading import RangeReading, refuse_no_points
+from bumpymap.survey.engine.reading import RangeReader, refuse_no_points
 from bumpytiles import Grid, TileBuckets
 
 GRID = Grid()
@@ -96,9 +96,9 @@ def read(readers, *, skip_bad, threads=2):
     unread, _ = cut_ranges(readers, chunks, None, {})
     ranges = [OpenRange(part, readers[part.file], chunks[part.file]) for part in unread]
     store, work = Store(), BlockWork(GRID, (), Mock(), "all")
-    reading = RangeReading(ranges, store, work, {}, [()], threads, SilentProgress(), skip_bad=skip_bad)
+    reading = RangeReader(ranges, store, work, {}, [()], threads, SilentProgress(), skip_bad=skip_bad)
     stats, bad = {}, {}
-    for result in (*reading.run(), reading.rest()):
+    for result in (*reading.run(), reading.remainder()):
         stats |= result.stats
         if result.error is not None:
             bad[result.spans[0][0]] = str(result.error)

@@ -1,4 +1,4 @@
-"""How a run ends: one message and an exit code for whatever a user, a machine or a pipe can cause."""
+"""How a command ends: one message and an exit code for every failure that is not a bug."""
 
 import errno
 import select
@@ -9,23 +9,23 @@ from collections.abc import Callable, Sequence
 
 import click
 
-from bumpymap.cli._events import emit, keeping_the_log
-from bumpymap.cli._text import LOST_READER, LostOutputError, complain, flush
+from bumpymap.cli._events import emit, restored_logging
+from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, flush, print_error
 from bumpymap.core import BumpymapError, error_chain, missing_resource
 
-__all__ = ["Ended", "end_of"]
+__all__ = ["RunInterrupted", "exit_code_of"]
 
 _BAD = 3
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _FAULT = 1
-"""A fault of bumpymap: with a traceback, so that it can be reported."""
+"""A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
     "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --workers, or raise the "
     "limit that the process runs under (ulimit, a batch system's, a container's)"
 )
 
 
-class Ended(Exception):  # noqa: N818 (no error: somebody wanted the run to end)
+class RunInterrupted(Exception):  # noqa: N818 (not an error: a user ended the run)
     """A signal ended the run."""
 
     def __init__(self, message: str, exit_code: int) -> None:
@@ -33,15 +33,15 @@ class Ended(Exception):  # noqa: N818 (no error: somebody wanted the run to end)
         self.exit_code = exit_code
 
 
-def end_of(run: Callable[[], object], words: Sequence[str]) -> int:
-    """Run a command; say what went wrong, and give the exit code.
+def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
+    """Run a command, print the message of a failure, and return the exit code.
 
     Parameters
     ----------
     run : callable
-        Raises click's exceptions; what it returns is the exit code where it is a number.
+        Raises click's exceptions; an integer that it returns is the exit code.
     words : sequence of str
-        Of the command line. ``--log-json`` among them: everything is told in events.
+        Arguments of the command line. With ``--log-json`` among them, everything is printed as events.
     """
     options = list(words[: words.index("--")] if "--" in words else words)
     as_json = "--log-json" in options
@@ -49,41 +49,41 @@ def end_of(run: Callable[[], object], words: Sequence[str]) -> int:
     if as_json:
         emit("start", arguments=list(words), version=_version())
     try:
-        with keeping_the_log():
-            code = _ran(run)
+        with restored_logging():
+            code = _call(run)
     except Exception as error:
-        code, lines = _told(error)
+        code, lines = _describe(error)
         if code == _FAULT and not as_json:
             raise
         if as_json:
             more = {"traceback": traceback.format_exc()} if code == _FAULT else {}
             emit("error", exit_code=code, kind=type(error).__name__, message=" ".join(lines), **more)
         else:
-            _complain(error, lines)
+            _print_failure(error, lines)
         return code
     if as_json:
         emit("done", exit_code=code, seconds=round(time.monotonic() - begin, 3))
     return code
 
 
-def _ran(run: Callable[[], object]) -> int:
+def _call(run: Callable[[], object]) -> int:
     try:
         code = run()
     except SystemExit as end:
         code = end.code
-        if code == _FAULT and _reader_left():  # click's word for it
-            code = LOST_READER
+        if code == _FAULT and _reader_left():  # click's exit code for it
+            code = BROKEN_PIPE
     try:
         flush()
     except LostOutputError as error:
-        if error.exit_code != LOST_READER:
+        if error.exit_code != BROKEN_PIPE:
             raise
-        return LOST_READER
+        return BROKEN_PIPE
     return code if isinstance(code, int) else 0
 
 
-def _told(error: Exception) -> tuple[int, list[str]]:
-    """Exit code and message of a failure; the message in lines, the last of which say how to go on."""
+def _describe(error: Exception) -> tuple[int, list[str]]:
+    """Return exit code and message of a failure; the last lines of the message say how to continue."""
     code, lines = _message(error)
     return code, [*lines, *getattr(error, "__notes__", [])]
 
@@ -91,7 +91,7 @@ def _told(error: Exception) -> tuple[int, list[str]]:
 def _message(error: Exception) -> tuple[int, list[str]]:
     if what := missing_resource(error):
         return _BAD, [_WANT.format(what=what)]
-    if isinstance(error, BumpymapError | Ended):
+    if isinstance(error, BumpymapError | RunInterrupted):
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
         return error.exit_code, [error.format_message()]
@@ -105,29 +105,29 @@ def _message(error: Exception) -> tuple[int, list[str]]:
     return _FAULT, [f"{type(error).__name__}: {error}"]
 
 
-def _complain(error: Exception, lines: Sequence[str]) -> None:
-    if isinstance(error, LostOutputError) and error.exit_code == LOST_READER:
+def _print_failure(error: Exception, lines: Sequence[str]) -> None:
+    if isinstance(error, LostOutputError) and error.exit_code == BROKEN_PIPE:
         return
     if type(error).__name__ == "NoArgsIsHelpError" and isinstance(error, click.UsageError):
-        error.show()  # the help, which is ours
+        error.show()  # prints the help
         return
     if isinstance(error, click.UsageError) and error.ctx is not None:
-        complain(error.ctx.get_usage())
-        complain(f"Try '{error.ctx.command_path} --help' for help.")
-        complain("")
+        print_error(error.ctx.get_usage())
+        print_error(f"Try '{error.ctx.command_path} --help' for help.")
+        print_error("")
     first, *rest = lines
-    complain(first if isinstance(error, Ended | click.Abort) else f"Error: {first}")
+    print_error(first if isinstance(error, RunInterrupted | click.Abort) else f"Error: {first}")
     for line in rest:
-        complain(line)
+        print_error(line)
 
 
 def _reader_left() -> bool:
-    """Whether standard output is a pipe that nobody reads."""
+    """Return whether standard output is a pipe that nobody reads."""
     try:
         poll = select.poll()
         poll.register(sys.__stdout__.fileno(), 0)  # type: ignore[union-attr]
         return bool(poll.poll(0))
-    except (AttributeError, OSError, ValueError):  # no such thing here
+    except (AttributeError, OSError, ValueError):  # not supported on this system
         return False
 
 

@@ -1,0 +1,64 @@
+"""The frames of a scan run: reading them, and skipping bad ones."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from bumpymap.core import BadInputError, Scan
+from bumpymap.layers import Frame
+from bumpymap.readers import read_scan
+from bumpymap.scan.config import ScanConfig
+
+__all__ = ["FrameReader", "naming_frame"]
+
+_log = logging.getLogger(__name__)
+
+_NAMED = 5
+"""Number of frames that a message names."""
+
+
+class FrameReader:
+    """Reads frames; bad ones end the run, or are skipped if the settings say so.
+
+    Parameters
+    ----------
+    config : ScanConfig
+    """
+
+    def __init__(self, config: ScanConfig) -> None:
+        self._config = config
+        self.skipped: dict[str, str] = {}
+        """Path -> error message of each frame that was skipped."""
+
+    def read(self, frame: Frame) -> Scan:
+        """Read a frame. Raises BadInputError if it cannot be read."""
+        return replace(read_scan(frame.path, self._config.robot), name=frame.name)
+
+    @contextmanager
+    def skipping(self, frame: Frame) -> Iterator[None]:
+        """Skip the frame if the body of the ``with`` raises BadInputError and ``skip_bad`` is set."""
+        try:
+            yield
+        except BadInputError as error:
+            if not self._config.skip_bad:
+                error.add_note("`skip_bad=True` goes on without such frames.")
+                raise
+            _log.warning("skipped %s: %s", frame.path, error)
+            self.skipped[str(frame.path)] = str(error)
+
+    def require_any(self, count: int) -> None:
+        """Raise BadInputError, with the reasons, if no frame could be read."""
+        if not count:
+            reasons = list(self.skipped.values())
+            more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
+            raise BadInputError("none of the frames could be read:", *reasons[:_NAMED], *more)
+
+
+@contextmanager
+def naming_frame(frame: Frame) -> Iterator[None]:
+    """Add the path of the frame to the message of a BadInputError."""
+    try:
+        yield
+    except BadInputError as error:
+        raise BadInputError(f"cannot classify {frame.path}: {error}") from error

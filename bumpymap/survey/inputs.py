@@ -1,0 +1,93 @@
+"""The input files of a run: opening them, skipping bad ones, refusing what cannot be mapped."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference
+from bumpymap.layers import check_extent
+from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, open_survey
+from bumpymap.survey.engine.budget import memory_bytes
+from bumpytiles import Grid, TileWindow
+
+__all__ = ["SurveyInputs", "read_options"]
+
+_log = logging.getLogger(__name__)
+
+_NAMED = 5
+"""Number of files that a message names."""
+
+
+def read_options(config: MapConfig) -> ReadOptions:
+    """Return the settings that the readers need."""
+    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory))
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyInputs:
+    """Open readers of one CRS, and the inputs that were skipped."""
+
+    readers: list[SurveyReader]
+    georeference: Georeference
+    """Shared by all readers."""
+    skip_bad: bool
+    """Whether a bad input is skipped instead of ending the run."""
+    skipped: dict[str, str]
+    """Path -> error message; grows while points are read."""
+
+    @classmethod
+    def open(cls, config: MapConfig) -> "SurveyInputs":
+        """Open every input and check that they share a CRS, before the long work begins.
+
+        Raises
+        ------
+        BadInputError
+            An input cannot be read and may not be skipped, none can be read, or they have no common CRS.
+        """
+        readers: list[SurveyReader] = []
+        skipped: dict[str, str] = {}
+        for path in find_surveys(config.surveys):
+            try:
+                readers.append(open_survey(path, read_options(config)))
+            except BadInputError as error:
+                _skip(path, error, skipped, skip_bad=config.skip_bad)
+        if not readers:
+            raise BadInputError("none of the inputs could be read:", *skipped.values())
+        georeference = common_georeference([reader.info for reader in readers])
+        _check_crs(georeference, readers[0].info.path, local=config.local)
+        return cls(readers, georeference, config.skip_bad, skipped)
+
+    @property
+    def paths(self) -> list[Path | str]:
+        """All inputs: the opened ones, then those that were skipped."""
+        return [*(reader.info.path for reader in self.readers), *self.skipped]
+
+    def skip(self, reader: SurveyReader, error: BadInputError) -> None:
+        """Skip a file that turned out to be bad while it was read; raise ``error`` if bad inputs end the run."""
+        _skip(reader.info.path, error, self.skipped, skip_bad=self.skip_bad)
+
+    def check_window(self, grid: Grid, window: TileWindow) -> None:
+        """Raise BadInputError, naming the files, if their tiles span more than a raster may."""
+        try:
+            check_extent(grid, window)
+        except BadInputError as error:
+            paths = [str(reader.info.path) for reader in self.readers if str(reader.info.path) not in self.skipped]
+            shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]
+            raise BadInputError(f"{error}. The files read are: {', '.join(shown)}") from error
+
+
+def _skip(path: Path | str, error: BadInputError, skipped: dict[str, str], *, skip_bad: bool) -> None:
+    if not skip_bad:
+        raise error
+    _log.warning("skipped %s: %s", path, error)
+    skipped[str(path)] = str(error)
+
+
+def _check_crs(georeference: Georeference, example: Path | str, *, local: bool) -> None:
+    if georeference.crs is not None and local:
+        _log.warning("`local=True` is not needed: the survey has a CRS (%s)", georeference.crs.name)
+    if georeference.crs is None and not local:
+        raise BadInputError(
+            f"{example} has no CRS, so its location on Earth is unknown. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
+        )

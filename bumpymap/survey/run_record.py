@@ -1,0 +1,136 @@
+"""What a run depends on, and what it records in ``run.json``."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bumpymap.core import BadInputError, Ground, MapConfig, differences, flat_settings, same_content, spec_of_manifest
+from bumpymap.layers import (
+    MANIFEST_NAME,
+    PRODUCT_NAMES,
+    MapSummary,
+    refuse_replacing,
+    software_versions,
+    verified_record,
+)
+from bumpymap.patches import filter_version
+from bumpymap.readers import SurveyReader, identity
+from bumpymap.survey.engine import Budget, MeasuredTiles
+from bumpymap.survey.inputs import SurveyInputs
+from bumpymap.survey.result import MapResult
+from bumpymap.survey.tile_rating import RatingModels
+
+__all__ = ["describe_run", "earlier_result", "run_manifest", "versions"]
+
+_WITHOUT_EFFECT = {
+    "surveys",
+    "out",
+    "resume",
+    "overwrite",
+    "threads",
+    "memory",
+    "scratch",
+    "workers",
+    "scheduler",
+    "tls_config",
+}
+"""Settings that do not change the results: a resumed run may use other values."""
+
+
+def versions(ground: Ground) -> dict[str, str]:
+    """Return the versions of the software that the results depend on."""
+    return software_versions() | (filter_version() if ground == "csf" else {})
+
+
+def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, budget: Budget) -> dict[str, Any]:
+    """Return everything that the results depend on; a resumed run must have the same."""
+    return {
+        "inputs": {
+            str(path): _skipped_identity(path) if str(path) in inputs.skipped else identity(path)
+            for path in inputs.paths
+        },
+        "settings": flat_settings(config, _WITHOUT_EFFECT),
+        "made with": versions(config.ground) | {"model": models.texture.id, "calibration": models.calibration.id},
+        "cut": {"chunk_points": budget.chunk_points},
+    }
+
+
+def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
+    """Return the recorded result of the complete run in ``config.out``.
+
+    Raises
+    ------
+    OutputError
+        That run had other inputs or settings, or its layers are no longer complete.
+    """
+    names = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
+    with verified_record(config.out, names) as record:
+        skipped = {str(path): str(why) for path, why in record["skipped"].items()}
+        ignored = _WITHOUT_EFFECT if skipped else {*_WITHOUT_EFFECT, "skip_bad"}
+        before = spec_of_manifest(
+            record, ignored, {"model": record["model"], "calibration": record["calibration"]["id"]}
+        )
+        summary = MapSummary.of(record["counts"])
+        points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
+    now = {**run_spec, "settings": flat_settings(config, ignored)}
+    refuse_replacing(config.out, differences(before, now, same_content))
+    files = tuple(config.out / name for name in PRODUCT_NAMES)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, already_done=True)
+
+
+def run_manifest(
+    config: MapConfig,
+    inputs: SurveyInputs,
+    run_spec: Mapping[str, Any],
+    measured: MeasuredTiles,
+    models: RatingModels,
+    seconds: Mapping[str, float],
+) -> dict[str, Any]:
+    """Return what ``run.json`` says beside the statistics of the tiles."""
+    read = zip(inputs.readers, measured.dropped, strict=True)
+    calibration = models.calibration
+    return {
+        "inputs": [_input_record(reader, dropped) for reader, dropped in read if dropped is not None],
+        "skipped": inputs.skipped,
+        "skipped_inputs": [{"path": path, **_file_version(run_spec["inputs"][path])} for path in inputs.skipped],
+        "settings": config,
+        "versions": versions(config.ground),
+        "ground_only": measured.ground_only,
+        "points": measured.points,
+        "model": models.texture.id,
+        "calibration": {
+            "id": calibration.id,
+            "vehicle": calibration.vehicle["name"],
+            "preferences": calibration.preferences,
+            "class_limits": calibration.class_limits,
+        },
+        "seconds": seconds,
+    }
+
+
+def _skipped_identity(path: Path | str) -> dict[str, Any] | None:
+    """Return the identity of a skipped file; None if even that cannot be read."""
+    try:
+        return identity(path)
+    except BadInputError:
+        return None
+
+
+def _file_version(known: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the parts of a file's identity that show a change without reading the file."""
+    return {key: known[key] for key in ("mtime_ns", "version") if key in known} if known else {}
+
+
+def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, Any]:
+    info = reader.info
+    record = {
+        "path": info.path,
+        "format": info.format,
+        "points": info.point_count,
+        "dropped": dropped,
+        "notes": info.notes,
+    }
+    version = dict(info.version or {})
+    record |= {"bytes": version.pop("size", info.size_bytes)} | version
+    # A file on a server is not read again for its checksum.
+    return record | ({"sha256": None} if isinstance(info.path, str) else {})
