@@ -91,13 +91,13 @@ def command(
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
         look = partial(_inspect, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
         reports = [look(path) for path in paths]
-    write_together = _why_not_together(reports)
-    forecast = None if write_together else estimated(reports, budget)
+    why_not_together = _why_not_together(reports)
+    forecast = None if why_not_together else estimated(reports, budget)
     if as_json:
-        record = {"files": [as_record(report) for report in reports], "together": " ".join(write_together)}
+        record = {"files": [as_record(report) for report in reports], "together": " ".join(why_not_together)}
         print_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
-        _show(reports, write_together or _advise_one_map(surveys, reports, whole))
+        _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
             _show_run(forecast, grid, memory, budget.threads)
     if any(report.error for report in reports):
@@ -179,7 +179,7 @@ def _advise_one_map(
     return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", text]
 
 
-def _show(reports: "list[Report]", write_together: list[str]) -> None:
+def _show(reports: "list[Report]", why_not_together: list[str]) -> None:
     from bumpymap.cli._info_report import as_rows
 
     for report in reports:
@@ -190,7 +190,7 @@ def _show(reports: "list[Report]", write_together: list[str]) -> None:
             label = "cannot be read" if report.error else "to map it"
             print_labelled(f"  {label}: ", need, "yellow")
         print_line()
-    for number, line in enumerate(write_together):
+    for number, line in enumerate(why_not_together):
         print_line(line if number else f"together: {line}", "bold")
 
 
