@@ -9,9 +9,11 @@ from typing import Any
 import click
 
 from bumpymap.cli._ending import Ended, end_of
+from bumpymap.cli._text import complain, safe, say, say_json, say_table
+from bumpymap.cli._wording import as_options
 from bumpymap.core import Terminated, interruptible
 
-__all__ = ["main"]
+__all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json", "say_table"]
 
 _COMMANDS = {
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",

@@ -148,12 +148,12 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _ticking(lines.tick, _LINE_SECONDS):
             yield lines
         return
-    with _drawn(console) as bars:
+    with drawn(console) as bars:
         yield bars
 
 
 @contextmanager
-def _drawn(console: Console) -> Iterator[_Bars]:
+def drawn(console: Console) -> Iterator[_Bars]:
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
     with suppress(RuntimeError):  # no thread to be had: the run goes on without moving bars

@@ -62,17 +62,18 @@ class ChildDiedError(Exception):
         super().__init__(f"was ended by {self.signal}" if code < 0 else f"ended by itself (code {code})")
 
 
-_memory = SharedMemory()
+MEMORY = SharedMemory()
+"""What this process and its children share."""
 
 
 def take_memory(size: int) -> SharedBytes:
     """Give memory that can be handed to children; see `SharedMemory`."""
-    return _memory.take(size)
+    return MEMORY.take(size)
 
 
 def free_memory() -> None:
     """Give the memory back that nobody uses."""
-    _memory.trim()
+    MEMORY.trim()
 
 
 def can_start() -> bool:
@@ -123,7 +124,7 @@ class Child:
         flags = ("-I", "-S") if alone else ("-P",)
         output = subprocess.DEVNULL if alone else None
         self.link, theirs = Pipe()
-        handed = theirs.fileno(), _memory.descriptor
+        handed = theirs.fileno(), MEMORY.descriptor
         with theirs, blocked_signals():
             try:
                 self.process = subprocess.Popen(  # noqa: S603 (this Python, and a script of this package)
@@ -186,7 +187,7 @@ class Child:
         """
         places = [(memory.start, memory.data.size) for memory in shared]
         try:
-            self.link.send((function, arguments, places, _memory.size, seconds, asks))
+            self.link.send((function, arguments, places, MEMORY.size, seconds, asks))
         except OSError:
             self._raise_child_died()
 
@@ -241,8 +242,8 @@ _children: "weakref.WeakSet[Child]" = weakref.WeakSet()
 
 
 def _abandon_children() -> None:
-    global _memory  # noqa: PLW0603 (the old process goes on with its own)
-    _memory = SharedMemory()
+    global MEMORY  # noqa: PLW0603 (the old process goes on with its own)
+    MEMORY = SharedMemory()
     for child in _children:
         child.abandon()
 

@@ -1,6 +1,14 @@
 from ._imports import (
     import_without_pandas as import_without_pandas,
 )
+from ._label import (
+    label as label,
+)
+from ._whole import (
+    digest as digest,
+    require_room as require_room,
+    require_same as require_same,
+)
 from .complete import (
     complete_record as complete_record,
     is_complete as is_complete,

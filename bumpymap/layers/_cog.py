@@ -36,7 +36,7 @@ _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_Base
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 """The block cache, MB: from 16 to 256 the time and the bytes are the same (236 million pixels). Overviews stay unpacked
 while they wait for their place: packing them took a third of the time of a dense raster, two thirds of an empty one."""
-_SMALL = 16 << 20
+SMALL = 16 << 20
 """Largest scratch raster to keep in memory, bytes."""
 _SCRATCH_BLOCK = 256
 """Side of a scratch block, pixels. 11 bands of 2560 x 2560 pixels become a COG in 13 s of CPU time; with scratch blocks
@@ -110,7 +110,7 @@ def write_cog(
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
         pixels = placement.window.cols * placement.window.rows * sheet.pixels**2
-        if pixels * len(sheet.layers) * np.dtype(sheet.dtype).itemsize <= _SMALL:
+        if pixels * len(sheet.layers) * np.dtype(sheet.dtype).itemsize <= SMALL:
             with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 _write_scratch(scratch.name, placement, sheet, paint, None)
                 _convert(scratch.name, layer.name, temporary, sheet)
@@ -137,12 +137,12 @@ def _convert(scratch: str, layer: str, temporary: Path, sheet: Sheet) -> None:
     """Make the COG ``layer``; a virtual raster that may be needed on the way lies beside ``temporary``."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(sheet.level), "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": sheet.overviews, "BLOCKSIZE": str(sheet.block), "STATISTICS": "YES"}
-    options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
+    options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "NO" if sheet.everywhere else "YES"}
     named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), sheet.layers)
     rasterio.shutil.copy(named, layer, driver="COG", **options)
 
 
-def _threads() -> str:
+def gdal_threads() -> str:
     """Give how many threads GDAL may pack blocks with; they are written in order, so the bytes do not depend on it.
 
     GDAL waits for ever for a thread that could not be started (seen in 3.10). So it gets one where memory has a limit

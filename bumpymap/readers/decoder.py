@@ -38,7 +38,7 @@ Supply = Callable[[int, Bytes], int]
 Table = Sequence[tuple[int, int]]
 """Points and bytes of chunks."""
 
-_SECONDS, _SECONDS_PER_BYTE = 4.0, 1e-7
+SECONDS, SECONDS_PER_BYTE = 4.0, 1e-7
 """Processor time that a request may take, and for each byte that goes in or comes out: ten times what files take."""
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 
@@ -56,7 +56,8 @@ class Decoder:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._child: Child | None = None
+        self.child: Child | None = None
+        """The process that decodes, once there is one."""
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Of the child that runs."""
@@ -117,7 +118,7 @@ class Decoder:
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), supply: Supply | None = None
     ) -> Any:
         """Have something done by a child; the caller holds the lock."""
-        seconds = _SECONDS + _SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
+        seconds = SECONDS + SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
         fill = None if supply is None else partial(_fill, supply)
         try:
             child = self._running()
@@ -133,18 +134,18 @@ class Decoder:
             raise
 
     def _runs(self) -> bool:
-        return self._child is not None and self._child.runs
+        return self.child is not None and self.child.runs
 
     def _running(self) -> Child:
-        if self._child is None or not self._child.runs:
+        if self.child is None or not self.child.runs:
             self._end()
             # Without site-packages as a whole: what people put there is run at every start.
             folders = [str(Path(__file__).parent), folder_of("lazrs")]
-            self._child = Child("to decode LAZ", "_decoder_child", folders)
-        return self._child
+            self.child = Child("to decode LAZ", "_decoder_child", folders)
+        return self.child
 
     def _end(self) -> None:
-        child, self._child = self._child, None
+        child, self.child = self.child, None
         self._streams.clear()
         if child is not None:
             child.close()
@@ -210,27 +211,28 @@ def _raise_child_died(error: ChildDiedError) -> NoReturn:
 
 
 _lock = threading.Lock()
-_current: Decoder | None = None
+current: Decoder | None = None
+"""The decoder of this process, see `decoder`."""
 
 
 def decoder() -> Decoder:
     """Give the decoder of this process."""
-    global _current  # noqa: PLW0603 (one for all readers: it uses every core by itself)
+    global current  # noqa: PLW0603 (one for all readers: it uses every core by itself)
     with _lock:
-        if _current is None:
-            _current = Decoder() if can_start() else LocalDecoder()
-        return _current
+        if current is None:
+            current = Decoder() if can_start() else LocalDecoder()
+        return current
 
 
 def close_decoder() -> None:
     """Give back what the decoder holds; the next request takes it again."""
-    if _current is not None:
-        _current.close()
+    if current is not None:
+        current.close()
 
 
 def _forget() -> None:
-    global _lock, _current
-    _lock, _current = threading.Lock(), None
+    global _lock, current
+    _lock, current = threading.Lock(), None
 
 
 at_exit(close_decoder)

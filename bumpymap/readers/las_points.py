@@ -19,7 +19,7 @@ __all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "Records", "
 
 Records = NDArray[np.uint8]
 """(n, bytes of a point)."""
-_HUGE_CHUNK = 1 << 28
+HUGE_CHUNK = 1 << 28
 """A chunk of more bytes than this, decoded, is read in parts."""
 _CHUNK_HEAD = 1 << 19
 """More bytes than the head of any chunk takes: the longest point, and four bytes for each of its layers."""
@@ -157,4 +157,4 @@ class LazStream(RecordSource):
 
 def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
     """Whether a chunk takes more memory than a piece may."""
-    return bool((table.counts * header.point_size > _HUGE_CHUNK).any())
+    return bool((table.counts * header.point_size > HUGE_CHUNK).any())

@@ -17,10 +17,10 @@ from bumpytiles import Bounds, Grid
 
 __all__ = ["PointSummary", "PointSummaryBuilder"]
 
-_MERGE_AT = 4_000_000
-_MOST_PIXELS = 500_000
+MERGE_AT = 4_000_000
+MOST_PIXELS = 500_000
 """Pixels of the sample: more than 2,000 tiles of 15 x 15."""
-_BATCH_PIXELS = 4_000_000
+BATCH_PIXELS = 4_000_000
 _WRAP = (1 << 23) - 1
 """Tiles are told apart within so many of them, 25,000 km of 3 m."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -160,7 +160,7 @@ class _Counts:
     def _append(self, values: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
         self._parts.append((values, counts))
         self._waiting += values.size
-        if self._waiting > _MERGE_AT:
+        if self._waiting > MERGE_AT:
             self._parts = [self.total()]
             self._waiting = 0
 
@@ -189,14 +189,14 @@ class _PixelSample:
     def _add(self, places: NDArray[np.int64]) -> None:
         self._parts.append(places)
         self._waiting += places.size
-        if self._waiting > 3 * _MOST_PIXELS:
+        if self._waiting > 3 * MOST_PIXELS:
             self._parts, self._waiting = [self.whole()], 0
 
     def whole(self) -> NDArray[np.int64]:
         """Put the parts together, and make the sample smaller until few enough pixels are in it."""
         places = _distinct(np.concatenate([np.zeros(0, np.int64), *self._parts]))
         places = places[_sampled(places >> 16, self.step)]
-        while places.size > _MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
+        while places.size > MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
             self.step *= 2
             places = places[_sampled(places >> 16, self.step)]
         return places
@@ -212,7 +212,7 @@ class _PixelSample:
         places = self.whole()
         tiles = np.intersect1d(_distinct(places >> 16), _codes(keys), assume_unique=True)
         depth = max(1, round(settings.max_hole / self._grid.pixel_size))
-        bad, batch = 0, max(1, _BATCH_PIXELS // size)
+        bad, batch = 0, max(1, BATCH_PIXELS // size)
         for first in range(0, tiles.size, batch):
             part = tiles[first : first + batch]
             mine = places[np.isin(places >> 16, part)]

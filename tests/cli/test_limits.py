@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.cli._ending import end_of
+from bumpymap.cli import end_of
 from bumpymap.core.errors import BadInputError, OutputError, wanting
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,9 +12,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from bumpymap.cli import _progress, main
-from bumpymap.cli._ending import end_of
-from bumpymap.cli._progress import EventProgress, LineProgress, show_progress
+from bumpymap.cli import _progress, end_of, main
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress, Steps, counted
 
@@ -33,7 +31,7 @@ class Clock:
 
 def test_a_line_has_time_stage_and_share(capsys):
     clock = Clock()
-    progress = LineProgress(clock)
+    progress = _progress.LineProgress(clock)
     progress.tick()
     assert capsys.readouterr().err == ""
     progress.start("reading points", 10_000_000)
@@ -53,7 +51,7 @@ def test_a_line_has_time_stage_and_share(capsys):
 
 def test_a_bar_shows_a_name_as_it_is():
     shown = io.StringIO()
-    with _progress._drawn(Console(file=shown, force_terminal=True, width=120)) as bars:
+    with _progress.drawn(Console(file=shown, force_terminal=True, width=120)) as bars:
         bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
         bars.advance(3)
     assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
@@ -69,7 +67,7 @@ def events(text):
 
 def test_events_hold_the_same(capsys):
     clock = Clock()
-    progress = EventProgress(clock)
+    progress = _progress.EventProgress(clock)
     progress.start("reading points", 1000)
     progress.advance(250)
     clock.now += 12.34
@@ -112,8 +110,8 @@ def test_it_is_told_again_and_again(capsys, monkeypatch, as_json, seconds):
     def note(progress):
         ticks.append(progress)
 
-    monkeypatch.setattr(EventProgress if as_json else LineProgress, "tick", note)
-    with show_progress(as_json=as_json) as progress:
+    monkeypatch.setattr(_progress.EventProgress if as_json else _progress.LineProgress, "tick", note)
+    with _progress.show_progress(as_json=as_json) as progress:
         progress.start("reading", 10)
     assert len(ticks) == 3
     assert waits.run_spec == [seconds] * 4
@@ -124,14 +122,14 @@ def test_without_threads_the_run_goes_on(capsys, monkeypatch):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(_progress.Thread, "start", refuse)
-    with show_progress() as progress:
+    with _progress.show_progress() as progress:
         progress.start("reading", 10)
 
 
 def test_quiet_says_nothing(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "Event", Waits(3))
     for as_json in (False, True):
-        with show_progress(quiet=True, as_json=as_json) as progress:
+        with _progress.show_progress(quiet=True, as_json=as_json) as progress:
             progress.start("reading", 10)
             progress.advance(1)
             progress.note("text", "epoch")

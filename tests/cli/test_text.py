@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from bumpymap.cli import main
-from bumpymap.cli._text import complain, safe, say, say_json, say_table
+from bumpymap.cli import complain, main, safe, say, say_json, say_table
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

@@ -8,7 +8,7 @@ from corpus.bases import bases
 from corpus.known import KNOWN
 from corpus.runner import MEMORY, Runner
 
-from bumpymap.cli._text import safe
+from bumpymap.cli import safe
 
 FILES = hostile_files()
 NOISE = ("Traceback", "panicked at", "stack backtrace")

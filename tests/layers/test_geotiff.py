@@ -9,8 +9,16 @@ from rio_cogeo import cog_validate
 
 from bumpymap.core.errors import OutputError
 from bumpymap.core.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference
-from bumpymap.layers import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
-from bumpymap.layers._whole import digest, require_room, require_same
+from bumpymap.layers import (
+    CLASS_COLOURS,
+    digest,
+    require_room,
+    require_same,
+    write_classes,
+    write_cost,
+    write_heightmap,
+    write_roughness,
+)
 from bumpytiles import Grid
 
 WRITERS = {
@@ -255,7 +263,7 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     for name, write in WRITERS.items():
         seen = set()
         for threads in ("1", "2", "5"):
-            monkeypatch.setattr("bumpymap.layers._cog._threads", lambda threads=threads: threads)
+            monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
             write(cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
@@ -270,7 +278,7 @@ def test_writing_does_not_change_the_map(tmp_path, make_field):
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
-    monkeypatch.setattr("bumpymap.layers._cog._SMALL", 0)
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     WRITERS[name](cost_map, tmp_path / rasters[name].name, {"vehicle": "warthog"})
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         path.name for path in rasters[name].parent.iterdir() if path.name.startswith(name)

@@ -173,7 +173,7 @@ def test_a_block_may_hold_next_to_nothing(points):
 def test_a_filter_that_died_is_told_and_replaced(wood):
     block = blocks(wood[0])[0]
     marks = mark_ground(block, CsfSettings())
-    (child,) = cloth._idle
+    (child,) = cloth.idle
     child.process.kill()
     child.process.wait()
     with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower `memory`"):

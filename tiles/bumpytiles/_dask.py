@@ -65,12 +65,13 @@ class Workers:
     """
 
     def __init__(self, client: Client, looks: int = _LOOKS) -> None:
-        self._client, self._looks = client, looks
+        self.client = client
+        self._looks = looks
 
     def count(self) -> int:
         """Workers that are there now."""
         with _losses():
-            return len(self._client.nthreads())
+            return len(self.client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
         """Ask every worker; gives the answer, or the exception, by address. What a worker does meanwhile goes on.
@@ -83,7 +84,7 @@ class Workers:
             No worker is left.
         """
         with _losses():
-            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
+            answers: dict[str, Any] = self.client.run(function, *arguments, on_error="return")
         # What is asked here raises no OSError of its own: it is the connection that broke.
         left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
         if not left:
@@ -119,7 +120,7 @@ class Workers:
             while True:
                 room = max(_AHEAD * self.count(), 1) - len(numbers)
                 for number, task in islice(waiting, max(room, 0)):
-                    future = self._client.submit(function, *task, pure=False)
+                    future = self.client.submit(function, *task, pure=False)
                     numbers[future] = number
                     future.add_done_callback(finished.put)
                 if not numbers:
@@ -128,7 +129,7 @@ class Workers:
                 yield numbers.pop(future), _result(future)
         finally:
             with suppress(Exception):  # there may be no scheduler any more
-                self._client.cancel(list(numbers), force=True)
+                self.client.cancel(list(numbers), force=True)
 
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
         """Wait for a task; look meanwhile whether there are workers at all."""

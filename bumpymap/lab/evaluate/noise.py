@@ -19,7 +19,7 @@ __all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_proof", "perfect_c_r"]
 Floats = NDArray[np.float64]
 DENSITIES = (25.0, 50.0, 100.0, 300.0, 1000.0)
 NOISE_M = (0.0, 0.01, 0.03, 0.05)
-_FLAT_TILES = 200
+FLAT_TILES = 200
 _WITHOUT_NOISE = 1e3
 """Points a pixel that stand for a survey without end."""
 
@@ -87,7 +87,7 @@ def noise_proof(
     """
     truth = perfect_c_r(terrains, ride)
     third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth, side="right")
-    flat = dead_flat(subject.calibration, _FLAT_TILES)
+    flat = dead_flat(subject.calibration, FLAT_TILES)
     progress.start("rating noisy surveys", len(DENSITIES) * len(NOISE_M))
     rows: list[NoiseRow] = []
     for density in DENSITIES:

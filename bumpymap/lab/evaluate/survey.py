@@ -28,9 +28,9 @@ from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints,
 
 __all__ = ["MeasuredSurvey", "gather", "open_readers", "take"]
 
-_MOST_POINTS = 10_000_000
+MOST_POINTS = 10_000_000
 """Points that wait in memory (26 bytes each); the others wait on disk."""
-_BLOCK_POINTS = 10_000_000
+BLOCK_POINTS = 10_000_000
 
 Ints = NDArray[np.int64]
 
@@ -129,7 +129,7 @@ def gather(
     """
     try:
         with _scratch(folder) as scratch:
-            buckets = TileBuckets(grid, MemoryLimits(_MOST_POINTS, _BLOCK_POINTS, scratch))
+            buckets = TileBuckets(grid, MemoryLimits(MOST_POINTS, BLOCK_POINTS, scratch))
             progress.start("reading points", sum(reader.info.point_count for reader in readers))
             number = 0
             for reader in readers:

@@ -25,7 +25,7 @@ _MOST_MESHES = 500
 """Meshes of the cloth along a side of a block: a quarter of a million take 100 MB."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-_idle: list[Child] = []
+idle: list[Child] = []
 """Processes that wait for the next block; each thread that works takes one."""
 
 
@@ -84,7 +84,7 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
     np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
     try:
-        child = _idle.pop()
+        child = idle.pop()
     except IndexError:
         child = _start()
     try:
@@ -105,14 +105,14 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     except BaseException:
         child.close()
         raise
-    _idle.append(child)
+    idle.append(child)
     return marks.data.view(np.bool_)
 
 
 def close_filter() -> None:
     """End the processes of the filter; the next block starts another."""
-    while _idle:
-        _idle.pop().close()
+    while idle:
+        idle.pop().close()
     free_memory()
 
 
@@ -123,4 +123,4 @@ def _start() -> Child:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_idle.clear)
+    os.register_at_fork(after_in_child=idle.clear)

@@ -85,8 +85,8 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
     # What a fit of all leaves out of each: the honest error.
     left_out = _cross_validated(features, target, error, log_g, log_range)
-    doubt = error * _student(driven.completed[good])
-    spread = _held(spread, target - left_out, doubt, log_g, log_range)
+    doubt = error * student(driven.completed[good])
+    spread = held_spread(spread, target - left_out, doubt, log_g, log_range)
     fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
     low, middle, high = _noise_tables(noisy)
     return Correction(
@@ -148,7 +148,7 @@ def _fit_spread(
     return float(found[0] + widen), float(found[1] + widen)
 
 
-def _held(
+def held_spread(
     spread: tuple[float, float], left_out: Floats, doubt: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[float, float]:
     """Widen (or narrow) a spread until the intervals hold their share of what was left out; add what a mean has.
@@ -163,7 +163,7 @@ def _held(
     return low, high
 
 
-def _student(drives: NDArray[np.int64]) -> Floats:
+def student(drives: NDArray[np.int64]) -> Floats:
     """Tail of Student's distribution of a mean of so many drives over the normal one (first Cornish-Fisher term)."""
     wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
     return wider

@@ -13,7 +13,7 @@ __all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "sha
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some chunks: first, and the one behind the last."""
-_LEAST, _MOST = 2_000_000, 256_000_000
+LEAST_POINTS, _MOST = 2_000_000, 256_000_000
 _RANGES_A_WORKER = 4
 """At the end of reading some workers have nothing left to do: a quarter of a worker's share at most."""
 _MARGIN = 1.01
@@ -50,7 +50,7 @@ class ReadTask:
 
 def range_points(points: int, workers: int) -> int:
     """Most points of a range, where so many points are shared out among so many workers."""
-    return max(_LEAST, min(_MOST, points // (_RANGES_A_WORKER * workers)))
+    return max(LEAST_POINTS, min(_MOST, points // (_RANGES_A_WORKER * workers)))
 
 
 def cut_ranges(

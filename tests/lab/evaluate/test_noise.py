@@ -21,7 +21,7 @@ def module_patch():
     patch = pytest.MonkeyPatch()
     patch.setattr(noise, "DENSITIES", (100.0,))
     patch.setattr(noise, "NOISE_M", (0.0, 0.03))
-    patch.setattr(noise, "_FLAT_TILES", 10)
+    patch.setattr(noise, "FLAT_TILES", 10)
     yield
     patch.undo()
 

@@ -9,7 +9,7 @@ import pytest
 from bumpymap.core.errors import BadInputError, BumpymapError
 from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.ride.correction import NORMAL_TAIL, subtract_noise
-from bumpymap.rating.ride.fitting import _held, _student
+from bumpymap.rating.ride.fitting import held_spread, student
 
 COUNT = 400
 
@@ -131,7 +131,7 @@ def test_a_spread_that_holds_too_few_or_too_many_is_put_right(first):
     rng = np.random.default_rng(8)
     log_g, doubt = np.linspace(-4, 0, 4000), np.full(4000, 0.05)
     left_out = rng.normal(0, np.hypot(0.15, 0.05), 4000)
-    low, high = np.exp(_held((np.log(first), np.log(first)), left_out, doubt, log_g, (-4.0, 0.0)))
+    low, high = np.exp(held_spread((np.log(first), np.log(first)), left_out, doubt, log_g, (-4.0, 0.0)))
     assert low == pytest.approx(np.hypot(0.15, 0.045), rel=0.06)
     assert high == pytest.approx(low)
 
@@ -140,4 +140,4 @@ def test_few_drives_doubt_their_mean_more():
     scipy_stats = pytest.importorskip("scipy.stats")
     drives = np.array([5, 8, 30])
     wanted = scipy_stats.t.ppf(0.9, drives - 1) / scipy_stats.norm.ppf(0.9)
-    assert _student(drives) == pytest.approx(wanted, rel=0.03)
+    assert student(drives) == pytest.approx(wanted, rel=0.03)

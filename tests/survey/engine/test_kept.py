@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bumpymap.cli import main
-from bumpymap.cli._wording import as_options
+from bumpymap.cli import as_options, main
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_is_kept

@@ -21,7 +21,7 @@ PERFECT = replace(SMALL, noise_m=0.0, lost=0.0, reach_m=1000.0)
 
 @pytest.fixture(autouse=True)
 def _coarse_mesh(monkeypatch):
-    monkeypatch.setattr(ground, "_STEP", 0.04)
+    monkeypatch.setattr(ground, "STEP", 0.04)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import TEXTURES
 from bumpymap.lab import KINDS, Terrain, make_terrain
-from bumpymap.lab.worlds.terrains._shapes import fractal
+from bumpymap.lab.worlds.terrains import fractal
 from bumpymap.lab.worlds.terrains.library import FINE
 
 
