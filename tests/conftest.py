@@ -29,6 +29,14 @@ def _why_without_open3d():
     return None
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark tests that need real data as slow too: files of a minute's suite are small."""
+    for item in items:
+        if item.get_closest_marker("realdata"):
+            item.add_marker(pytest.mark.slow)
+
+
 def pytest_runtest_setup(item):
     """Skip a test that is marked with ``open3d`` where it cannot be loaded, and say why."""
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):

@@ -187,6 +187,7 @@ def test_help_loads_nothing_heavy():
     assert not (GUARDED - {"click", "rich"}) & out
 
 
+@pytest.mark.slow
 def test_a_run_with_kept_kernels_loads_neither_the_compiler_nor_pandas(tmp_path):
     survey = str(ROOT / "sample_data" / "quarry.laz")
     code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"

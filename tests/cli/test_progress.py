@@ -160,6 +160,7 @@ def test_things_and_drives_are_counted_as_steps():
     assert told.stages == [["things", 3, 3], ["patches", 4, 4]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["1GB", "128MB"])
 def test_a_map_counts_what_it_says(tmp_path, memory):
     from bumpymap.core.config import MapConfig
@@ -179,6 +180,7 @@ def test_a_map_counts_what_it_says(tmp_path, memory):
     assert progress.stages[1][1] < 100  # of 1,426 tiles
 
 
+@pytest.mark.slow
 def test_info_counts_every_point(tmp_path, monkeypatch):
     from bumpymap.cli import info_command
 
@@ -280,6 +282,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_is_an_event(tmp_path):
     words = ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]

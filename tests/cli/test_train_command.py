@@ -11,6 +11,8 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main, train_command
 
+pytestmark = pytest.mark.slow
+
 POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 SHORT = ("--epochs", "2", "--sectors-per-class", "32")
 

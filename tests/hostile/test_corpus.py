@@ -10,6 +10,8 @@ from corpus.runner import MEMORY, Runner
 
 from bumpymap.cli import safe
 
+pytestmark = pytest.mark.slow
+
 FILES = hostile_files()
 NOISE = ("Traceback", "panicked at", "stack backtrace")
 

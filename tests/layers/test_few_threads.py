@@ -10,6 +10,8 @@ import rasterio
 
 from bumpymap.layers import _cog
 
+pytestmark = pytest.mark.slow
+
 _WITHOUT_THREADS = """
 import resource, sys, threading
 from pathlib import Path

@@ -258,6 +258,7 @@ def test_other_tile_size_and_pixels(tmp_path, make_field):
     assert np.isfinite(pixels).sum() == np.isfinite(cost_map.patches.heights).sum()
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     cost_map = make_field(300, 200, grid=Grid(3.0, 5))
     for name, write in WRITERS.items():

@@ -126,6 +126,7 @@ def joined(batches):
     return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
 
 
+@pytest.mark.slow
 def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
     table = CostTable.of(make_field(45, 30))
     whole = joined(list(dissolve(table)))

@@ -116,6 +116,7 @@ def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_p
     assert layers(tmp_path / "csf") == layers(mapped / "csf")
 
 
+@pytest.mark.slow
 @needs_filter
 def test_workers_give_the_same_bytes(mapped, tmp_path):
     pytest.importorskip("distributed")

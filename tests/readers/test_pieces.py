@@ -118,6 +118,7 @@ def of_kind(kind, las, laz, monkeypatch):
     return laz.pack(path, **packed[kind]) if kind in packed else laz.octree(path) if kind == "octree" else path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
     path = of_kind(kind, las, laz, monkeypatch)

@@ -20,6 +20,8 @@ from bumpymap.lab.simulate import validate
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.readers import ReadOptions
 
+pytestmark = pytest.mark.slow
+
 
 def trial(out):
     return TrialOptions(out, 1, overwrite=False, progress=SilentProgress())

@@ -24,6 +24,8 @@ from bumpymap.rating.textures import make_textures
 from bumpymap.rating.vehicle.profile import load_profile
 
 pytest.importorskip("dartpy")
+
+pytestmark = pytest.mark.slow
 WARTHOG = load_profile("warthog")
 SHORT = DriveSettings(measure_s=2.0)
 

@@ -25,6 +25,8 @@ from bumpymap.lab.train.score import Score  # noqa: E402
 from bumpymap.lab.train.train import TrainSettings, train  # noqa: E402
 from bumpymap.rating.texture_network import TextureModel, infer  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
 
 

@@ -51,6 +51,7 @@ def test_a_fit_finds_what_the_drives_follow():
     assert correction.origin["spearman"] > 0.98
 
 
+@pytest.mark.slow
 def test_intervals_hold_their_share():
     correction = fit_correction(made_up(spread=0.15), no_noise())
     unseen = made_up(2, spread=0.15)
@@ -61,6 +62,7 @@ def test_intervals_hold_their_share():
     assert 0.72 < inside[good].mean() < 0.88
 
 
+@pytest.mark.slow
 def test_the_chance_to_fail_is_in_step_with_the_drives():
     correction = fit_correction(made_up(), no_noise())
     unseen = made_up(2)
@@ -71,6 +73,7 @@ def test_the_chance_to_fail_is_in_step_with_the_drives():
         assert share[chosen].mean() == pytest.approx(p_fail[chosen].mean(), abs=0.08)
 
 
+@pytest.mark.slow
 def test_below_what_was_driven_c_r_is_proportional():
     correction = fit_correction(made_up(), no_noise())
     rides = Rides(*(np.array([1e-3, 1e-4]) for _ in range(6)))
@@ -78,6 +81,7 @@ def test_below_what_was_driven_c_r_is_proportional():
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
 
 
+@pytest.mark.slow
 def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     correction = fit_correction(made_up(), no_noise())
     rides = Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(6)))
@@ -88,6 +92,7 @@ def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     assert np.exp(2 * excess) == pytest.approx([101, 101, 1.25])
 
 
+@pytest.mark.slow
 def test_noise_widens_the_interval():
     correction, driven = fit_correction(made_up(), no_noise()), made_up(2)
     quiet, loud, unknown = (predicted(correction, driven, excess) for excess in (0.0, 1.5, np.nan))
@@ -102,6 +107,7 @@ def test_a_record_gives_the_same_predictions():
     assert np.array_equal(predicted(again, driven, 0.3).below, predicted(correction, driven, 0.3).below)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["c_r", "noise_low", "excess"])
 def test_a_damaged_record_is_refused(name):
     record = fit_correction(made_up(), no_noise()).to_record()
@@ -113,6 +119,7 @@ def test_a_damaged_record_is_refused(name):
         Correction.from_record(record)
 
 
+@pytest.mark.slow
 def test_a_record_of_other_terms_is_refused():
     record = fit_correction(made_up(), no_noise()).to_record()
     with pytest.raises(BadInputError, match="6 and 7 coefficients, not 6 and 8"):

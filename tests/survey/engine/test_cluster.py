@@ -38,6 +38,8 @@ from bumpymap.survey.engine.tasks import (
 )
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
+pytestmark = pytest.mark.slow
+
 DEADLY = '''
 import os, signal
 from pathlib import Path

@@ -19,6 +19,8 @@ from bumpymap.cli import main
 distributed = pytest.importorskip("distributed")
 pytest.importorskip("cryptography")
 
+pytestmark = pytest.mark.slow
+
 SURVEY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry_part.ply"
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "cluster.md"
 

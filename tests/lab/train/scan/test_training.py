@@ -20,6 +20,8 @@ from bumpymap.lab.train.scan.make import make_scan_model  # noqa: E402
 from bumpymap.lab.train.scan.train import ScanTrainSettings, train  # noqa: E402
 from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, infer  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
 
 

@@ -15,6 +15,8 @@ from bumpymap.lab.worlds.scans.regions import Blob
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor, draw_sensor
 
+pytestmark = pytest.mark.slow
+
 SMALL = Sensor(lines=16, columns=128, end_m=25.0)
 PERFECT = replace(SMALL, noise_m=0.0, lost=0.0, reach_m=1000.0)
 
