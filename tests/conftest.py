@@ -31,9 +31,9 @@ def _why_without_open3d():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that need real data as slow too: files of a minute's suite are small."""
+    """Mark tests that need real data or open3d as slow too."""
     for item in items:
-        if item.get_closest_marker("realdata"):
+        if item.get_closest_marker("realdata") or item.get_closest_marker("open3d"):
             item.add_marker(pytest.mark.slow)
 
 

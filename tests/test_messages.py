@@ -141,6 +141,7 @@ def test_settings_are_spelled_as_options(text, shown):
     assert as_options(text) == shown
 
 
+@pytest.mark.slow
 def test_no_message_that_a_python_caller_can_see_names_an_option():
     found = []
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):

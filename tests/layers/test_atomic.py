@@ -108,6 +108,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
 @pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
 @pytest.mark.parametrize("small", [True, False])

@@ -104,6 +104,7 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     assert (wanted[:, 4:8] == 0).all()
 
 
+@pytest.mark.slow
 @needs_filter
 @pytest.mark.parametrize("threads", [1, 3])
 def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_path, monkeypatch, threads):

@@ -47,6 +47,7 @@ def exhaust(path, options=ReadOptions()):  # noqa: B008 (frozen)
     return sum(cloud.easting.size for cloud in open_survey(path, options).clouds())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page_levels", [None, 1, 3])
 @pytest.mark.parametrize("size", [1, 300, 100_000])
 def test_pieces_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):

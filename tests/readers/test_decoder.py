@@ -221,6 +221,7 @@ def ended(pid):
         return file.read().rpartition(")")[2].split()[0] == "Z"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 @pytest.mark.parametrize("how", ["signal.SIGKILL", "signal.SIGINT", None])
 def test_no_child_outlives_its_parent(survey, how):

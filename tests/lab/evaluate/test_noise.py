@@ -26,6 +26,7 @@ def module_patch():
     patch.undo()
 
 
+@pytest.mark.slow
 def test_flat_ground_without_noise_is_flat(rows):
     assert rows[0].flat < 1e-3
     assert rows[0].flat_raw < 1e-3

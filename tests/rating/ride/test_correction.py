@@ -41,6 +41,7 @@ def predicted(correction, driven, excess=0.0):
     return correction.predict(driven.rides, driven.slope_deg, felt, np.full(len(felt), 4.0))
 
 
+@pytest.mark.slow
 def test_a_fit_finds_what_the_drives_follow():
     correction = fit_correction(made_up(), no_noise())
     unseen = made_up(2)

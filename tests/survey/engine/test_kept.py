@@ -17,6 +17,8 @@ from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.sink import TileSink
 
+pytestmark = pytest.mark.slow
+
 GO_ON = "Pass --resume to the same command to continue from the finished tiles."
 
 

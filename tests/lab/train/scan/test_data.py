@@ -23,6 +23,8 @@ from bumpymap.lab.train.scan.data import (
 )
 from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _coarse_mesh(monkeypatch):
