@@ -223,7 +223,7 @@ def test_a_scheduler_elsewhere_without_tls_is_warned_about(tmp_path, monkeypatch
     def nobody(*_):
         raise ClusterError("nobody")
 
-    monkeypatch.setattr("bumpytiles._dask.workers_at", nobody)
+    monkeypatch.setattr("bumpytiles.workers_at", nobody)
     result = run(*map_line(tmp_path, "--scheduler", address))
     assert result.exit_code == 2
     assert ("Warning: " in result.output) is warned
