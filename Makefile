@@ -1,5 +1,6 @@
 # make demo    map the sample survey and say where the layers are
 # make test    install what the suite needs and run it; TESTS=FILE for a part of it
+# make test-fast  without the tests that are marked slow: every room, in about a minute
 # A checkout that cannot be written: make VENV=/some/where/venv DEMO_OUT=/some/where/demo_out demo
 PYTHON ?= python3
 VENV ?= .venv
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: demo test lint types docs wheel check clean
+.PHONY: demo test test-fast lint types docs wheel check clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
@@ -31,6 +32,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --numprocesses auto $(TESTS)
+
+test-fast: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest --numprocesses auto -m "not slow" $(TESTS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

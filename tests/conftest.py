@@ -29,6 +29,14 @@ def _why_without_open3d():
     return None
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark tests that need real data or open3d as slow too."""
+    for item in items:
+        if item.get_closest_marker("realdata") or item.get_closest_marker("open3d"):
+            item.add_marker(pytest.mark.slow)
+
+
 def pytest_runtest_setup(item):
     """Skip a test that is marked with ``open3d`` where it cannot be loaded, and say why."""
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):

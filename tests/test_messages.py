@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import bumpymap
-from bumpymap.cli import main
-from bumpymap.cli._wording import as_options
+from bumpymap.cli import as_options, main
 from bumpymap.core.config import MapConfig
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -146,6 +145,7 @@ def _is_for_commands(file):
     return any(file.is_relative_to(ROOT / "bumpymap" / place) for place in COMMANDS_ALONE)
 
 
+@pytest.mark.slow
 def test_no_message_that_a_python_caller_can_see_names_an_option():
     found = []
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):

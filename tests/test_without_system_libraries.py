@@ -6,6 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parent
 BROKEN = 'raise ImportError("libusb-1.0.so.0: cannot open shared object file")'
 

@@ -11,7 +11,7 @@ import click
 from bumpymap.cli._exit_code import RunInterrupted, exit_code_of
 from bumpymap.core import Terminated, interruptible
 
-__all__ = ["main"]
+__all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json", "say_table"]
 
 _COMMANDS = {
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",

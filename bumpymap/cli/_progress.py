@@ -148,12 +148,12 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _calling_every(lines.tick, _LINE_SECONDS):
             yield lines
         return
-    with _moving_bars(console) as bars:
+    with moving_bars(console) as bars:
         yield bars
 
 
 @contextmanager
-def _moving_bars(console: Console) -> Iterator[_Bars]:
+def moving_bars(console: Console) -> Iterator[_Bars]:
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
     with suppress(RuntimeError):  # no thread can be started: the run goes on with still bars

@@ -62,17 +62,18 @@ class ChildDiedError(Exception):
         super().__init__(f"was ended by {self.signal}" if code < 0 else f"ended by itself (code {code})")
 
 
-_memory = SharedMemory()
+MEMORY = SharedMemory()
+"""What this process and its children share."""
 
 
 def allocate_shared(size: int) -> SharedBytes:
     """Allocate memory that child processes can access; see `SharedMemory`."""
-    return _memory.allocate(size)
+    return MEMORY.allocate(size)
 
 
 def trim_shared() -> None:
     """Return unused shared memory to the operating system."""
-    _memory.trim()
+    MEMORY.trim()
 
 
 def can_start_children() -> bool:
@@ -123,7 +124,7 @@ class Child:
         flags = ("-I", "-S") if isolated else ("-P",)
         output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
-        handed = theirs.fileno(), _memory.descriptor
+        handed = theirs.fileno(), MEMORY.descriptor
         with theirs, blocked_signals():
             try:
                 self.process = subprocess.Popen(  # noqa: S603 (this Python, and a script of this package)
@@ -186,7 +187,7 @@ class Child:
         """
         places = [(memory.start, memory.data.size) for memory in shared]
         try:
-            self.link.send((function, arguments, places, _memory.size, seconds, takes_read_at))
+            self.link.send((function, arguments, places, MEMORY.size, seconds, takes_read_at))
         except OSError:
             self._raise_child_died()
 
@@ -241,8 +242,8 @@ _children: "weakref.WeakSet[Child]" = weakref.WeakSet()
 
 
 def _abandon_children() -> None:
-    global _memory  # noqa: PLW0603 (the old process keeps its own)
-    _memory = SharedMemory()
+    global MEMORY  # noqa: PLW0603 (the old process keeps its own)
+    MEMORY = SharedMemory()
     for child in _children:
         child.abandon()
 

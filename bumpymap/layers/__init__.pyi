@@ -1,6 +1,9 @@
 from ._imports import (
     import_without_pandas as import_without_pandas,
 )
+from ._label import (
+    label as label,
+)
 from .completed_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,

@@ -36,7 +36,7 @@ _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_Base
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 """The block cache, MB: time and bytes are the same from 16 to 256 (236 million pixels). Temporary overviews are not
 compressed: compressing them took a third of the time of a dense raster and two thirds of that of an empty one."""
-_SMALL = 16 << 20
+SMALL = 16 << 20
 """Largest scratch raster that is kept in memory, bytes."""
 _SCRATCH_BLOCK = 256
 """Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
@@ -110,7 +110,7 @@ def write_cog(
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
-        if pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize <= _SMALL:
+        if pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL:
             with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 _write_scratch(scratch.name, placement, spec, paint, None)
                 _convert(scratch.name, layer.name, temporary, spec)
@@ -137,12 +137,12 @@ def _convert(scratch: str, layer: str, temporary: Path, spec: RasterSpec) -> Non
     """Convert the scratch raster to the COG ``layer``; a virtual raster goes beside ``temporary`` if one is needed."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block), "STATISTICS": "YES"}
-    options |= {"NUM_THREADS": _threads(), "SPARSE_OK": "NO" if spec.write_empty else "YES"}
+    options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "NO" if spec.write_empty else "YES"}
     named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), spec.bands)
     rasterio.shutil.copy(named, layer, driver="COG", **options)
 
 
-def _threads() -> str:
+def gdal_threads() -> str:
     """Return the number of threads that GDAL may compress blocks with, for its option ``NUM_THREADS``.
 
     Blocks are written in order, so the bytes do not depend on it. GDAL waits forever for a thread that could not be

@@ -22,7 +22,7 @@ __all__ = ["REGION_WINDOW", "Regions", "dissolve"]
 
 REGION_WINDOW = 2_048
 """Side of the windows at whose borders regions are cut, tiles: 6 km of 3 m tiles."""
-_BATCH = 8_192
+BATCH = 8_192
 """Most regions at a time: some tens of megabytes of outlines even if every tile is a region of its own."""
 _STRIP = REGION_WINDOW * BLOCK_TILES
 """Most tiles to read at a time: one row of blocks, so that sums run along the rows of a window."""
@@ -126,8 +126,8 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -
     passable = key < _IMPASSABLE
     class_id = np.where(key >= _UNKNOWN, NO_CLASS, (key - 1) % _IMPASSABLE).astype(np.uint8)
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
-    for start in range(0, len(first), _BATCH):
-        some = slice(start, start + _BATCH)
+    for start in range(0, len(first), BATCH):
+        some = slice(start, start + BATCH)
         rows = slice(int(first[start]) // window.tiles.cols, int(last[some].max()) // window.tiles.cols + 1)
         c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
         free = passable[some]

@@ -12,7 +12,7 @@ from bumpymap.core import CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, 
 
 __all__ = ["MapSummary", "summarise"]
 
-_STRIP = 65_536
+STRIP = 65_536
 _BINS = 1 << 16
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 """Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
@@ -85,7 +85,7 @@ def summarise(table: CostTable) -> MapSummary:
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
     points = passable = 0
-    for strip in table.tiles.strips(_STRIP):
+    for strip in table.tiles.strips(STRIP):
         found = table.tiles.read((*PASSABLE_COLUMNS, "reason", "count", *_STEPS), strip)
         passable += int(table.rule.passable(found).sum())
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)

@@ -38,7 +38,7 @@ _PROPERTIES = (
     *("p_fail", "hazard", "cost", "area_m2", "tiles"),
 )
 _GEOMETRY = "geometry"
-_IN_MEMORY = 16 << 20
+IN_MEMORY = 16 << 20
 """Most bytes of regions that are converted to FlatGeobuf in memory."""
 
 
@@ -205,7 +205,7 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement)
     crs = placement.horizontal_crs
     # Small files are made in memory. GDAL takes what follows a '!' in a path for a member of an archive, and does not
     # notice if the disk fills up in the last bytes (seen in 3.8 and 3.12), so the last feature is read back.
-    to_disk = waiting.stat().st_size > _IN_MEMORY and "!" not in str(temporary)
+    to_disk = waiting.stat().st_size > IN_MEMORY and "!" not in str(temporary)
     target = temporary if to_disk else BytesIO()
     with pa.OSFile(str(waiting), "rb") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="'crs' was not provided")

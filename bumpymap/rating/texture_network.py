@@ -123,11 +123,11 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     probability[known[flat]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
     rough = relief[~flat]
     scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # min and max over one axis are 4 times faster
-    probability[known[~flat]] = _infer(model, scaled.reshape(rough.shape))
+    probability[known[~flat]] = infer(model, scaled.reshape(rough.shape))
     return TextureMap(probability)
 
 
-def _infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
+def infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
     """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; return probabilities (n, 4)."""
     network = session(model.content)
     name = network.get_inputs()[0].name

@@ -38,7 +38,7 @@ ReadAt = Callable[[int, Bytes], int]
 Table = Sequence[tuple[int, int]]
 """Number of points and bytes of each LAZ chunk."""
 
-_SECONDS, _SECONDS_PER_BYTE = 4.0, 1e-7
+SECONDS, SECONDS_PER_BYTE = 4.0, 1e-7
 """CPU time limit of a request, and for each byte of input and output: ten times what real files need."""
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 
@@ -56,7 +56,8 @@ class Decoder:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._child: Child | None = None
+        self.child: Child | None = None
+        """The process that decodes, once there is one."""
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Open streams of the running child."""
@@ -117,7 +118,7 @@ class Decoder:
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
         """Call a function in the child; the caller holds the lock."""
-        seconds = _SECONDS + _SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
+        seconds = SECONDS + SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
         fill = None if read_at is None else partial(_fill, read_at)
         try:
             child = self._live_child()
@@ -133,18 +134,18 @@ class Decoder:
             raise
 
     def _is_alive(self) -> bool:
-        return self._child is not None and self._child.is_alive
+        return self.child is not None and self.child.is_alive
 
     def _live_child(self) -> Child:
-        if self._child is None or not self._child.is_alive:
+        if self.child is None or not self.child.is_alive:
             self._end()
             # Not all of site-packages: its .pth files would run at every start.
             folders = [str(Path(__file__).parent), module_folder("lazrs")]
-            self._child = Child("to decode LAZ", "_decoder_child", folders)
-        return self._child
+            self.child = Child("to decode LAZ", "_decoder_child", folders)
+        return self.child
 
     def _end(self) -> None:
-        child, self._child = self._child, None
+        child, self.child = self.child, None
         self._streams.clear()
         if child is not None:
             child.close()
@@ -210,27 +211,28 @@ def _raise_child_died(error: ChildDiedError) -> NoReturn:
 
 
 _lock = threading.Lock()
-_current: Decoder | None = None
+current: Decoder | None = None
+"""The decoder of this process, see `decoder`."""
 
 
 def decoder() -> Decoder:
     """Return the decoder of this process."""
-    global _current  # noqa: PLW0603 (one for all readers: it uses all cores)
+    global current  # noqa: PLW0603 (one for all readers: it uses all cores)
     with _lock:
-        if _current is None:
-            _current = Decoder() if can_start_children() else LocalDecoder()
-        return _current
+        if current is None:
+            current = Decoder() if can_start_children() else LocalDecoder()
+        return current
 
 
 def close_decoder() -> None:
     """End the decoder's child process and free its memory; the next request starts it again."""
-    if _current is not None:
-        _current.close()
+    if current is not None:
+        current.close()
 
 
 def _reset_after_fork() -> None:
-    global _lock, _current
-    _lock, _current = threading.Lock(), None
+    global _lock, current
+    _lock, current = threading.Lock(), None
 
 
 at_exit(close_decoder)

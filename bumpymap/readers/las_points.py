@@ -19,7 +19,7 @@ __all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "Records", "
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
-_HUGE_CHUNK = 1 << 28
+HUGE_CHUNK = 1 << 28
 """A LAZ chunk of more decoded bytes than this is read sequentially, in parts."""
 _CHUNK_HEAD = 1 << 19
 """Upper limit of the head of a LAZ chunk, bytes: the longest point, and four bytes for each of its layers."""
@@ -157,4 +157,4 @@ class LazStream(RecordSource):
 
 def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
     """Return whether a LAZ chunk is too large to be decoded at once."""
-    return bool((table.counts * header.point_size > _HUGE_CHUNK).any())
+    return bool((table.counts * header.point_size > HUGE_CHUNK).any())

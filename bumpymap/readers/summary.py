@@ -17,8 +17,8 @@ from bumpytiles import Bounds, Grid
 
 __all__ = ["PointSummary", "PointSummaryBuilder"]
 
-_MERGE_AT = 4_000_000
-_MOST_PIXELS = 500_000
+MERGE_AT = 4_000_000
+MOST_PIXELS = 500_000
 """Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
 _GROUP_PIXELS = 4_000_000
 _INDEX_MASK = (1 << 23) - 1
@@ -160,7 +160,7 @@ class _Counts:
     def _append(self, values: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
         self._parts.append((values, counts))
         self._waiting += values.size
-        if self._waiting > _MERGE_AT:
+        if self._waiting > MERGE_AT:
             self._parts = [self.total()]
             self._waiting = 0
 
@@ -189,14 +189,14 @@ class _PixelSample:
     def _add(self, places: NDArray[np.int64]) -> None:
         self._parts.append(places)
         self._waiting += places.size
-        if self._waiting > 3 * _MOST_PIXELS:
+        if self._waiting > 3 * MOST_PIXELS:
             self._parts, self._waiting = [self.merged()], 0
 
     def merged(self) -> NDArray[np.int64]:
         """Merge the parts, and reduce the sample until it has few enough pixels."""
         places = _distinct(np.concatenate([np.zeros(0, np.int64), *self._parts]))
         places = places[_sampled(places >> 16, self.step)]
-        while places.size > _MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
+        while places.size > MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
             self.step *= 2
             places = places[_sampled(places >> 16, self.step)]
         return places

@@ -1,3 +1,6 @@
+from ._place_kernels import (
+    turn_of as turn_of,
+)
 from .classifier import (
     ScanClassifier as ScanClassifier,
     ScanResult as ScanResult,

@@ -213,11 +213,11 @@ def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]
     found = np.full((len(stack.zone), CLASSES), np.nan, np.float32)
     if which.any():
         patches, measures = network_input(stack)
-        found[which] = _infer(model.content, {"patches": patches[which], "measures": measures[which]})
+        found[which] = infer(model.content, {"patches": patches[which], "measures": measures[which]})
     return found
 
 
-def _infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+def infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     """Run a network on sectors; return probabilities (n, CLASSES)."""
     network = session(content)
     count = len(inputs["measures"])

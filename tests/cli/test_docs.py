@@ -74,6 +74,7 @@ def test_the_settings_of_the_page_are_settings(tmp_path):
     assert config.features == MapConfig((), tmp_path).features
 
 
+@pytest.mark.slow
 def test_the_snippet_of_the_page_runs(tmp_path, monkeypatch):
     (text,) = re.findall(r"```python\n(.*?)```", (PAGES / "command-line.md").read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "sample_data").mkdir()

@@ -12,6 +12,8 @@ import pytest
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError, OutputError, missing_resource
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 COMMAND = [sys.executable, "-c", "from bumpymap.cli import main; main()"]

@@ -14,7 +14,6 @@ from rich.console import Console
 
 from bumpymap.cli import _progress, main
 from bumpymap.cli._exit_code import exit_code_of
-from bumpymap.cli._progress import EventProgress, LineProgress, show_progress
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress, Steps, counted
 
@@ -33,7 +32,7 @@ class Clock:
 
 def test_a_line_has_time_stage_and_share(capsys):
     clock = Clock()
-    progress = LineProgress(clock)
+    progress = _progress.LineProgress(clock)
     progress.tick()
     assert capsys.readouterr().err == ""
     progress.start("reading points", 10_000_000)
@@ -53,7 +52,7 @@ def test_a_line_has_time_stage_and_share(capsys):
 
 def test_a_bar_shows_a_name_as_it_is():
     shown = io.StringIO()
-    with _progress._moving_bars(Console(file=shown, force_terminal=True, width=120)) as bars:
+    with _progress.moving_bars(Console(file=shown, force_terminal=True, width=120)) as bars:
         bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
         bars.advance(3)
     assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
@@ -69,7 +68,7 @@ def events(text):
 
 def test_events_hold_the_same(capsys):
     clock = Clock()
-    progress = EventProgress(clock)
+    progress = _progress.EventProgress(clock)
     progress.start("reading points", 1000)
     progress.advance(250)
     clock.now += 12.34
@@ -112,8 +111,8 @@ def test_it_is_told_again_and_again(capsys, monkeypatch, as_json, seconds):
     def note(progress):
         ticks.append(progress)
 
-    monkeypatch.setattr(EventProgress if as_json else LineProgress, "tick", note)
-    with show_progress(as_json=as_json) as progress:
+    monkeypatch.setattr(_progress.EventProgress if as_json else _progress.LineProgress, "tick", note)
+    with _progress.show_progress(as_json=as_json) as progress:
         progress.start("reading", 10)
     assert len(ticks) == 3
     assert waits.run_spec == [seconds] * 4
@@ -124,14 +123,14 @@ def test_without_threads_the_run_goes_on(capsys, monkeypatch):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(_progress.Thread, "start", refuse)
-    with show_progress() as progress:
+    with _progress.show_progress() as progress:
         progress.start("reading", 10)
 
 
 def test_quiet_says_nothing(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "Event", Waits(3))
     for as_json in (False, True):
-        with show_progress(quiet=True, as_json=as_json) as progress:
+        with _progress.show_progress(quiet=True, as_json=as_json) as progress:
             progress.start("reading", 10)
             progress.advance(1)
             progress.note("text", "epoch")
@@ -162,6 +161,7 @@ def test_things_and_drives_are_counted_as_steps():
     assert told.stages == [["things", 3, 3], ["patches", 4, 4]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["1GB", "128MB"])
 def test_a_map_counts_what_it_says(tmp_path, memory):
     from bumpymap.core.config import MapConfig
@@ -181,6 +181,7 @@ def test_a_map_counts_what_it_says(tmp_path, memory):
     assert progress.stages[1][1] < 100  # of 1,426 tiles
 
 
+@pytest.mark.slow
 def test_info_counts_every_point(tmp_path, monkeypatch):
     from bumpymap.cli import info_command
 
@@ -282,6 +283,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_is_an_event(tmp_path):
     words = ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]

@@ -260,6 +260,7 @@ def test_ctrl_c(scan, frame, tmp_path, monkeypatch):
     assert out_files(tmp_path) is None
 
 
+@pytest.mark.slow
 def test_a_fit_and_its_use(scan, frame, tmp_path):
     pytest.importorskip("sklearn")
     own = tmp_path / "own.json"
@@ -348,6 +349,7 @@ def test_help_loads_nothing_heavy():
     assert not {"numpy", "bumpytiles", "rasterio", "pyarrow", "laspy", "onnxruntime", "llvmlite"} & set(loaded)
 
 
+@pytest.mark.slow
 def test_a_run_loads_neither_a_workshop_nor_a_plotting_library(frame, tmp_path):
     code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"
     words = ["scan", str(frame), "--out", str(tmp_path / "out"), "--method", "filter"]

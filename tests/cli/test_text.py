@@ -89,6 +89,7 @@ def wicked(tmp_path):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "map", "scan", "evaluate", "train"])
 def test_names_of_files_are_shown(command, wicked, tmp_path):
     words = {
@@ -145,6 +146,7 @@ def piped(words, **streams):
 needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 
 
+@pytest.mark.slow
 @needs_full
 @pytest.mark.parametrize(
     "words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY], ["info", QUARRY, "--json"]]
@@ -158,6 +160,7 @@ def test_a_full_output_is_one_message(words):
     assert "No space left on device" in done.stderr
 
 
+@pytest.mark.slow
 @needs_full
 def test_a_full_output_does_not_cost_the_layers(tmp_path):
     with Path("/dev/full").open("w") as full:
@@ -173,6 +176,7 @@ def test_a_full_output_does_not_cost_the_layers(tmp_path):
         assert events.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["--help"], ["info", QUARRY], ["info", QUARRY, "--json"]])
 def test_a_reader_that_leaves_is_no_error(words):
     reading, writing = os.pipe()
@@ -183,6 +187,7 @@ def test_a_reader_that_leaves_is_no_error(words):
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_closed_outputs_are_no_error(tmp_path):
     words = " ".join([f"'{sys.executable}' -c 'from bumpymap.cli import main; main()' info '{QUARRY}' >&- 2>&-"])
     assert subprocess.run(["sh", "-c", words], check=False, timeout=300).returncode == 0

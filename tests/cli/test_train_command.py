@@ -11,6 +11,8 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main, train_command
 
+pytestmark = pytest.mark.slow
+
 POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 SHORT = ("--epochs", "2", "--sectors-per-class", "32")
 
@@ -110,12 +112,12 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
     from bumpymap.lab.train.scan import train as trainer
 
     with pytest.MonkeyPatch.context() as patch:
-        draw, drawn = trainer.draw_epoch, []
+        draw, moving_bars = trainer.draw_epoch, []
 
         def stop_at_the_second(*arguments):
-            if drawn:
+            if moving_bars:
                 raise KeyboardInterrupt
-            drawn.append(True)
+            moving_bars.append(True)
             return draw(*arguments)
 
         patch.setattr(trainer, "draw_epoch", stop_at_the_second)

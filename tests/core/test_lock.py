@@ -1,5 +1,7 @@
 """The lock of a folder: one holder at a time, whoever comes and goes, and no link is followed."""
 
+import errno
+import fcntl
 import json
 import os
 import re
@@ -9,7 +11,6 @@ import sys
 
 import pytest
 
-from bumpymap.core import lock
 from bumpymap.core.errors import OutputError
 from bumpymap.core.lock import LOCK, locked
 
@@ -63,15 +64,15 @@ def test_a_lock_that_is_taken_away_by_its_holder_is_taken_anew(tmp_path, monkeyp
         out.mkdir(exist_ok=True)
         (out / LOCK).touch()
         endings = [ending]
-        take = lock._lock
+        take = fcntl.flock
 
-        def late(descriptor, path, *, fresh, endings=endings, take=take):
+        def late(descriptor, how, endings=endings, take=take):
             if endings:
                 endings.pop()()
-            take(descriptor, path, fresh=fresh)
+            take(descriptor, how)
 
         with monkeypatch.context() as patch:
-            patch.setattr(lock, "_lock", late)
+            patch.setattr(fcntl, "flock", late)
             with locked(out):
                 assert not endings
                 assert json.loads((out / LOCK).read_text())["pid"] == os.getpid()
@@ -101,9 +102,9 @@ def test_what_is_no_lock_file_is_left_alone(tmp_path, kind):
 
 def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch):
     def no_locks(*_):
-        raise OSError(lock.errno.ENOLCK, "No locks available")
+        raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(lock.fcntl, "flock", no_locks)
+    monkeypatch.setattr(fcntl, "flock", no_locks)
     out = tmp_path / "out"
     with locked(out), pytest.raises(OutputError, match=rf"pid {os.getpid()}.*remove .*{LOCK}"), locked(out):
         pass

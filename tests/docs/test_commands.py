@@ -12,6 +12,8 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 
+pytestmark = pytest.mark.slow
+
 _spec = importlib.util.spec_from_file_location("docs_commands", Path(__file__).with_name("commands.py"))
 commands = sys.modules["docs_commands"] = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(commands)

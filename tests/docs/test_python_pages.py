@@ -8,6 +8,8 @@ import pytest
 import bumpymap
 
 matplotlib = pytest.importorskip("matplotlib")
+
+pytestmark = pytest.mark.slow
 matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parents[2]

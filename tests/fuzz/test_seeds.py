@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 SEEDS = sorted(path.name for path in (HERE / "seeds").iterdir())
 KNOWN: dict[str, str] = {}

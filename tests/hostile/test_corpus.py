@@ -8,7 +8,9 @@ from corpus.bases import bases
 from corpus.known import KNOWN
 from corpus.runner import MEMORY, Runner
 
-from bumpymap.cli._text import safe
+from bumpymap.cli import safe
+
+pytestmark = pytest.mark.slow
 
 FILES = hostile_files()
 NOISE = ("Traceback", "panicked at", "stack backtrace")

@@ -12,6 +12,8 @@ from corpus.case import patched
 from corpus.las_file import cloud, las_file, layout_of
 from corpus.runner import Runner
 
+pytestmark = pytest.mark.slow
+
 LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
 BAD = (
     "foreign-lfs_pointer.laz",

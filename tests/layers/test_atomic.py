@@ -108,14 +108,15 @@ WRITERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
 @pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", WRITERS)
 def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, missing, small):
     if not small:  # what large layers do
-        monkeypatch.setattr("bumpymap.layers.vector._IN_MEMORY", 0)
-        monkeypatch.setattr("bumpymap.layers._cog._SMALL", 0)
+        monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
+        monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     cost_map, path = make_field(20, 15), tmp_path / product
     WRITERS[product](cost_map, path)
     whole = path.stat().st_size

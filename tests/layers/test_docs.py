@@ -9,6 +9,8 @@ import pytest
 from bumpymap.core.types import BANDS, CLASS_NAMES, REASON_TEXT, CostTable, Reason
 from bumpymap.layers import CLASS_COLOURS, MAX_PIXELS, MAX_TILES, PRODUCT_NAMES, write_products
 
+pytestmark = pytest.mark.slow
+
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "pages"
 STYLES = PAGES / "styles"
 WITH_PYTHON = ("files.md", "gis.md")

@@ -1,5 +1,6 @@
 """Rasters where the system gives no more threads: written by one, never waited for."""
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,8 @@ import pytest
 import rasterio
 
 from bumpymap.layers import _cog
+
+pytestmark = pytest.mark.slow
 
 _WITHOUT_THREADS = """
 import resource, sys, threading
@@ -45,11 +48,11 @@ def test_a_raster_is_written_where_no_thread_can_be_started(tmp_path):
 
 
 def test_gdal_may_use_every_core_where_nothing_is_limited(monkeypatch):
-    monkeypatch.setattr(_cog.resource, "getrlimit", lambda _: (_cog.resource.RLIM_INFINITY,) * 2)
-    assert _cog._threads() == "ALL_CPUS"
+    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
+    assert _cog.gdal_threads() == "ALL_CPUS"
 
     def refuse(thread):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr("threading.Thread.start", refuse)
-    assert _cog._threads() == "1"
+    assert _cog.gdal_threads() == "1"

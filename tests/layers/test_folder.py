@@ -58,6 +58,7 @@ def test_all_files_of_a_run(tmp_path, cost_map):
     assert newest.name == "run.json"
 
 
+@pytest.mark.slow
 def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_field):
     cost_map = make_field(150, 140, grid=Grid(3.0, 5))
     seen = []
@@ -69,6 +70,7 @@ def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_fiel
     assert seen[0] == seen[1] == seen[2]
 
 
+@pytest.mark.slow
 def test_same_bytes_in_another_process(tmp_path, cost_map):
     code = (
         "import sys, importlib.util, pathlib\n"

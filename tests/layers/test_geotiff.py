@@ -250,12 +250,13 @@ def test_other_tile_size_and_pixels(tmp_path, make_field):
     assert np.isfinite(pixels).sum() == np.isfinite(cost_map.patches.heights).sum()
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     cost_map = make_field(300, 200, grid=Grid(3.0, 5))
     for name, write in WRITERS.items():
         seen = set()
         for threads in ("1", "2", "5"):
-            monkeypatch.setattr("bumpymap.layers._cog._threads", lambda threads=threads: threads)
+            monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
             write(cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
@@ -270,7 +271,7 @@ def test_writing_does_not_change_the_map(tmp_path, make_field):
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
-    monkeypatch.setattr("bumpymap.layers._cog._SMALL", 0)
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     WRITERS[name](cost_map, tmp_path / rasters[name].name, {"vehicle": "warthog"})
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         path.name for path in rasters[name].parent.iterdir() if path.name.startswith(name)

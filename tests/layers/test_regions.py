@@ -8,8 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import dissolve
-from bumpymap.layers._label import label
+from bumpymap.layers import dissolve, label
 
 
 def regions_of(cost_map):
@@ -127,11 +126,12 @@ def joined(batches):
     return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
 
 
+@pytest.mark.slow
 def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
     table = CostTable.of(make_field(45, 30))
     whole = joined(list(dissolve(table)))
     for size in (1, 7, 100):
-        monkeypatch.setattr("bumpymap.layers.regions._BATCH", size)
+        monkeypatch.setattr("bumpymap.layers.regions.BATCH", size)
         batches = list(dissolve(table))
         assert max(len(batch.tiles) for batch in batches) <= size
         for name, values in joined(batches).items():

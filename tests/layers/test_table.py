@@ -123,6 +123,7 @@ def test_many_tiles_make_several_row_groups(tmp_path, make_field):
     assert file.schema_arrow.field("heights").type.list_size == 4
 
 
+@pytest.mark.slow
 def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
     table = CostTable.of(cost_map)
@@ -144,7 +145,7 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     packs = []
     for chosen in (east, ~east):
         part = TileTable.of(table.tiles.grid, {name: array[chosen] for name, array in columns.items()})
-        packs += {id(pack): pack for pack in part._home.values()}.values()
+        packs += {id(pack): pack for pack in part.home.values()}.values()
     twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
     write_tiles(twin, tmp_path / "two.parquet")
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()

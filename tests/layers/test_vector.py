@@ -242,7 +242,7 @@ def test_single_tile(tmp_path, make_map):
 def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
     table = CostTable.of(make_field(30, 20, west=166_600))
     for name, most in {"whole": 10_000, "bits": 5}.items():
-        monkeypatch.setattr("bumpymap.layers.regions._BATCH", most)
+        monkeypatch.setattr("bumpymap.layers.regions.BATCH", most)
         batches = list(dissolve(table))
         place = batches[0].placement
         with (
@@ -260,7 +260,7 @@ def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkey
 def test_large_flatgeobuf_goes_straight_to_its_file(tmp_path, make_field, monkeypatch):
     regions = regions_of(make_field(30, 20))
     write_flatgeobuf(regions, tmp_path / "memory.fgb")
-    monkeypatch.setattr("bumpymap.layers.vector._IN_MEMORY", 0)
+    monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
     write_flatgeobuf(regions, tmp_path / "straight.fgb")
     (tmp_path / "a!b").mkdir()
     write_flatgeobuf(regions, tmp_path / "a!b" / "straight.fgb")

@@ -104,6 +104,7 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     assert (wanted[:, 4:8] == 0).all()
 
 
+@pytest.mark.slow
 @needs_filter
 @pytest.mark.parametrize("threads", [1, 3])
 def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_path, monkeypatch, threads):
@@ -116,6 +117,7 @@ def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_p
     assert layers(tmp_path / "csf") == layers(mapped / "csf")
 
 
+@pytest.mark.slow
 @needs_filter
 def test_workers_give_the_same_bytes(mapped, tmp_path):
     pytest.importorskip("distributed")
@@ -173,7 +175,7 @@ def test_a_block_may_hold_next_to_nothing(points):
 def test_a_filter_that_died_is_told_and_replaced(wood):
     block = blocks(wood[0])[0]
     marks = mark_ground(block, CsfSettings())
-    (child,) = cloth._idle
+    (child,) = cloth.idle
     child.process.kill()
     child.process.wait()
     with pytest.raises(UsageError, match=r"was ended by SIGKILL.*lower `memory`"):

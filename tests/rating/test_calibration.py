@@ -101,10 +101,3 @@ def test_another_file_is_no_calibration(tmp_path, content):
 def test_unknown_names_list_the_known_ones():
     with pytest.raises(UsageError, match=r"available are: .*warthog"):
         Calibration.shipped("bicycle")
-
-
-def test_a_spread_that_is_unknown_throughout_still_gives_an_interval(record):
-    from bumpymap.rating.cost import _ladder
-
-    record["c_r_log_sd"] = [[None] * 14] * 4
-    assert np.all(_ladder(Calibration.from_json(json.dumps(record), "c.json")).log_sd > 0)

@@ -103,6 +103,14 @@ def test_the_interval_of_one_texture_is_the_log_normals_own():
     np.testing.assert_allclose([cost.c_r_low[0], cost.c_r_high[0]], expected, rtol=1e-5)
 
 
+def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():
+    unknown = calibration(c_r_log_sd=((None,) * 4,) * 4)
+    for k in range(4):
+        cost = rate(stack([0.01, 0.1, 5.0]), one_hot(k, 3), unknown, HERE)
+        assert (cost.c_r_low < cost.c_r).all()
+        assert (cost.c_r < cost.c_r_high).all()
+
+
 def test_confidence_falls_with_coverage_and_near_a_limit():
     far = rate(stack([0.06]), one_hot(3, 1), calibration(), HERE).confidence[0]
     near = rate(stack([0.124]), one_hot(3, 1), calibration(), HERE).confidence[0]

@@ -113,11 +113,12 @@ def of_kind(kind, las, laz, monkeypatch):
         return pcd(las.folder, rows, kind)
     path = survey(las, count=400, fmt=1 if kind == "stream" else 7)
     if kind == "huge":
-        monkeypatch.setattr(las_points, "_HUGE_CHUNK", 1000)
+        monkeypatch.setattr(las_points, "HUGE_CHUNK", 1000)
     packed = {"chunks": {"chunk": 30}, "stream": {}, "huge": {"chunk": 100}}
     return laz.pack(path, **packed[kind]) if kind in packed else laz.octree(path) if kind == "octree" else path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
     path = of_kind(kind, las, laz, monkeypatch)

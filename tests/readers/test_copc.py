@@ -47,6 +47,7 @@ def exhaust(path, options=ReadOptions()):  # noqa: B008 (frozen)
     return sum(cloud.easting.size for cloud in open_survey(path, options).clouds())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page_levels", [None, 1, 3])
 @pytest.mark.parametrize("size", [1, 300, 100_000])
 def test_pieces_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):
@@ -65,6 +66,7 @@ def test_pieces_hold_all_points_each_inside_its_box(tree, batches, table, size, 
     assert np.array_equal(got[np.lexsort(got.T)], expected[np.lexsort(expected.T)])
 
 
+@pytest.mark.slow
 def test_pages_change_nothing(tree, batches, table):
     plain = tree()
     first = table(batches(open_survey(plain), 300))
@@ -205,6 +207,7 @@ def test_an_octree_built_around_another_place(las, tree, read):
     assert len(read(trusted)[0]) == 4000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [2.0, 30.0, 300.0])
 def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree, shift):
     """Counted one by one: a point is in the cube of its node, 1 m around it allowed."""

@@ -27,7 +27,7 @@ CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
 def child(monkeypatch):
     """A decoder of this test alone."""
     made = Decoder()
-    monkeypatch.setattr(decoder, "_current", made)
+    monkeypatch.setattr(decoder, "current", made)
     yield made
     made.close()
 
@@ -51,19 +51,19 @@ def records(reader, points=700):
 
 
 def pid_of(child):
-    return child._child.process.pid
+    return child.child.process.pid
 
 
 def kill(child):
     os.kill(pid_of(child), signal.SIGKILL)
-    child._child.process.wait()
+    child.child.process.wait()
 
 
 @pytest.mark.parametrize("kind", ["chunks", "variable", "stream"])
 def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, kind):
     path = survey(kind)
     theirs = records(open_survey(path))
-    monkeypatch.setattr(decoder, "_current", LocalDecoder())
+    monkeypatch.setattr(decoder, "current", LocalDecoder())
     ours = records(open_survey(path))
     assert all(np.array_equal(a, b) for a, b in zip(theirs, ours, strict=True))
     assert sum(map(len, ours)) == 4000
@@ -104,19 +104,19 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
         os.kill(pid_of(child), signal.SIGSEGV)
         return ask(what, *args, **more)
 
-    monkeypatch.setattr(child, "_running", lambda: child._child)  # does not look whether it lives
+    monkeypatch.setattr(child, "_running", lambda: child.child)  # does not look whether it lives
     monkeypatch.setattr(child, "_ask", die)
     with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
     monkeypatch.undo()
-    monkeypatch.setattr(decoder, "_current", child)
+    monkeypatch.setattr(decoder, "current", child)
     assert all(np.array_equal(a, b) for a, b in zip(records(open_survey(good)), expected, strict=True))
 
 
 def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
     reader = open_survey(survey("chunks"))
     kill(child)
-    monkeypatch.setattr(child, "_running", lambda: child._child)
+    monkeypatch.setattr(child, "_running", lambda: child.child)
     with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
         reader.fetch(reader.chunks()[0])
 
@@ -126,12 +126,12 @@ def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
     points = np.random.default_rng(0).uniform(0, 100, (200_000, 3))
     reader = open_survey(las.write("a.laz", points + CORNER, version="1.4", fmt=7))
     (chunk,) = reader.chunks()
-    monkeypatch.setattr(decoder, "_SECONDS", 1e-6)
-    monkeypatch.setattr(decoder, "_SECONDS_PER_BYTE", 0.0)
+    monkeypatch.setattr(decoder, "SECONDS", 1e-6)
+    monkeypatch.setattr(decoder, "SECONDS_PER_BYTE", 0.0)
     with pytest.raises(BadInputError, match=r"a\.laz: the decoder did not finish"):
         reader.fetch(chunk)
     monkeypatch.undo()
-    monkeypatch.setattr(decoder, "_current", child)
+    monkeypatch.setattr(decoder, "current", child)
     assert len(reader.fetch(chunk)) == 200_000
 
 
@@ -161,7 +161,7 @@ def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child,
     with pytest.raises(KeyboardInterrupt):
         reader.fetch(reader.chunks(700)[1])
     monkeypatch.undo()
-    monkeypatch.setattr(decoder, "_current", child)
+    monkeypatch.setattr(decoder, "current", child)
     assert all(np.array_equal(a, b) for a, b in zip(records(reader), expected, strict=True))
 
 
@@ -201,14 +201,14 @@ def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child)
     reader = open_survey(survey("chunks"))
     held = reader.fetch(reader.chunks(700)[0])
     expected = held.copy()
-    process = child._child.process
+    process = child.child.process
     decoder.close_decoder()
     assert process.poll() is not None
-    assert processes._memory.size > 0, "an array is still in use"
+    assert processes.MEMORY.size > 0, "an array is still in use"
     assert np.array_equal(held, expected)
     del held
     decoder.close_decoder()
-    assert processes._memory.size == 0
+    assert processes.MEMORY.size == 0
     assert np.array_equal(reader.fetch(reader.chunks(700)[0]), expected)
 
 
@@ -221,6 +221,7 @@ def ended(pid):
         return file.read().rpartition(")")[2].split()[0] == "Z"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 @pytest.mark.parametrize("how", ["signal.SIGKILL", "signal.SIGINT", None])
 def test_no_child_outlives_its_parent(survey, how):
@@ -229,7 +230,7 @@ def test_no_child_outlives_its_parent(survey, how):
         from pathlib import Path
         from bumpymap.readers import decoder, open_survey
         open_survey(Path(sys.argv[1]))
-        print(decoder.decoder()._child.process.pid, flush=True)
+        print(decoder.decoder().child.process.pid, flush=True)
         {f"os.kill(os.getpid(), {how})" if how else ""}
     """
     command = [sys.executable, "-c", textwrap.dedent(code), str(survey("chunks"))]

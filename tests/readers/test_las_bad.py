@@ -234,7 +234,7 @@ def test_a_panic_of_the_decoder_becomes_a_message(las, monkeypatch):
         raise PanicException("index out of bounds: the len is 3\nnote: a backtrace")
 
     path = las.write("a.laz")
-    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
+    monkeypatch.setattr(decoder, "current", decoder.LocalDecoder())
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", panic)
     message = refused(path, "index out of bounds: the len is 3")
     assert "backtrace" not in message
@@ -244,7 +244,7 @@ def test_an_interrupt_passes(las, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(decoder, "_current", decoder.LocalDecoder())
+    monkeypatch.setattr(decoder, "current", decoder.LocalDecoder())
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", interrupt)
     with pytest.raises(KeyboardInterrupt):
         exhaust(las.write("a.laz"))

@@ -162,6 +162,7 @@ def test_a_compressed_file_unpacks_to_its_points(tmp_path, claimed):
         open_survey(bomb(tmp_path / "a.pcd", 100_000, claimed))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="limits of memory are set as Linux has them")
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     """12 MB that unpack to 1.1 GB are refused in 100 MB beside what was loaded before."""

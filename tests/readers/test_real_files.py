@@ -27,6 +27,7 @@ FILES = [path for path in find_surveys([SHARED]) if path.name != BIG] if SHARED.
 pytestmark = [
     pytest.mark.realdata,
     pytest.mark.skipif(not FILES, reason="the real surveys (../shared/data) are not here"),
+    pytest.mark.slow,
 ]
 
 

@@ -47,8 +47,8 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     path = las.write("a.laz", np.round(rng.uniform(-50, 50, (5000, 3)), 3), offset=(0, 0, 0))
     whole = stats(path, FeatureSettings(min_points=4)).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
-    monkeypatch.setattr(module, "_MERGE_AT", 10)
-    monkeypatch.setattr(module, "_BATCH_PIXELS", 1000)
+    monkeypatch.setattr(module, "MERGE_AT", 10)
+    monkeypatch.setattr(module, "BATCH_PIXELS", 1000)
     reader = open_survey(path)
     clouds = reader.clouds
     monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
@@ -70,7 +70,7 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
     settings = FeatureSettings(min_points=10)
     whole = stats(path, settings).summary()
-    monkeypatch.setattr(module, "_MOST_PIXELS", 5000)
+    monkeypatch.setattr(module, "MOST_PIXELS", 5000)
     sampled = stats(path, settings)
     summary = sampled.summary()
     assert sampled.all_pixels.step >= 8

@@ -27,6 +27,7 @@ def classes(scan):
     return point_classes(scan, classify_filter(polar_sectors(scan)))
 
 
+@pytest.mark.slow
 def test_classing_a_scan_loads_neither_the_compiler_nor_the_workshops():
     code = (
         "import sys, numpy as np; from bumpymap.core import Scan; from bumpymap.scan import classify_filter, "

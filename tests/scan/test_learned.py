@@ -13,9 +13,9 @@ from bumpymap.scan.learned import (
     CLASS_OF_LABEL,
     MEASURES,
     ScanModel,
-    _infer,
     classes_of_labels,
     classify_learned,
+    infer,
     network_input,
     probabilities,
 )
@@ -92,9 +92,9 @@ def test_probabilities_add_up_and_repeat(stack, model):
 
 def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
     patches, measures = network_input(stack)
-    whole = _infer(model.content, {"patches": patches, "measures": measures})
+    whole = infer(model.content, {"patches": patches, "measures": measures})
     for rows in (slice(5, 6), slice(3, 40), slice(None, None, -1)):
-        part = _infer(model.content, {"patches": patches[rows], "measures": measures[rows]})
+        part = infer(model.content, {"patches": patches[rows], "measures": measures[rows]})
         assert_array_equal(part, whole[rows])
 
 

@@ -215,6 +215,7 @@ def done_frames(monkeypatch):
     return read
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [1, 2])
 @pytest.mark.parametrize("older", [False, True])
 def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped, tmp_path, done_frames, after, older):
@@ -243,6 +244,7 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     assert first == second
 
 
+@pytest.mark.slow
 def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tmp_path, monkeypatch):
     out, left = tmp_path / "out", tmp_path / "left"
     config = replace(mapped[2], out=out)
@@ -302,6 +304,7 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     assert checksums(tmp_path / "out") == before
 
 
+@pytest.mark.slow
 def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mapped, tmp_path, monkeypatch, done_frames):
     out = tmp_path / "out"
     config = replace(mapped[2], out=out)
@@ -323,6 +326,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mappe
     assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
     out = tmp_path / "out"
     config = replace(mapped[2], out=out)

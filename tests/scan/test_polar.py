@@ -9,8 +9,7 @@ import pytest
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.scan import classify_filter, polar_sectors
-from bumpymap.scan._place_kernels import turn_of
+from bumpymap.scan import classify_filter, polar_sectors, turn_of
 from bumpymap.scan.polar import anchor_of
 
 FIXED = PolarSettings(anchored=False)

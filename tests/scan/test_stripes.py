@@ -68,8 +68,8 @@ def test_counts_are_those_of_a_plain_loop(count):
     rows = np.arange(15)[:, None]
     expected = []
     for one in heights:
-        drawn = np.cos(2 * np.pi * ((rows - 7) / 3.0 + one.astype(float) / 0.25)).ravel()
-        answer = (bank @ drawn).max(axis=1).reshape(15, 15)
+        moving_bars = np.cos(2 * np.pi * ((rows - 7) / 3.0 + one.astype(float) / 0.25)).ravel()
+        answer = (bank @ moving_bars).max(axis=1).reshape(15, 15)
         starts = sum((column[i] >= 0.5) and (i == 0 or column[i - 1] < 0.5) for column in answer.T for i in range(15))
         expected.append(starts / 15)
     # An answer within a rounding of the threshold may fall on either side.

@@ -22,6 +22,8 @@ from bumpymap.survey import pipeline
 from bumpymap.survey.engine.collector import ResultCollector
 from bumpymap.survey.engine.results import ReadResult
 
+pytestmark = pytest.mark.slow
+
 
 def run(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])

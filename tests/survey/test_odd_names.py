@@ -16,6 +16,8 @@ from pyproj import CRS
 
 from bumpymap.layers import PRODUCT_NAMES
 
+pytestmark = pytest.mark.slow
+
 NAME = os.fsdecode(b"caf\xe9")
 LOCALES = {
     "UTF-8": {"LANG": "C.UTF-8", "LC_ALL": "C.UTF-8"},

@@ -532,6 +532,7 @@ def test_points_that_wait_on_disk_change_no_bit(survey, tmp_path, request):
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["read", "measure", "write"])
 def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monkeypatch, tight, where):
     assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
@@ -561,6 +562,7 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert not (left / ".bumpymap-run").exists()
 
 
+@pytest.mark.slow
 def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp_path, monkeypatch):
     out, left = tmp_path / "layers", tmp_path / "left"
 

@@ -14,6 +14,8 @@ from bumpymap.cli import main
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.survey import Budget
 
+pytestmark = pytest.mark.slow
+
 CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
 """Not a corner of a block, so that files and blocks overlap anyhow."""
 SPAN = (130.0, 70.0)

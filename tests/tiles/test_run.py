@@ -15,16 +15,16 @@ def test_results_come_in_the_order_of_the_blocks(workers):
 
 
 def test_blocks_are_drawn_lazily():
-    drawn = []
+    moving_bars = []
 
     def blocks():
         for i in range(100):
-            drawn.append(i)
+            moving_bars.append(i)
             yield i
 
     results = run_blocks(square, blocks(), 2)
     next(results)
-    assert len(drawn) <= 5
+    assert len(moving_bars) <= 5
     results.close()
 
 

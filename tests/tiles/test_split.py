@@ -1,8 +1,7 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from bumpytiles import Grid, TileBuckets
-from bumpytiles._kernels import rank_points
+from bumpytiles import Grid, TileBuckets, rank_points
 
 GRID = Grid(tile_size=3.0)
 

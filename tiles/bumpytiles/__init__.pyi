@@ -8,6 +8,7 @@ from ._dask import (
 )
 from ._kernels import (
     BLOCK_TILES as BLOCK_TILES,
+    rank_points as rank_points,
 )
 from .buckets import (
     MemoryLimits as MemoryLimits,

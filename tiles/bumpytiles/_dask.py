@@ -65,12 +65,12 @@ class Workers:
     """
 
     def __init__(self, client: Client, checks: int = _CHECKS) -> None:
-        self._client, self._checks = client, checks
+        self.client, self._checks = client, checks
 
     def count(self) -> int:
         """Return the number of workers that are connected."""
         with _connection_errors():
-            return len(self._client.nthreads())
+            return len(self.client.nthreads())
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
         """Call a function on every worker, beside its tasks; return the result or the exception by address.
@@ -83,7 +83,7 @@ class Workers:
             No worker is left.
         """
         with _connection_errors():
-            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
+            answers: dict[str, Any] = self.client.run(function, *arguments, on_error="return")
         # The functions called here raise no OSError themselves, so it is the connection that broke.
         left = {address: answer for address, answer in answers.items() if not isinstance(answer, OSError)}
         if not left:
@@ -119,7 +119,7 @@ class Workers:
             while True:
                 room = max(_TASKS_PER_WORKER * self.count(), 1) - len(numbers)
                 for number, task in islice(waiting, max(room, 0)):
-                    future = self._client.submit(function, *task, pure=False)
+                    future = self.client.submit(function, *task, pure=False)
                     numbers[future] = number
                     future.add_done_callback(finished.put)
                 if not numbers:
@@ -128,7 +128,7 @@ class Workers:
                 yield numbers.pop(future), _result(future)
         finally:
             with suppress(Exception):  # the scheduler may be lost
-                self._client.cancel(list(numbers), force=True)
+                self.client.cancel(list(numbers), force=True)
 
     def _next(self, finished: "SimpleQueue[Future[Any]]") -> Future[Any]:
         """Wait for a finished task, and check meanwhile that there are workers."""

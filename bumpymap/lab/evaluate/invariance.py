@@ -58,7 +58,7 @@ def invariance(
         patches = measured(points)
         before = subject.judge(patches, names)
         for move in MOVES:
-            again = measured(_moved(points, move, seed))
+            again = measured(moved_points(points, move, seed))
             after = subject.judge(again, names)
             good = _within(patches, limit) & _within(again, limit)
             for name in names:
@@ -79,7 +79,7 @@ def _row(name: str, move: str, pairs: list[tuple[Verdict, Verdict]]) -> MoveRow:
     return MoveRow(name, move, len(before.class_id), float(np.mean(before.class_id == after.class_id)), change)
 
 
-def _moved(points: TilePoints, move: str, seed: int) -> TilePoints:
+def moved_points(points: TilePoints, move: str, seed: int) -> TilePoints:
     """Move the points of each tile; they stay in it."""
     size = points.grid.tile_size
     count = np.diff(points.starts)

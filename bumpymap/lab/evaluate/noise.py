@@ -19,7 +19,7 @@ __all__ = ["DENSITIES", "NOISE_M", "NoiseRow", "noise_sweep", "perfect_c_r"]
 Floats = NDArray[np.float64]
 DENSITIES = (25.0, 50.0, 100.0, 300.0, 1000.0)
 NOISE_M = (0.0, 0.01, 0.03, 0.05)
-_FLAT_TILES = 200
+FLAT_TILES = 200
 _WITHOUT_NOISE = 1e3
 """Points per pixel of a practically noise-free survey."""
 
@@ -87,7 +87,7 @@ def noise_sweep(
     """
     truth = perfect_c_r(terrains, ride)
     third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth, side="right")
-    flat = flat_terrains(subject.calibration, _FLAT_TILES)
+    flat = flat_terrains(subject.calibration, FLAT_TILES)
     progress.start("rating noisy surveys", len(DENSITIES) * len(NOISE_M))
     rows: list[NoiseRow] = []
     for density in DENSITIES:

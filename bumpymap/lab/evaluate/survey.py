@@ -28,9 +28,9 @@ from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints,
 
 __all__ = ["MeasuredSurvey", "load_survey", "open_readers", "take_tiles"]
 
-_MOST_POINTS = 10_000_000
+MOST_POINTS = 10_000_000
 """Maximum number of points stored in memory (26 bytes each); the others are stored on disk."""
-_BLOCK_POINTS = 10_000_000
+BLOCK_POINTS = 10_000_000
 
 Ints = NDArray[np.int64]
 
@@ -129,7 +129,7 @@ def load_survey(
     """
     try:
         with _scratch(folder) as scratch:
-            buckets = TileBuckets(grid, MemoryLimits(_MOST_POINTS, _BLOCK_POINTS, scratch))
+            buckets = TileBuckets(grid, MemoryLimits(MOST_POINTS, BLOCK_POINTS, scratch))
             progress.start("reading points", sum(reader.info.point_count for reader in readers))
             number = 0
             for reader in readers:

@@ -96,7 +96,8 @@ class DartVehicle:
         self._world.addSkeleton(self._load_ground(strip_triangles(ground, strip), physics))
         robot = self._dart.dynamics.Skeleton("vehicle")
         self._wheels: dict[str, list[Any]] = {"left": [], "right": []}
-        self._chassis = self._build(robot, profile, physics)
+        self.chassis = self._build(robot, profile, physics)
+        """DART's body of the chassis."""
         robot.disableSelfCollisionCheck()
         position = self._dart.math.Isometry3()
         rotation, translation = standing_pose(profile, ground, strip)
@@ -118,13 +119,13 @@ class DartVehicle:
 
     def pose(self) -> Pose:
         """Return the present state of the chassis."""
-        matrix = self._chassis.getWorldTransform().matrix()
+        matrix = self.chassis.getWorldTransform().matrix()
         return Pose(
             easting=float(matrix[0, 3]),
             northing=float(matrix[1, 3]),
             heading=float(np.arctan2(matrix[1, 0], matrix[0, 0])),
             tilt=float(np.arccos(np.clip(matrix[2, 2], -1.0, 1.0))),
-            pitch_rate=float(self._chassis.getSpatialVelocity()[1]),
+            pitch_rate=float(self.chassis.getSpatialVelocity()[1]),
         )
 
     def _make_world(self, physics: Physics) -> Any:

@@ -77,11 +77,12 @@ def drive_patches(
     common = _Common(profile, tile_size, seed, effort or Effort(), settings)
     jobs = [_PatchJob(key, heights, common.effort.least) for key, heights in patches.items()]
     return drive_jobs(
-        partial(_drive, common), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
+        partial(drive_job, common), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
     )
 
 
-def _drive(common: _Common, job: _PatchJob) -> PatchDrives:
+def drive_job(common: _Common, job: _PatchJob) -> PatchDrives:
+    """Drive over one patch, as `drive_patch` does."""
     return drive_patch(
         common.profile,
         job.heights,

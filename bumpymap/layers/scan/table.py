@@ -13,7 +13,7 @@ from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 
-_ROW_GROUP = 65_536
+ROW_GROUP = 65_536
 """Rows that are buffered before a row group is written."""
 COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("frame", pa.string(), "", "name of the frame"),
@@ -44,7 +44,8 @@ class SectorTable:
 
     def __init__(self, writer: pq.ParquetWriter) -> None:
         self._writer = writer
-        self._waiting: list[pa.Table] = []
+        self.waiting: list[pa.Table] = []
+        """Rows that are not written yet."""
 
     def add(self, name: str, classed: ClassedSectors) -> None:
         """Append the sectors of a frame."""
@@ -52,15 +53,15 @@ class SectorTable:
 
     def add_rows(self, rows: pa.Table) -> None:
         """Append rows from `sector_rows`."""
-        self._waiting.append(rows)
-        if sum(part.num_rows for part in self._waiting) >= _ROW_GROUP:
+        self.waiting.append(rows)
+        if sum(part.num_rows for part in self.waiting) >= ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
         """Write the buffered rows."""
-        if self._waiting:
-            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * _ROW_GROUP)
-            self._waiting.clear()
+        if self.waiting:
+            self._writer.write_table(pa.concat_tables(self.waiting), row_group_size=2 * ROW_GROUP)
+            self.waiting.clear()
 
 
 @contextmanager

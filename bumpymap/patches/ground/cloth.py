@@ -26,7 +26,7 @@ _MAX_CLOTH_CELLS = 500
 """Most cells of the cloth along a side of a block: a quarter of a million cells take 100 MB."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-_idle: list[Child] = []
+idle: list[Child] = []
 """Child processes that are ready for the next block; each worker thread takes one."""
 
 
@@ -86,7 +86,7 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
     np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
     try:
-        child = _idle.pop()
+        child = idle.pop()
     except IndexError:
         child = _start()
     try:
@@ -107,14 +107,14 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     except BaseException:
         child.close()
         raise
-    _idle.append(child)
+    idle.append(child)
     return marks.data.view(np.bool_)
 
 
 def close_filter() -> None:
     """Stop the child processes of the filter; the next block starts a new one."""
-    while _idle:
-        _idle.pop().close()
+    while idle:
+        idle.pop().close()
     trim_shared()
 
 
@@ -125,4 +125,4 @@ def _start() -> Child:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_idle.clear)
+    os.register_at_fork(after_in_child=idle.clear)

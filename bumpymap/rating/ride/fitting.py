@@ -85,8 +85,8 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
     # The residuals of a fit understate its error, so the intervals are based on cross-validation.
     predicted = _cross_validate(features, target, error, log_g, log_range)
-    mean_error = error * _student_factor(driven.completed[good])
-    spread = _calibrate_spread(spread, target - predicted, mean_error, log_g, log_range)
+    mean_error = error * student_factor(driven.completed[good])
+    spread = calibrate_spread(spread, target - predicted, mean_error, log_g, log_range)
     fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
     low, middle, high = _noise_tables(noisy)
     return Correction(
@@ -148,7 +148,7 @@ def _fit_spread(
     return float(found[0] + widen), float(found[1] + widen)
 
 
-def _calibrate_spread(
+def calibrate_spread(
     spread: tuple[float, float], residual: Floats, mean_error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[float, float]:
     """Scale a spread so that 80 % intervals contain 80 % of the cross-validated means; add ``_VALIDATION_ERROR``.
@@ -163,7 +163,7 @@ def _calibrate_spread(
     return low, high
 
 
-def _student_factor(drives: NDArray[np.int64]) -> Floats:
+def student_factor(drives: NDArray[np.int64]) -> Floats:
     """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
     wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
     return wider

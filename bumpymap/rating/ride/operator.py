@@ -95,7 +95,7 @@ class RideOperator:
         nodes, step = pixels * fine + 1, tile_size / (pixels * fine)
         lattice = _Lattice(nodes, step)
         places = _spread(_RIDE_SAMPLES, tile_size)
-        taps = _chassis_response(vehicle, step / 2)
+        taps = chassis_response(vehicle, step / 2)
         samples = _pitch_change(lattice, places, taps, step / 2, wheelbase, track)
         belly = vehicle["belly"]
         return cls(
@@ -170,7 +170,7 @@ def _halton(count: int, base: int) -> Floats:
     return total
 
 
-def _chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
+def chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
     """How much the chassis pitches, step by step of ``way`` [m], after its rockers pitched by one in the first step.
 
     I theta'' = 2 k (phi - theta) + 2 b (phi' - theta') with both rockers' spring k and damper b, I the chassis' moment

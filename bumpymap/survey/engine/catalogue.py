@@ -13,7 +13,7 @@ __all__ = ["BlockCatalogue", "BlockGroup"]
 
 _SIDE = 8
 """Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
-_MOST_BLOCKS = 64
+MOST_BLOCKS = 64
 """Most blocks in a group; they hold at most 16,384 tiles: one pack."""
 _MOST_POINTS = 20_000_000
 
@@ -61,7 +61,7 @@ class BlockCatalogue:
             key = (int(entries[start, 0]), int(entries[start, 1]))
             if key in skip:
                 continue
-            if keys and not single and (len(keys) == _MOST_BLOCKS or total + count > _MOST_POINTS):
+            if keys and not single and (len(keys) == MOST_BLOCKS or total + count > _MOST_POINTS):
                 yield self._group(keys, held)
                 held, keys, total = [], [], 0
             held.append(entries[start:stop, 3])

@@ -13,7 +13,7 @@ __all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "sha
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some ranges of chunks, as (first, last + 1)."""
-_LEAST, _MOST = 2_000_000, 256_000_000
+LEAST_POINTS, _MOST = 2_000_000, 256_000_000
 _RANGES_A_WORKER = 4
 """Ranges per worker: near the end some workers idle, for at most a quarter of a worker's share."""
 _MARGIN = 1.01
@@ -50,7 +50,7 @@ class ReadTask:
 
 def range_points(points: int, workers: int) -> int:
     """Return the most points of a range when ``points`` are distributed among ``workers``."""
-    return max(_LEAST, min(_MOST, points // (_RANGES_A_WORKER * workers)))
+    return max(LEAST_POINTS, min(_MOST, points // (_RANGES_A_WORKER * workers)))
 
 
 def cut_ranges(

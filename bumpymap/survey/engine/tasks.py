@@ -113,7 +113,7 @@ def read_range(context: RunContext, source: FileSource, task: ReadTask) -> ReadR
     """Read a range; rate blocks that no other range overlaps, write the points of all others to packs."""
     with _worker(context) as worker:
         try:
-            reader = _opened(source.path, source.options, source.identity, context.run_id)
+            reader = opened(source.path, source.options, source.identity, context.run_id)
             chunks = reader.chunks(source.chunk_points)[task.range.first : task.range.stop]
             result = worker.read_to_disk(task, OpenRange(task.range, reader, chunks))
             return replace(result, seen=(gethostname(), reader.info.version))
@@ -132,7 +132,7 @@ def count_marks(context: RunContext, group: BlockGroup) -> tuple[int, int]:
 def finish_group(context: RunContext, group: BlockGroup, ground_only: bool) -> FinishedTiles:
     """Rate blocks; return the packs of their tiles."""
     with _worker(context) as worker:
-        _opened.cache_clear()  # nothing is read any more
+        opened.cache_clear()  # nothing is read any more
         packs = [pack for tiles in worker.finish(group, ground_only=ground_only) for pack in tiles.packs]
         return FinishedTiles(tuple(packs), len(group.keys))
 
@@ -164,7 +164,7 @@ class _RunCheck:
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Location, options: ReadOptions, known: tuple[int, str], _run_id: str) -> SurveyReader:
+def opened(path: Location, options: ReadOptions, known: tuple[int, str], _run_id: str) -> SurveyReader:
     """Open a file once for all its ranges; ``_run_id`` makes the next run open it again."""
     remedy = "Every worker must reach the same files under the same names: use a shared folder, or URLs"
     try:

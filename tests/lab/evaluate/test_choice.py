@@ -61,8 +61,8 @@ def test_a_thing_keeps_its_number_whatever_stands_beside_it():
 
 def test_numbers_are_evenly_spread():
     col, row = (axis.ravel() for axis in np.meshgrid(np.arange(-70, 70), np.arange(100_000, 100_140)))
-    drawn = uniform_by_key(0, col, row)
-    assert 0 <= drawn.min() < drawn.max() < 1
-    assert kstest(drawn, "uniform").pvalue > 0.01
-    square = drawn.reshape(140, 140)
+    moving_bars = uniform_by_key(0, col, row)
+    assert 0 <= moving_bars.min() < moving_bars.max() < 1
+    assert kstest(moving_bars, "uniform").pvalue > 0.01
+    square = moving_bars.reshape(140, 140)
     assert abs(np.corrcoef(square[:, 1:].ravel(), square[:, :-1].ravel())[0, 1]) < 0.03

@@ -21,11 +21,12 @@ def module_patch():
     patch = pytest.MonkeyPatch()
     patch.setattr(noise, "DENSITIES", (100.0,))
     patch.setattr(noise, "NOISE_M", (0.0, 0.03))
-    patch.setattr(noise, "_FLAT_TILES", 10)
+    patch.setattr(noise, "FLAT_TILES", 10)
     yield
     patch.undo()
 
 
+@pytest.mark.slow
 def test_flat_ground_without_noise_is_flat(rows):
     assert rows[0].flat < 1e-3
     assert rows[0].flat_raw < 1e-3

@@ -8,7 +8,7 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress
 from bumpymap.lab import ScanEffects
 from bumpymap.lab.evaluate.density import density_sweep, thin_points
-from bumpymap.lab.evaluate.invariance import MOVES, _moved, invariance
+from bumpymap.lab.evaluate.invariance import MOVES, invariance, moved_points
 from bumpymap.lab.evaluate.library import library_terrains, measure_all
 from bumpymap.lab.evaluate.survey import load_survey, open_readers
 from bumpymap.lab.simulate.ride_fit import survey_terrains
@@ -64,15 +64,15 @@ def paired(points, moved):
 
 def test_turning_and_mirroring_do_what_they_say():
     points = next(cloud().blocks())
-    before, after = paired(points, _moved(points, MOVES[0], 1))
+    before, after = paired(points, moved_points(points, MOVES[0], 1))
     np.testing.assert_allclose(after, [-before[1], before[0], before[2]], atol=2e-6)
-    before, after = paired(points, _moved(points, MOVES[1], 1))
+    before, after = paired(points, moved_points(points, MOVES[1], 1))
     np.testing.assert_allclose(after, [-before[0], before[1], before[2]], atol=2e-6)
 
 
 def test_lifting_changes_heights_alone():
     points = next(cloud().blocks())
-    before, after = paired(points, _moved(points, MOVES[3], 1))
+    before, after = paired(points, moved_points(points, MOVES[3], 1))
     np.testing.assert_allclose(after - before, np.broadcast_to([[0], [0], [1000]], before.shape), atol=2e-6)
 
 
@@ -81,7 +81,7 @@ def test_a_tilt_is_a_plane_of_ten_degrees_at_most():
     rng = np.random.default_rng(4)
     east, north = rng.uniform(0, 48, (2, 20_000))
     buckets.add(east, north, np.zeros(20_000), np.zeros(20_000, bool))
-    moved = _moved(next(buckets.blocks()), MOVES[2], 1)
+    moved = moved_points(next(buckets.blocks()), MOVES[2], 1)
     slopes = []
     for begin, end in zip(moved.starts[:-1], moved.starts[1:], strict=True):
         own = slice(begin, end)
@@ -147,8 +147,8 @@ def test_points_that_find_no_room_wait_on_disk(readers, tmp_path, monkeypatch):
             return waiting, join_stacks([survey.measured(points) for points in survey.points()]).heights
 
     none, at_once = heights()
-    monkeypatch.setattr("bumpymap.lab.evaluate.survey._MOST_POINTS", 20_000)
-    monkeypatch.setattr("bumpymap.lab.evaluate.survey._BLOCK_POINTS", 20_000)
+    monkeypatch.setattr("bumpymap.lab.evaluate.survey.MOST_POINTS", 20_000)
+    monkeypatch.setattr("bumpymap.lab.evaluate.survey.BLOCK_POINTS", 20_000)
     some, bit_by_bit = heights()
     assert not none
     assert some

@@ -20,6 +20,8 @@ from bumpymap.lab.simulate import validate
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.readers import ReadOptions
 
+pytestmark = pytest.mark.slow
+
 
 def trial(out):
     return TrialOptions(out, 1, overwrite=False, progress=SilentProgress())
@@ -41,7 +43,7 @@ def fake_drives(monkeypatch):
         return PatchDrives(("completed",) * 2, (c_r, 1.05 * c_r))
 
     monkeypatch.setattr(validate, "require_dart", lambda: None)
-    monkeypatch.setattr(validate, "_drive", run)
+    monkeypatch.setattr(validate, "drive_job", run)
     return made
 
 
@@ -168,7 +170,7 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         "1",
     ]
     words += ["--skip", "density,invariance,timing"]
-    drive = validate._drive
+    drive = validate.drive_job
 
     def interrupted(common, job):
         if len(fake_drives) == 5:
@@ -176,7 +178,7 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         return drive(common, job)
 
     with monkeypatch.context() as during:
-        during.setattr(validate, "_drive", interrupted)
+        during.setattr(validate, "drive_job", interrupted)
         result = cli(*words)
     assert result.exit_code == 130
     assert "same command again" in result.output

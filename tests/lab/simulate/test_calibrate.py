@@ -22,6 +22,8 @@ from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle.profile import Vehicle, load_profile
 
 pytest.importorskip("dartpy")
+
+pytestmark = pytest.mark.slow
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 SETTINGS = CalibrationSettings(
     load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT

@@ -10,6 +10,8 @@ from bumpymap.lab.simulate.model import Physics, Pose
 from bumpymap.lab.simulate.terrain import Strip
 from bumpymap.rating.vehicle.profile import load_profile
 
+pytestmark = pytest.mark.slow
+
 PROFILE = load_profile("warthog")
 SETTINGS = DriveSettings(settle_s=0.1, ramp_s=0.2, cruise_s=0.1, measure_s=2.0)
 STRIP = Strip(3.0, 4.0, 0.5, 10.0, 3.0)

@@ -24,6 +24,8 @@ from bumpymap.rating.textures import make_textures
 from bumpymap.rating.vehicle.profile import load_profile
 
 pytest.importorskip("dartpy")
+
+pytestmark = pytest.mark.slow
 WARTHOG = load_profile("warthog")
 SHORT = DriveSettings(measure_s=2.0)
 
@@ -43,7 +45,7 @@ def test_standing_vehicle_rests_on_its_wheels():
     vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(1.0, 2.0, 0.8, 1.0, 2.0), Physics())
     vehicle.command(0.0, 0.0)
     vehicle.advance(1000)
-    pose, height = vehicle.pose(), vehicle._chassis.getWorldTransform().matrix()[2, 3]
+    pose, height = vehicle.pose(), vehicle.chassis.getWorldTransform().matrix()[2, 3]
     assert (pose.easting, pose.northing, pose.heading) == pytest.approx((1.0, 2.0, 0.8), abs=1e-3)
     assert pose.tilt < 1e-3
     assert abs(pose.pitch_rate) < 1e-3
@@ -52,7 +54,7 @@ def test_standing_vehicle_rests_on_its_wheels():
 
 def test_vehicle_weighs_what_its_profile_says():
     vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
-    assert vehicle._chassis.getSkeleton().getMass() == pytest.approx(260.0)
+    assert vehicle.chassis.getSkeleton().getMass() == pytest.approx(260.0)
 
 
 def test_vehicle_is_put_down_along_the_slope_with_no_wheel_in_the_ground():
@@ -95,7 +97,7 @@ def test_temporary_folder_may_have_an_odd_name(tmp_path, monkeypatch):
     vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
     vehicle.advance(500)
     assert vehicle.pose().tilt < 0.01
-    assert vehicle._chassis.getWorldTransform().matrix()[2, 3] > 0.3
+    assert vehicle.chassis.getWorldTransform().matrix()[2, 3] > 0.3
 
 
 def test_temporary_folder_that_is_gone_is_reported_with_what_to_do(tmp_path, monkeypatch):

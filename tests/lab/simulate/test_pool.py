@@ -12,6 +12,8 @@ import pytest
 from bumpymap.core.errors import BumpymapError
 from bumpymap.lab.simulate.pool import drive_jobs
 
+pytestmark = pytest.mark.slow
+
 JOBS = """
 import os, time
 from dataclasses import dataclass

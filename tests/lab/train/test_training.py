@@ -23,7 +23,9 @@ from bumpymap.lab.train.export import to_onnx  # noqa: E402
 from bumpymap.lab.train.model import NetworkSettings  # noqa: E402
 from bumpymap.lab.train.score import Score  # noqa: E402
 from bumpymap.lab.train.train import TrainSettings, train  # noqa: E402
-from bumpymap.rating.texture_network import TextureModel, _infer  # noqa: E402
+from bumpymap.rating.texture_network import TextureModel, infer  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
 
@@ -127,7 +129,7 @@ def test_onnx_says_what_torch_says(pixels):
         net.head.bias.uniform_(-1.0, 1.0)
     patches = unseen_patches(3, 100, pixels).patches
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
-    assert_allclose(_infer(model, patches), predict(net, torch.from_numpy(patches)[:, None]), atol=2e-5)
+    assert_allclose(infer(model, patches), predict(net, torch.from_numpy(patches)[:, None]), atol=2e-5)
 
 
 def test_export_is_small_plain_and_repeatable(small):

@@ -12,6 +12,8 @@ from bumpymap.layers.scan.table import COLUMNS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "scans.md"
 TYPES = {"int16": "int16", "int32": "int32", "int8": "int8", "float": "float", "bool": "bool", "string": "string"}
 

@@ -56,12 +56,12 @@ def test_a_point_lies_between_the_bounds_of_its_row(scan, classed, tmp_path):
 
 
 def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "_ROW_GROUP", 100)
+    monkeypatch.setattr(table, "ROW_GROUP", 100)
     path = tmp_path / "a.parquet"
     with open_table(path) as sectors:
         for number in range(9):
             sectors.add(str(number), classed)
-            assert sum(part.num_rows for part in sectors._waiting) < 100
+            assert sum(part.num_rows for part in sectors.waiting) < 100
     file = pq.ParquetFile(path)
     assert file.metadata.num_rows == 9 * len(classed.class_id)
     assert file.metadata.num_row_groups > 1

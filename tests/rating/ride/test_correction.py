@@ -9,7 +9,7 @@ import pytest
 from bumpymap.core.errors import BadInputError, BumpymapError
 from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.ride.correction import NORMAL_TAIL, subtract_noise
-from bumpymap.rating.ride.fitting import _calibrate_spread, _student_factor
+from bumpymap.rating.ride.fitting import calibrate_spread, student_factor
 
 COUNT = 400
 
@@ -41,6 +41,7 @@ def predicted(correction, driven, excess=0.0):
     return correction.predict(driven.rides, driven.slope_deg, felt, np.full(len(felt), 4.0))
 
 
+@pytest.mark.slow
 def test_a_fit_finds_what_the_drives_follow():
     correction = fit_correction(made_up(), no_noise())
     unseen = made_up(2)
@@ -51,6 +52,7 @@ def test_a_fit_finds_what_the_drives_follow():
     assert correction.origin["spearman"] > 0.98
 
 
+@pytest.mark.slow
 def test_intervals_hold_their_share():
     correction = fit_correction(made_up(spread=0.15), no_noise())
     unseen = made_up(2, spread=0.15)
@@ -61,6 +63,7 @@ def test_intervals_hold_their_share():
     assert 0.72 < inside[good].mean() < 0.88
 
 
+@pytest.mark.slow
 def test_the_chance_to_fail_is_in_step_with_the_drives():
     correction = fit_correction(made_up(), no_noise())
     unseen = made_up(2)
@@ -71,6 +74,7 @@ def test_the_chance_to_fail_is_in_step_with_the_drives():
         assert share[chosen].mean() == pytest.approx(p_fail[chosen].mean(), abs=0.08)
 
 
+@pytest.mark.slow
 def test_below_what_was_driven_c_r_is_proportional():
     correction = fit_correction(made_up(), no_noise())
     rides = Rides(*(np.array([1e-3, 1e-4]) for _ in range(6)))
@@ -78,6 +82,7 @@ def test_below_what_was_driven_c_r_is_proportional():
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
 
 
+@pytest.mark.slow
 def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     correction = fit_correction(made_up(), no_noise())
     rides = Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(6)))
@@ -88,6 +93,7 @@ def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     assert np.exp(2 * excess) == pytest.approx([101, 101, 1.25])
 
 
+@pytest.mark.slow
 def test_noise_widens_the_interval():
     correction, driven = fit_correction(made_up(), no_noise()), made_up(2)
     quiet, loud, unknown = (predicted(correction, driven, excess) for excess in (0.0, 1.5, np.nan))
@@ -102,6 +108,7 @@ def test_a_record_gives_the_same_predictions():
     assert np.array_equal(predicted(again, driven, 0.3).below, predicted(correction, driven, 0.3).below)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["c_r", "noise_low", "excess"])
 def test_a_damaged_record_is_refused(name):
     record = fit_correction(made_up(), no_noise()).to_record()
@@ -113,6 +120,7 @@ def test_a_damaged_record_is_refused(name):
         Correction.from_record(record)
 
 
+@pytest.mark.slow
 def test_a_record_of_other_terms_is_refused():
     record = fit_correction(made_up(), no_noise()).to_record()
     with pytest.raises(BadInputError, match="6 and 7 coefficients, not 6 and 8"):
@@ -131,7 +139,7 @@ def test_a_spread_that_holds_too_few_or_too_many_is_put_right(first):
     rng = np.random.default_rng(8)
     log_g, doubt = np.linspace(-4, 0, 4000), np.full(4000, 0.05)
     left_out = rng.normal(0, np.hypot(0.15, 0.05), 4000)
-    low, high = np.exp(_calibrate_spread((np.log(first), np.log(first)), left_out, doubt, log_g, (-4.0, 0.0)))
+    low, high = np.exp(calibrate_spread((np.log(first), np.log(first)), left_out, doubt, log_g, (-4.0, 0.0)))
     assert low == pytest.approx(np.hypot(0.15, 0.045), rel=0.06)
     assert high == pytest.approx(low)
 
@@ -140,4 +148,4 @@ def test_few_drives_doubt_their_mean_more():
     scipy_stats = pytest.importorskip("scipy.stats")
     drives = np.array([5, 8, 30])
     wanted = scipy_stats.t.ppf(0.9, drives - 1) / scipy_stats.norm.ppf(0.9)
-    assert _student_factor(drives) == pytest.approx(wanted, rel=0.03)
+    assert student_factor(drives) == pytest.approx(wanted, rel=0.03)

@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.ndimage import grey_dilation, map_coordinates
 
 from bumpymap.rating import RideOperator, roll_over
-from bumpymap.rating.ride.operator import _chassis_response, cosines, interpolation
+from bumpymap.rating.ride.operator import chassis_response, cosines, interpolation
 from bumpymap.rating.vehicle.profile import load_profile
 
 VEHICLES = {name: load_profile(name).to_dict() for name in ("warthog", "small_rover", "car")}
@@ -41,7 +41,7 @@ def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
     envelope, step = envelope_by_scipy(patch, operator, vehicle["wheel"]["radius_m"])
     rng = np.random.default_rng(2)
     x, y, heading = rng.uniform(0, 3, 4000), rng.uniform(0, 3, 4000), rng.uniform(0, 2 * np.pi, 4000)
-    taps = _chassis_response(vehicle, step / 2)
+    taps = chassis_response(vehicle, step / 2)
 
     def pitch(back):
         total = 0.0
@@ -124,7 +124,7 @@ def test_long_gentle_waves_agree_with_the_closed_form():
 
 def test_the_chassis_follows_its_rockers_in_the_end():
     for vehicle in VEHICLES.values():
-        assert _chassis_response(vehicle, 0.05).sum() == pytest.approx(1.0)
+        assert chassis_response(vehicle, 0.05).sum() == pytest.approx(1.0)
 
 
 def test_cosines_are_orthonormal():

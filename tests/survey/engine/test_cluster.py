@@ -30,13 +30,15 @@ from bumpymap.survey.engine.tasks import (
     ALIVE,
     FileSource,
     RunContext,
-    _opened,
     count_marks,
     finish_group,
     missing_on_worker,
+    opened,
     read_range,
 )
 from bumpytiles import BLOCK_TILES, Bounds, Grid
+
+pytestmark = pytest.mark.slow
 
 DEADLY = '''
 import os, signal
@@ -135,8 +137,8 @@ def here(monkeypatch):
         yield WorkerPool(workers, 2) if number else None
 
     monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
-    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
-    monkeypatch.setattr("bumpymap.survey.engine.catalogue._MOST_BLOCKS", 3)
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.catalogue.MOST_BLOCKS", 3)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 5_000)
@@ -149,7 +151,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, whole, monkeypatch
 ):
     if whole:  # a file is one part, and has blocks that no other file reaches
-        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
     out = tmp_path / "layers"
     result = run("map", surveys, "--out", out, "--ground", ground, "--workers", 3, "--scratch", tmp_path / "scratch")
     assert result.exit_code == 0, result.output
@@ -166,7 +168,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
 @pytest.mark.parametrize("most", [20_000, 10**9])
 def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
     file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
-    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", most)
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", most)
     for name, extra in (("one", ()), ("many", ("--workers", 3))):
         result = run("map", file, "--out", tmp_path / name, "--local", *extra)
         assert result.exit_code == 0, result.output
@@ -277,7 +279,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch, whole):
     if whole:
-        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
     arguments = ("map", surveys)
     killed_at(
         "run.ResultCollector.add_tiles",
@@ -314,9 +316,9 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     file = surveys / "a.laz"
     known = identity(file)
     with pytest.raises(UsageError, match="differs from the file on the client"):
-        _opened(file, ReadOptions(), (known["size"], "0"), "id")
+        opened(file, ReadOptions(), (known["size"], "0"), "id")
     with pytest.raises(UsageError, match="cannot open a file of the client"):
-        _opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "id")
+        opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "id")
     (context.tiles / ALIVE).unlink()
     assert "folders that every worker sees" in missing_on_worker(context, versions.copy, versions)
     source = FileSource(file, ReadOptions(), (known["size"], known["digest"]), 1000)
@@ -329,7 +331,7 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
 def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
     """It has read, or opened a file that is another than the client's."""
     started = []
-    monkeypatch.setattr(decoder, "_current", None)
+    monkeypatch.setattr(decoder, "current", None)
     monkeypatch.setattr(decoder, "Child", lambda *arguments: started.append(Child(*arguments)) or started[-1])
     context, file = context_in(tmp_path), surveys / "a.laz"
     known = identity(file)
@@ -339,7 +341,7 @@ def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, sa
         assert read_range(context, source, whole_file()).stats[0].points >= 1000
     assert started
     assert not any(child.runs for child in started)
-    assert processes._memory.size == 0
+    assert processes.MEMORY.size == 0
 
 
 @pytest.mark.parametrize("done", [{}, {0: [(1, 2)], 2: [(0, 1), (2, 3)]}])
@@ -466,7 +468,7 @@ def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_pa
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, alone):
     """Alone, a file's blocks are finished while it is read; in parts, all of them later."""
     if not alone:
-        monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
         monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
     with deadly(monkeypatch, mark):
@@ -508,20 +510,20 @@ def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler,
 def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
     from deadly_helpers import fail
 
-    from bumpytiles._dask import workers_at
+    from bumpytiles import workers_at
 
-    drawn = []
+    moving_bars = []
 
     def tasks(count):
         for number in range(count):
-            drawn.append(number)
+            moving_bars.append(number)
             yield (number + 100,)
 
     with workers_at(scheduler, 10) as workers:
         found = {}
         for number, square in workers.run(fail, tasks(50)):
             found[number] = square
-            assert len(drawn) - len(found) < 2 * 2 + 1
+            assert len(moving_bars) - len(found) < 2 * 2 + 1
         assert found == {number: (number + 100) ** 2 for number in range(50)}
         with pytest.raises(ValueError, match="five"):
             list(workers.run(fail, ((number,) for number in range(10))))
@@ -543,7 +545,7 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkey
 
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(
@@ -558,7 +560,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
 
 def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys, plain, tmp_path, here, monkeypatch):
     pytest.importorskip("distributed")
-    from bumpytiles._dask import ClusterError
+    from bumpytiles import ClusterError
 
     out, first_ranges = tmp_path / "layers", here.run
 
@@ -585,7 +587,7 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
 
 
 def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
-    monkeypatch.setattr("bumpymap.readers.las_points._HUGE_CHUNK", 1000)  # chunks that must be read in order
+    monkeypatch.setattr("bumpymap.readers.las_points.HUGE_CHUNK", 1000)  # chunks that must be read in order
     result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--workers", 3)
     assert result.exit_code == 0, result.output
     assert here.done.count(read_range) == 1
@@ -593,7 +595,7 @@ def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeyp
 
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
     pytest.importorskip("distributed")
-    from bumpytiles._dask import ClusterError, Workers
+    from bumpytiles import ClusterError, Workers
 
     client = Mock()
     client.run.return_value = {"a": OSError("Connection refused"), "b": None, "c": ValueError("mine")}
@@ -624,9 +626,9 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     surveys, plain, tmp_path, here, monkeypatch, when
 ):
     pytest.importorskip("distributed")
-    from bumpytiles._dask import ClusterError
+    from bumpytiles import ClusterError
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan._LEAST", 10_000_000)
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
     out = tmp_path / "layers"
     arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
 

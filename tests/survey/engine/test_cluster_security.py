@@ -19,6 +19,8 @@ from bumpymap.cli import main
 distributed = pytest.importorskip("distributed")
 pytest.importorskip("cryptography")
 
+pytestmark = pytest.mark.slow
+
 SURVEY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry_part.ply"
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "cluster.md"
 
@@ -33,7 +35,7 @@ def map_line(tmp_path, *more):
 
 @pytest.fixture(scope="module")
 def workers():
-    from bumpytiles._dask import local_workers
+    from bumpytiles import local_workers
 
     with local_workers(1, {}) as found:
         yield found
@@ -42,7 +44,7 @@ def workers():
 @pytest.fixture(scope="module")
 def addresses(workers):
     """Of everything that listens: the scheduler, a worker, and the process that watches over it."""
-    told = workers._client.scheduler_info()
+    told = workers.client.scheduler_info()
     ((address, worker),) = told["workers"].items()
     return {"scheduler": told["address"], "worker": address, "nanny": worker["nanny"]}
 
@@ -77,7 +79,7 @@ def test_a_stranger_is_refused(addresses, place, kind):
 
 @pytest.mark.parametrize("place", ["scheduler", "worker", "nanny"])
 def test_the_user_is_not(workers, addresses, place):
-    answer = ask(addresses[place], workers._client.security.get_connection_args("client"))
+    answer = ask(addresses[place], workers.client.security.get_connection_args("client"))
     assert place in answer["type"].lower()
 
 
@@ -110,13 +112,13 @@ def test_nothing_is_shown_to_a_browser_and_nothing_listens_beyond_this_machine(a
 def test_keys_are_in_no_file_argument_or_variable(workers):
     import psutil
 
-    key = workers._client.security.tls_worker_key
+    key = workers.client.security.tls_worker_key
     assert "PRIVATE KEY" in key
     secret = key.splitlines()[1]
     for process in psutil.Process().children(recursive=True):
         assert secret not in " ".join(process.cmdline())
         assert secret not in " ".join(process.environ().values())
-    folder = Path(workers._client.run(lambda dask_worker: dask_worker.local_directory).popitem()[1])
+    folder = Path(workers.client.run(lambda dask_worker: dask_worker.local_directory).popitem()[1])
     while folder.parent != folder and "bumpytiles-workers-" in str(folder):
         assert folder.stat().st_mode & 0o077 == 0 or "bumpytiles-workers-" not in folder.name
         folder = folder.parent
@@ -216,12 +218,12 @@ def test_a_key_with_a_passphrase_is_refused_without_a_question(tmp_path, certifi
     ],
 )
 def test_a_scheduler_elsewhere_without_tls_is_warned_about(tmp_path, monkeypatch, address, warned):
-    from bumpytiles._dask import ClusterError
+    from bumpytiles import ClusterError
 
     def nobody(*_):
         raise ClusterError("nobody")
 
-    monkeypatch.setattr("bumpytiles._dask.workers_at", nobody)
+    monkeypatch.setattr("bumpytiles.workers_at", nobody)
     result = run(*map_line(tmp_path, "--scheduler", address))
     assert result.exit_code == 2
     assert ("Warning: " in result.output) is warned

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bumpymap.cli import main
-from bumpymap.cli._wording import as_options
+from bumpymap.cli import as_options, main
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
@@ -17,6 +16,8 @@ from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.sink import TileSink
+
+pytestmark = pytest.mark.slow
 
 GO_ON = "Pass --resume to the same command to continue from the finished tiles."
 

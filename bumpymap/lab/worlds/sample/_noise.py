@@ -127,7 +127,7 @@ class BlockLayer:
         share: Callable[[Floats, Floats], Floats],
     ) -> Floats:
         """Return the height of the stone of one cell at each position, (n,) m."""
-        draw = [_uniform(column, line, self.key + number) for number in range(8)]
+        draw = [uniform(column, line, self.key + number) for number in range(8)]
         centre_x, centre_y = (column + draw[0]) * self.cell, (line + draw[1]) * self.cell
         half_length, half_width = self.cell * (0.25 + 0.3 * draw[2]), self.cell * (0.2 + 0.2 * draw[3])
         cosine, sine = np.cos(np.pi * draw[4]), np.sin(np.pi * draw[4])
@@ -140,7 +140,7 @@ class BlockLayer:
         return np.where(draw[7] < share(centre_x, centre_y), height * tilted_top * flanks, 0.0)
 
 
-def _uniform(column: NDArray[np.int64], line: NDArray[np.int64], key: int) -> Floats:
+def uniform(column: NDArray[np.int64], line: NDArray[np.int64], key: int) -> Floats:
     """Hash lattice cells to uniform numbers 0..1 (n,), identical on all machines."""
     mixed = column.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + line.astype(np.uint64) * np.uint64(
         0xC2B2AE3D27D4EB4F

@@ -13,7 +13,7 @@ __all__ = ["GroundSample", "SceneGround", "ground_mesh"]
 
 _START_M = 0.4
 """Inner radius of the mesh."""
-_STEP = 0.01
+STEP = 0.01
 """Vertex spacing of the mesh, as a share of the distance."""
 
 
@@ -91,9 +91,9 @@ def ground_mesh(
     The spacing grows with the distance, like that of the beams: 5 cm near 5 m, 50 cm near 50 m. Vertices are jittered
     within their cells, so that no line of the mesh coincides with a scan line.
     """
-    around = round(2 * np.pi / _STEP)
-    rings = int(np.log(end_m / _START_M) / _STEP)
-    radius = _START_M * np.exp(_STEP * (np.arange(rings)[:, None] + rng.uniform(-0.2, 0.2, (rings, around))))
+    around = round(2 * np.pi / STEP)
+    rings = int(np.log(end_m / _START_M) / STEP)
+    radius = _START_M * np.exp(STEP * (np.arange(rings)[:, None] + rng.uniform(-0.2, 0.2, (rings, around))))
     angle = 2 * np.pi / around * (np.arange(around)[None, :] + rng.uniform(-0.2, 0.2, (rings, around)))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     corners = np.stack([x, y, ground.sample(x, y).z], axis=1).astype(np.float32)

@@ -1,3 +1,6 @@
+from ._shapes import (
+    fractal as fractal,
+)
 from .library import (
     make_terrain as make_terrain,
 )

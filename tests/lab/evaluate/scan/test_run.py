@@ -14,6 +14,8 @@ from bumpymap.lab.evaluate.scan.timing import require_libraries
 from bumpymap.lab.evaluate.scan.turning import kept_share, turn_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 
+pytestmark = pytest.mark.slow
+
 
 def ground(seed, rough=0.3):
     """A field that is smooth on the right and churned on the left, as (n, 4) rows of a .bin file."""

@@ -23,10 +23,12 @@ from bumpymap.lab.train.scan.data import (
 )
 from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _coarse_mesh(monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.04)
+    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
 
 
 SMALL = Sensor(lines=32, columns=512, end_m=40.0)
@@ -41,7 +43,7 @@ def _same(one, two):
 def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("rellis")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.04)
+        patch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
         write_folder(root, 3, range(6), "00000", SMALL)
         return write_folder(root, 3, range(6, 8), "00003", SMALL)
 

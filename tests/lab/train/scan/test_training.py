@@ -18,7 +18,9 @@ from bumpymap.lab.train.scan.evaluate import evaluate  # noqa: E402
 from bumpymap.lab.train.scan.export import to_onnx  # noqa: E402
 from bumpymap.lab.train.scan.make import make_scan_model  # noqa: E402
 from bumpymap.lab.train.scan.train import ScanTrainSettings, train  # noqa: E402
-from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, _infer  # noqa: E402
+from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, infer  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
 
@@ -127,11 +129,11 @@ def test_onnx_says_what_torch_says(small):
         net.head.bias.uniform_(-1.0, 1.0)
     sectors = _sectors(3, 33)
     content = to_onnx(net, {})
-    said = _infer(content, {"patches": sectors.patches, "measures": sectors.measures})
+    said = infer(content, {"patches": sectors.patches, "measures": sectors.measures})
     assert_allclose(
         said, predict(net, torch.from_numpy(sectors.patches), torch.from_numpy(sectors.measures)), atol=2e-5
     )
-    alone = _infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
+    alone = infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
     assert_array_equal(alone[0], said[7])  # whatever stands beside it
 
 
@@ -158,7 +160,7 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
     from bumpymap.lab import Sensor, write_folder
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.04)
+        patch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
         folder = write_folder(tmp_path, 3, range(4), sensor=Sensor(lines=32, columns=512, end_m=40.0))
     told = []
     out = tmp_path / "m.onnx"

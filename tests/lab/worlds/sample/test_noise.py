@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.worlds.sample._noise import BlockLayer, WaveField, _uniform, smooth_step
+from bumpymap.lab.worlds.sample import BlockLayer, WaveField, smooth_step, uniform
 
 
 def test_smooth_step_is_exact_at_and_beyond_its_ends_and_may_fall():
@@ -26,11 +26,11 @@ def test_wave_field_depends_on_its_seed_alone():
 
 def test_lattice_numbers_are_uniform_and_unlike_their_neighbours():
     column, line = np.meshgrid(np.arange(-100, 100), np.arange(-100, 100))
-    draw = _uniform(column, line, 5)
+    draw = uniform(column, line, 5)
     counts, _ = np.histogram(draw, bins=10, range=(0.0, 1.0))
     assert counts.sum() == draw.size
     assert np.all(np.abs(counts - draw.size / 10) < 5 * np.sqrt(draw.size / 10))
-    pairs = ((draw[:, 1:], draw[:, :-1]), (draw[1:], draw[:-1]), (draw, _uniform(column, line, 6)))
+    pairs = ((draw[:, 1:], draw[:, :-1]), (draw[1:], draw[:-1]), (draw, uniform(column, line, 6)))
     for one, other in pairs:
         assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.03
 

@@ -15,13 +15,15 @@ from bumpymap.lab.worlds.scans.regions import Blob
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor, draw_sensor
 
+pytestmark = pytest.mark.slow
+
 SMALL = Sensor(lines=16, columns=128, end_m=25.0)
 PERFECT = replace(SMALL, noise_m=0.0, lost=0.0, reach_m=1000.0)
 
 
 @pytest.fixture(autouse=True)
 def _coarse_mesh(monkeypatch):
-    monkeypatch.setattr(ground, "_STEP", 0.04)
+    monkeypatch.setattr(ground, "STEP", 0.04)
 
 
 @pytest.fixture(scope="module")
@@ -125,11 +127,11 @@ def test_a_sensor_that_cannot_be_is_refused():
 
 
 def test_drawn_sensors_vary_and_repeat():
-    drawn = [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
-    assert drawn == [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
-    assert {(s.lines, s.columns) for s in drawn} == {(s.lines, s.columns) for s in SENSORS.values()}
-    assert all(0.5 <= s.height_m <= 2.1 and 0.008 <= s.noise_m <= 0.03 for s in drawn)
-    assert_allclose(np.linalg.norm(drawn[0].directions(), axis=1), 1.0, atol=1e-12)
+    moving_bars = [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
+    assert moving_bars == [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
+    assert {(s.lines, s.columns) for s in moving_bars} == {(s.lines, s.columns) for s in SENSORS.values()}
+    assert all(0.5 <= s.height_m <= 2.1 and 0.008 <= s.noise_m <= 0.03 for s in moving_bars)
+    assert_allclose(np.linalg.norm(moving_bars[0].directions(), axis=1), 1.0, atol=1e-12)
 
 
 @pytest.mark.open3d

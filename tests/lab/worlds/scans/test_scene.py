@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.worlds.scans._fields import make_field
-from bumpymap.lab.worlds.scans._solids import boxes, leaves, ribbon, stones, tube
+from bumpymap.lab.worlds.scans import boxes, leaves, make_field, ribbon, stones, tube
 from bumpymap.lab.worlds.scans.ground import ground_mesh
 from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
 from bumpymap.lab.worlds.scans.objects import block_field
@@ -163,7 +162,7 @@ def test_blocks_are_packed_and_as_high_as_they_happen():
 
 
 def test_the_mesh_follows_the_ground(monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground._STEP", 0.03)
+    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.03)
     ground = make_scene(2, 3).ground
     corners, triangles = ground_mesh(ground, np.random.default_rng(1), 20.0)
     assert_allclose(corners[:, 2], ground.sample(*corners[:, :2].astype(float).T).z, atol=0.05)
