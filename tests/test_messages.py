@@ -113,7 +113,7 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
     ("words", "said"),
     [
         (["--crs", "EPSG:1"], "--crs EPSG:1 is not a coordinate reference system"),
-        (["--resume", "--overwrite"], "--resume goes on with an interrupted run, --overwrite starts anew"),
+        (["--resume", "--overwrite"], "--resume continues an interrupted run, --overwrite starts again"),
         (["--tile-size", "5"], "Use --tile-size 3, --pixels 15"),
         (["--scheduler", "tls://a:1"], "give --tls-config FILE"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),

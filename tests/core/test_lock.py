@@ -65,10 +65,10 @@ def test_a_lock_that_is_taken_away_by_its_holder_is_taken_anew(tmp_path, monkeyp
         endings = [ending]
         take = lock._lock
 
-        def late(descriptor, path, *, fresh, endings=endings, take=take):
+        def late(descriptor, path, *, created, endings=endings, take=take):
             if endings:
                 endings.pop()()
-            take(descriptor, path, fresh=fresh)
+            take(descriptor, path, created=created)
 
         with monkeypatch.context() as patch:
             patch.setattr(lock, "_lock", late)

@@ -155,7 +155,7 @@ def test_all_faults_are_said_at_once(tmp_path):
     with pytest.raises(UsageError) as caught:
         read(tmp_path, "none = 1\ncount = 1.5\nplaces = [1, 'a', 2]\n[inner]\nnumber = true\nlow = 1\n")
     first, *faults = caught.value.args
-    assert first == f"{tmp_path / 'a.toml'}: 6 faults"
+    assert first == f"{tmp_path / 'a.toml'}: 6 errors"
     assert [fault.split(";")[0] for fault in faults] == [
         "  unknown setting none",
         "  value 1 of places is 1",
@@ -169,7 +169,7 @@ def test_all_faults_are_said_at_once(tmp_path):
 def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
     with pytest.raises(UsageError) as caught:
         read(tmp_path, f"places = [{'1,' * 50_000}]")
-    assert caught.value.args[0].endswith("a.toml: 50000 faults")
+    assert caught.value.args[0].endswith("a.toml: 50000 errors")
     assert caught.value.args[-1] == "  and 49960 more"
     assert len(caught.value.args) == 42
 

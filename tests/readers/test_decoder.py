@@ -81,7 +81,7 @@ def test_a_child_loads_none_of_our_libraries():
 
 
 @pytest.mark.parametrize("kind", ["chunks", "stream"])
-def test_a_child_that_is_gone_between_pieces_is_replaced(survey, child, kind):
+def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child, kind):
     path = survey(kind)
     expected = records(open_survey(path))
     reader = open_survey(path)
