@@ -98,14 +98,14 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
     bad, good = survey("chunks", "bad.las"), survey("chunks", "good.las")
     expected = records(open_survey(good))
     reader = open_survey(bad)
-    ask = child._ask
+    ask = child._call
 
     def die(what, *args, **more):
         os.kill(pid_of(child), signal.SIGSEGV)
         return ask(what, *args, **more)
 
-    monkeypatch.setattr(child, "_running", lambda: child._child)  # does not look whether it lives
-    monkeypatch.setattr(child, "_ask", die)
+    monkeypatch.setattr(child, "_live_child", lambda: child._child)  # does not look whether it lives
+    monkeypatch.setattr(child, "_call", die)
     with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
     monkeypatch.undo()
@@ -116,7 +116,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
 def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
     reader = open_survey(survey("chunks"))
     kill(child)
-    monkeypatch.setattr(child, "_running", lambda: child._child)
+    monkeypatch.setattr(child, "_live_child", lambda: child._child)
     with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
         reader.fetch(reader.chunks()[0])
 
