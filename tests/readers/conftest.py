@@ -189,12 +189,12 @@ def laz():
 def batches():
     """Pieces of a reader as batches, in the order given, or in their own."""
 
-    def read_pieces(reader, points=500_000, order=None):
+    def read_chunks(reader, points=500_000, order=None):
         chunks = reader.chunks(points)
         chosen = chunks if order is None else [chunks[i] for i in order]
         return [reader.convert(chunk, reader.fetch(chunk)) for chunk in chosen]
 
-    return read_pieces
+    return read_chunks
 
 
 @pytest.fixture

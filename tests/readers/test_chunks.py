@@ -59,7 +59,7 @@ PACKINGS += [(*made, "stream") for made in FORMATS if made[1] < 6]  # layers nee
 
 
 @pytest.mark.parametrize(("version", "fmt", "packing"), PACKINGS)
-def test_pieces_are_what_laspy_reads(las, laz, batches, table, version, fmt, packing):
+def test_chunks_are_what_laspy_reads(las, laz, batches, table, version, fmt, packing):
     path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
     expected, dropped = oracle(path, 1200 / 3937)
     if packing == "stream":
@@ -120,7 +120,7 @@ def of_kind(kind, las, laz, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=str)
-def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
+def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
     path = of_kind(kind, las, laz, monkeypatch)
     reader = open_survey(path)
     whole = batches(reader)
@@ -128,7 +128,7 @@ def test_any_order_of_pieces_of_any_size_gives_the_same_points(las, laz, batches
     for points in (1, 7, 64, 399, 400, 10_000):
         order = rng.permutation(len(reader.chunks(points)))
         mixed = batches(reader, points, order)
-        if kind != "octree":  # its nodes come as they stand in the file, inside a piece
+        if kind != "octree":  # its nodes come as they stand in the file, inside a chunk
             assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
         assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
         assert merged(mixed) == merged(whole)
@@ -150,8 +150,8 @@ def test_a_piece_of_no_points(las):
         open_survey(las.write()).chunks(0)
 
 
-def test_long_points_make_small_pieces(las, laz, batches, table):
-    """However long a point is, a piece fits into memory."""
+def test_long_points_make_small_chunks(las, laz, batches, table):
+    """However long a point is, a chunk fits into memory."""
     path = survey(las, count=200)
     data = bytearray(path.read_bytes())
     las.patch(path, 105, "<H", 65_000)

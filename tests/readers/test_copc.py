@@ -50,7 +50,7 @@ def exhaust(path, options=ReadOptions()):  # noqa: B008 (frozen)
 @pytest.mark.slow
 @pytest.mark.parametrize("page_levels", [None, 1, 3])
 @pytest.mark.parametrize("size", [1, 300, 100_000])
-def test_pieces_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):
+def test_chunks_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):
     path = tree(epsg=2276, page_levels=page_levels)
     reader = open_survey(path)
     assert reader.info.format == "COPC (LAZ 1.4, point format 7)"
@@ -77,7 +77,7 @@ def test_pages_change_nothing(tree, batches, table):
 
 
 def test_ground_is_complete_long_before_the_end(tree):
-    """What no later piece can reach is complete; the root alone reaches everywhere, and comes first."""
+    """What no later chunk can reach is complete; the root alone reaches everywhere, and comes first."""
     chunks = open_survey(tree()).chunks(100)
     middles = np.stack(np.meshgrid(np.arange(8) * 50 + 25 + 5e5, np.arange(8) * 50 + 25 + 4e6), axis=-1).reshape(-1, 2)
     complete = []
@@ -134,15 +134,15 @@ def test_records_that_lie(las, tree, place, layout, value, says):
 @pytest.mark.parametrize(
     ("at", "layout", "value", "says"),
     [
-        (0, "<i", -1, "no place in the tree"),
-        (0, "<i", 1000, "no place in the tree"),
-        (4, "<i", 99, "no place in the tree"),
-        (8, "<i", -2, "no place in the tree"),
-        (16, "<Q", 2**62, "no place in the tree"),
-        (16, "<Q", 2**64 - 1, "no place in the tree"),
-        (16, "<Q", 10, "no place in the tree"),
-        (24, "<i", -1, "no place in the tree"),
-        (24, "<i", 2**31 - 1, "no place in the tree"),
+        (0, "<i", -1, "no valid position"),
+        (0, "<i", 1000, "no valid position"),
+        (4, "<i", 99, "no valid position"),
+        (8, "<i", -2, "no valid position"),
+        (16, "<Q", 2**62, "no valid position"),
+        (16, "<Q", 2**64 - 1, "no valid position"),
+        (16, "<Q", 10, "no valid position"),
+        (24, "<i", -1, "no valid position"),
+        (24, "<i", 2**31 - 1, "no valid position"),
         (24, "<i", 1, "in the header|compressed bytes|layers|LAZ chunk|octree"),
         (28, "<i", 2**31 - 1, "octree"),
         (28, "<i", -2, "octree"),

@@ -81,7 +81,7 @@ def test_a_child_loads_none_of_our_libraries():
 
 
 @pytest.mark.parametrize("kind", ["chunks", "stream"])
-def test_a_child_that_is_gone_between_pieces_is_replaced(survey, child, kind):
+def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child, kind):
     path = survey(kind)
     expected = records(open_survey(path))
     reader = open_survey(path)
@@ -98,14 +98,14 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
     bad, good = survey("chunks", "bad.las"), survey("chunks", "good.las")
     expected = records(open_survey(good))
     reader = open_survey(bad)
-    ask = child._ask
+    ask = child._call
 
     def die(what, *args, **more):
         os.kill(pid_of(child), signal.SIGSEGV)
         return ask(what, *args, **more)
 
-    monkeypatch.setattr(child, "_running", lambda: child.child)  # does not look whether it lives
-    monkeypatch.setattr(child, "_ask", die)
+    monkeypatch.setattr(child, "_live_child", lambda: child.child)  # does not look whether it lives
+    monkeypatch.setattr(child, "_call", die)
     with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
     monkeypatch.undo()
@@ -116,7 +116,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
 def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
     reader = open_survey(survey("chunks"))
     kill(child)
-    monkeypatch.setattr(child, "_running", lambda: child.child)
+    monkeypatch.setattr(child, "_live_child", lambda: child.child)
     with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
         reader.fetch(reader.chunks()[0])
 

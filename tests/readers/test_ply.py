@@ -82,7 +82,7 @@ def test_lengths_of_lists_of_other_types(tmp_path, read, order):
 
 
 @pytest.mark.parametrize("order", ["<", ">", "="])
-def test_pieces_with_lists_in_any_order(tmp_path, batches, table, order):
+def test_chunks_with_lists_in_any_order(tmp_path, batches, table, order):
     rng = np.random.default_rng(4)
     lists = np.empty(50, object)
     lists[:] = [rng.integers(-9, 9, length) for length in rng.integers(0, 200, 50)]

@@ -57,7 +57,7 @@ def test_the_kernel_sees_what_numpy_sees(points, no_return, boxed, first):
 
 @settings(deadline=None)
 @given(rows, st.data())
-def test_tallies_of_parts_add_up_however_they_are_grouped(points, data):
+def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
     cut = sorted(data.draw(st.lists(st.integers(0, len(points)), max_size=4)))
     edges = list(zip([0, *cut], [*cut, len(points)], strict=True))
     parts = [batch(points[low:high], first=low).stats for low, high in edges]
@@ -76,7 +76,7 @@ def test_tallies_of_parts_add_up_however_they_are_grouped(points, data):
 
 @settings(deadline=None)
 @given(rows)
-def test_tallies_travel_and_are_stored(points):
+def test_stats_travel_and_are_stored(points):
     stats = batch(points, first=3).stats
     stored = json.loads(json.dumps(stats.to_record(), allow_nan=False))
     assert pickle.loads(pickle.dumps(stats)) == stats  # noqa: S301 (our own bytes)

@@ -62,7 +62,7 @@ def raise_heights(las, laz, make, path):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_a_survey_that_is_written_again_between_two_pieces(las, laz, kind):
+def test_a_survey_that_is_written_again_between_two_chunks(las, laz, kind):
     make = FORMATS[kind]
     path = make(las, laz, POINTS)
     reader = open_survey(path)
@@ -74,7 +74,7 @@ def test_a_survey_that_is_written_again_between_two_pieces(las, laz, kind):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_a_survey_that_is_cut_short_between_two_pieces(las, laz, kind):
+def test_a_survey_that_is_cut_short_between_two_chunks(las, laz, kind):
     path = FORMATS[kind](las, laz, POINTS)
     chunks = open_survey(path).clouds(500)
     next(chunks)
@@ -86,7 +86,7 @@ def test_a_survey_that_is_cut_short_between_two_pieces(las, laz, kind):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_a_survey_that_goes_away_between_two_pieces(las, laz, kind):
+def test_a_survey_that_goes_away_between_two_chunks(las, laz, kind):
     path = FORMATS[kind](las, laz, POINTS)
     chunks = open_survey(path).clouds(500)
     next(chunks)

@@ -53,7 +53,7 @@ def test_csv_with_matrices_is_freed_from_rounding(tmp_path):
 @pytest.mark.parametrize("count", [5, 7, 0])
 def test_another_number_of_frames_is_refused(tmp_path, count):
     path = write(tmp_path / "poses.txt", matrices()[:, :3].reshape(6, 12).tolist(), separator=" ")
-    with pytest.raises(BadInputError, match=f"6 poses, but the frames are {count};"):
+    with pytest.raises(BadInputError, match=f"6 poses, but there are {count} frames;"):
         read_poses(path, count)
 
 
@@ -78,7 +78,7 @@ def kitti_row(**change):
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,0\n", "quaternion"),
         ("x,y,z,qx,qy,qz,qw\n1,2,word,0,0,0,1\n", "not a finite number"),
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0\n", "6 numbers; 7"),
-        ("x,y,z,qx,qy,qz,qw\n", "0 poses, but the frames are 1"),
+        ("x,y,z,qx,qy,qz,qw\n", "0 poses, but there are 1 frames"),
     ],
 )
 def test_what_is_no_pose_is_refused(tmp_path, text, message):

@@ -35,7 +35,7 @@ class Reader:
     pieces_held: int
     bad_fetch: int = -1
     bad_convert: int = -1
-    bad_judge: bool = False
+    bad_verify: bool = False
     log: list = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
     under_way: int = 0
@@ -69,9 +69,9 @@ class Reader:
             raise BadInputError(f"{self.name} convert {chunk.index}")
         return ChunkPoints(PointCloud(fetched, np.zeros(10), np.zeros(10), np.zeros(10, bool)), PointStats(points=10))
 
-    def judge(self, tally):
-        if self.bad_judge:
-            raise BadInputError(f"{self.name} judge")
+    def verify(self, stats):
+        if self.bad_verify:
+            raise BadInputError(f"{self.name} verify")
 
 
 class Store(TileBuckets):
@@ -126,8 +126,8 @@ def test_chunks_are_taken_in_order_and_fetched_a_little_ahead(threads):
         ({"bad_convert": 7, "bad_fetch": 6}, "b fetch 6"),
         ({"bad_convert": 0}, "b convert 0"),
         ({"bad_fetch": 0}, "b fetch 0"),
-        ({"bad_judge": True}, "b judge"),
-        ({"bad_fetch": 9, "bad_judge": True}, "b fetch 9"),
+        ({"bad_verify": True}, "b verify"),
+        ({"bad_fetch": 9, "bad_verify": True}, "b fetch 9"),
     ],
 )
 @pytest.mark.parametrize("threads", [1, 2, 5])
