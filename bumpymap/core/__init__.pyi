@@ -108,6 +108,12 @@ from .settings_file import (
     read_settings_file as read_settings_file,
     why_no_path as why_no_path,
 )
+from .shared_kernels import (
+    NO_PLANE as NO_PLANE,
+    Plane as Plane,
+    best_candidate as best_candidate,
+    fill_holes as fill_holes,
+)
 from .toml_file import (
     read_toml as read_toml,
     shown as shown,

@@ -9,9 +9,9 @@ from .ground.cloth import (
     require_filter as require_filter,
 )
 from .kernels.measure import (
-    LANES as LANES,
-    SAMPLE as SAMPLE,
-    SUMS as SUMS,
-    fill_holes as fill_holes,
+    MeasureSettings as MeasureSettings,
+    PointsByTile as PointsByTile,
+    TileMeasures as TileMeasures,
+    measure_scratch as measure_scratch,
     measure_tiles as measure_tiles,
 )

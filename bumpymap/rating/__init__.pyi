@@ -6,6 +6,10 @@ from .calibration_lookup import (
     find_calibration as find_calibration,
 )
 from .class_kernels import (
+    CostRules as CostRules,
+    CostTables as CostTables,
+    RatedTiles as RatedTiles,
+    TilesToRate as TilesToRate,
     rate_tiles as rate_tiles,
 )
 from .cost import (
