@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Georeference, PointCloud
-from bumpymap.readers._kernel import KEPT, STRIP, convert_records, filter_points
+from bumpymap.readers._kernel import (
+    KEPT,
+    STRIP,
+    CountedPoints,
+    FilePoints,
+    RecordNumbers,
+    WatchCounts,
+    WatchRules,
+    convert_records,
+    filter_points,
+)
 from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
@@ -68,34 +78,34 @@ def batch_of_records(
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
     places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
-    box = _sides(watch.file_bounds)
-    scratch = (*np.empty((3, STRIP)), np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
+    x, y, z = np.empty((3, STRIP))
+    strip = FilePoints(x, y, z, np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
     size = len(records)
-    out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
-    extremes, counts = _start()
-    convert_records(records, numbers, places, box, watch.first, *scratch, *out, extremes, counts)
-    return _batch(out, size, extremes, counts)
+    out = CountedPoints(np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
+    watched = _start()
+    convert_records(records, RecordNumbers(numbers, places), _rules(watch), strip, out, watched)
+    return _batch(out, size, watched)
 
 
 def batch_of_points(raw: RawPoints, watch: Watch) -> ChunkPoints:
     """Convert rows of a table; the coordinates of ``raw`` are used up."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
-    ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
-    box = _sides(watch.file_bounds)
-    extremes, counts = _start()
-    no_return = watch.nan_is_no_return
-    filter_points(*axes, _codes(raw), withheld, box, no_return, watch.first, *axes, ground, extremes, counts)
-    return _batch((*axes, ground), size, extremes, counts)
+    points = FilePoints(*axes, _codes(raw), np.zeros(size, np.bool_))
+    out = CountedPoints(*axes, np.empty(size, np.bool_))
+    watched = _start()
+    filter_points(points, _rules(watch), out, watched)
+    return _batch(out, size, watched)
 
 
-_Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
-
-
-def _start() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _start() -> WatchCounts:
     empty = PointStats()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
-    return extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0])
+    return WatchCounts(extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0]))
+
+
+def _rules(watch: Watch) -> WatchRules:
+    return WatchRules(_sides(watch.file_bounds), watch.nan_is_no_return, watch.first)
 
 
 def _sides(bounds: Bounds | None) -> NDArray[np.float64]:
@@ -112,12 +122,13 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     return codes
 
 
-def _batch(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
+def _batch(out: CountedPoints, seen: int, watched: WatchCounts) -> ChunkPoints:
+    counts = watched.counts
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # What is astray in an octree is found elsewhere, see `count_astray`.
-    tally = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
+    tally = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *watched.extremes.tolist())
     kept = 0 if tally.bad else int(counts[KEPT])
-    cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
+    cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept])
     if kept < seen // 2:
         # A view would keep the room of the points that were left out.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
