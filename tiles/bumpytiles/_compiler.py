@@ -204,7 +204,7 @@ def _register(helpers: Helpers) -> None:
 
 
 def _alone(text: str, symbol: str) -> Any:
-    """Parse a module, which numba has optimised, and leave of it what one function needs."""
+    """Parse a module, optimise it, and leave of it what one function needs."""
     llvm = _llvm()
     module = llvm.parse_assembly(text)
     # Reference counts of arrays that Python owns stay untouched; the call behind them is never reached.
@@ -212,13 +212,16 @@ def _alone(text: str, symbol: str) -> Any:
     for function in module.functions:
         if not function.is_declaration and function.name != symbol:
             function.linkage = "internal"
-    passes = llvm.create_new_module_pass_manager()
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = True
+    builder = llvm.create_pass_builder(_target(), tuning)
+    passes = builder.getModulePassManager()
     # A kernel raises nothing; with that known, what would print an exception is dead.
     passes.add_ipsccp_pass()
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
     passes.add_strip_dead_prototype_pass()
-    passes.run(module, llvm.create_pass_builder(_target(), llvm.create_pipeline_tuning_options()))
+    passes.run(module, builder)
     return module
 
 

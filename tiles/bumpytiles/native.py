@@ -135,9 +135,11 @@ class _Children:
         with self._lock:
             new = [name for name in _kernels if name not in self._by_module]
             stale = [name for name in new if any(Store(each.source).load() is None for each in _kernels[name])]
-            stale.sort(key=lambda name: sum(each.source.size for each in _kernels[name]), reverse=True)
-            hands = os.cpu_count() or 1
-            for share in filter(None, (stale[hand::hands] for hand in range(hands))):
+            size = {name: sum(each.source.size for each in _kernels[name]) for name in stale}
+            shares: list[list[str]] = [[] for _ in range(min(os.cpu_count() or 1, len(stale)))]
+            for name in sorted(stale, key=lambda name: -size[name]):
+                min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
+            for share in shares:
                 self._by_module |= dict.fromkeys(share, _start(share))
             child = self._by_module.get(module)
         if child is not None:
@@ -152,7 +154,8 @@ def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
     if not sys.executable or getattr(sys, "frozen", False):
         return None
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    # Helpers are optimised once, as parts of a kernel, not by numba before that.
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
     nothing = subprocess.DEVNULL
     with suppress(OSError):
         command = [sys.executable, "-P", "-c", code, *modules]
