@@ -18,5 +18,6 @@ from .ride_fit import (
     surveyed as surveyed,
 )
 from .validate import (
+    DriveConditions as DriveConditions,
     drive_patches as drive_patches,
 )

@@ -73,9 +73,6 @@ class RangeReading:
         See `ReadTask`; of all the ranges.
     threads : int
     progress : Progress
-    skip_bad : bool
-        Whether others are read on where a file is bad. Points of a file are then not final, and none of its blocks is
-        complete, before its last chunk was judged; ranges are whole files.
     """
 
     def __init__(
@@ -87,11 +84,9 @@ class RangeReading:
         nearby: Sequence[tuple[Bounds, ...] | None],
         threads: int,
         progress: Progress,
-        *,
-        skip_bad: bool,
     ) -> None:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
-        self._progress, self._skip_bad = progress, skip_bad
+        self._progress, self._skip_bad = progress, False
         self._stream = ChunkStream(ranges, work.grid, threads)
         self._areas, bounds = _areas(ranges)
         others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
@@ -105,8 +100,13 @@ class RangeReading:
         """Whether nothing that is still to be read, here or by others, can bring points to a block."""
         return self._completion.is_complete(key)
 
-    def run(self) -> Iterator[ReadResult]:
-        """Read; gives what is safe on disk, as soon as it is, and what went wrong."""
+    def run(self, *, skip_bad: bool = False) -> Iterator[ReadResult]:
+        """Read; gives what is safe on disk, as soon as it is, and what went wrong.
+
+        With ``skip_bad`` others are read on where a file is bad. Points of a file are then not final, and none of its
+        blocks is complete, before its last chunk was judged; ranges are whole files.
+        """
+        self._skip_bad = skip_bad
         self._store.final = 0 if self._skip_bad else None
         for read in self._stream.read():
             if isinstance(read, BadFile):

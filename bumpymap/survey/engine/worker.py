@@ -57,14 +57,14 @@ class Worker:
 
     def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
         """Read ranges; gives what is safe on disk, what went wrong, and in the end what is in memory."""
-        reading = self._reading(tasks, ranges, skip_bad=skip_bad)
-        yield from reading.run()
+        reading = self._reading(tasks, ranges)
+        yield from reading.run(skip_bad=skip_bad)
         if (rest := reading.rest()) is not None:
             yield rest
 
     def read_to_disk(self, task: ReadTask, source: OpenRange) -> ReadResult:
         """Read a range; in the end every block is finished that no other range reaches, and all others are in packs."""
-        reading, store = self._reading([task], [source], skip_bad=False), self._store
+        reading, store = self._reading([task], [source]), self._store
         results = list(reading.run())
         bad = next((result for result in results if result.error is not None), None)
         if bad is not None:
@@ -101,12 +101,10 @@ class Worker:
         sink.flush()
         yield FinishedTiles(tuple(sink.new_packs()), blocks)
 
-    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> RangeReading:
+    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange]) -> RangeReading:
         self._store.done = set().union(*(task.finished for task in tasks))
         nearby = [task.nearby for task in tasks]
-        return RangeReading(
-            ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress, skip_bad=skip_bad
-        )
+        return RangeReading(ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress)
 
     def _left(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Packs of blocks that are not finished; others go away."""
