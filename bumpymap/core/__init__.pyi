@@ -132,6 +132,12 @@ from .settings_file import (
     refuse_faults as refuse_faults,
     settings_of_call as settings_of_call,
 )
+from .shared_kernels import (
+    NO_PLANE as NO_PLANE,
+    Plane as Plane,
+    best_candidate as best_candidate,
+    fill_holes as fill_holes,
+)
 from .shared_memory import (
     SharedBytes as SharedBytes,
 )

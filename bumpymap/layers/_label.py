@@ -6,10 +6,12 @@ their numbers in that order. Sums are made one tile after the other: the same ti
 bits.
 """
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import entry, inner
+from bumpytiles import helper, kernel
 
 __all__ = ["add_up", "label"]
 
@@ -38,7 +40,7 @@ def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]
     return labels, first, last
 
 
-@inner
+@helper
 def _root(parent: NDArray[np.int32], pixel: int) -> int:
     """Find the first pixel of an area; paths are halved on the way."""
     while parent[pixel] != pixel:
@@ -47,7 +49,7 @@ def _root(parent: NDArray[np.int32], pixel: int) -> int:
     return pixel
 
 
-@inner
+@helper
 def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
     """Make two areas one; the earlier root stays."""
     one, other = _root(parent, one), _root(parent, other)
@@ -57,9 +59,12 @@ def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
         parent[one] = other
 
 
-@entry("u1:2 i4:2 i4:1 i8:1")
+@kernel
 def _number(
-    keys: NDArray[np.uint8], labels: NDArray[np.int32], parent: NDArray[np.int32], found: NDArray[np.int64]
+    keys: Annotated[NDArray[np.uint8], 2],
+    labels: Annotated[NDArray[np.int32], 2],
+    parent: Annotated[NDArray[np.int32], 1],
+    found: Annotated[NDArray[np.int64], 1],
 ) -> None:
     """Fill ``labels``, and ``found`` (1,) with how many areas there are.
 
@@ -89,8 +94,12 @@ def _number(
     found[0] = count
 
 
-@entry("i4:1 i8:1 i8:1")
-def _find_ends(labels: NDArray[np.int32], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+@kernel
+def _find_ends(
+    labels: Annotated[NDArray[np.int32], 1],
+    first: Annotated[NDArray[np.int64], 1],
+    last: Annotated[NDArray[np.int64], 1],
+) -> None:
     """Fill what `label` returns of each area."""
     for pixel in range(len(labels)):
         area = labels[pixel] - 1
@@ -100,8 +109,12 @@ def _find_ends(labels: NDArray[np.int32], first: NDArray[np.int64], last: NDArra
                 first[area] = pixel
 
 
-@entry("i4:1 f4:1 f8:1")
-def add_up(area: NDArray[np.int32], values: NDArray[np.float32], total: NDArray[np.float64]) -> None:
+@kernel
+def add_up(
+    area: Annotated[NDArray[np.int32], 1],
+    values: Annotated[NDArray[np.float32], 1],
+    total: Annotated[NDArray[np.float64], 1],
+) -> None:
     """Add (n,) values to the (m,) totals of their areas, one after the other."""
     for n in range(len(area)):
         total[area[n]] += values[n]

@@ -8,6 +8,3 @@ from .ground.cloth import (
     mark_ground as mark_ground,
     require_filter as require_filter,
 )
-from .kernels.measure import (
-    fill_holes as fill_holes,
-)

@@ -40,33 +40,23 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
     count = np.diff(starts)
     tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
-    scalars = np.empty((tiles, _SCALARS))
-    heights, variance, relief_map = (np.empty((tiles, px, px), np.float32) for _ in range(3))
-    pixel_count = np.empty((tiles, px, px), np.int32)
-    kernels.measure_tiles(
-        starts,
-        easting,
-        northing,
-        upward,
-        points.col,
-        points.row,
-        grid.tile_size,
-        settings.ransac_threshold,
-        settings.stray_gap,
-        max(1, round(settings.max_hole / grid.pixel_size)),
-        scalars,
-        heights,
-        variance,
-        relief_map,
-        pixel_count,
-        np.empty((4, most)),
-        np.empty(max(most, px * px), np.int32),
-        np.empty((3, kernels.SAMPLE), np.float32),
-        np.empty(kernels.SUMS * kernels.LANES),
-        np.empty((2, settings.stray_points + 1)),
-        np.empty((4, px * px + 1)),
-        np.empty((px, px)),
+    maps = [np.empty((tiles, px, px), np.float32) for _ in range(3)]
+    out = kernels.TileMeasures(
+        np.empty((tiles, _SCALARS)), maps[0], maps[1], maps[2], np.empty((tiles, px, px), np.int32)
     )
+    thresholds = kernels.MeasureSettings(
+        tile_size=grid.tile_size,
+        threshold=settings.ransac_threshold,
+        gap=settings.stray_gap,
+        depth=max(1, round(settings.max_hole / grid.pixel_size)),
+    )
+    kernels.measure_tiles(
+        kernels.PointsByTile(starts, easting, northing, upward, points.col, points.row),
+        thresholds,
+        out,
+        kernels.measure_scratch(most, px, settings.stray_points),
+    )
+    scalars, relief_map = out.scalars, out.relief
     reason = _reasons(count, scalars, settings)
     relief_map[reason != Reason.OK] = np.nan
     z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, _ = scalars.T.copy()
@@ -83,9 +73,9 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         z_range=z_range,
         density=count / grid.tile_size**2,
         coverage=np.nan_to_num(coverage),
-        heights=heights,
-        spread_count=pixel_count,
-        spread_variance=variance,
+        heights=out.heights,
+        spread_count=out.pixel_count,
+        spread_variance=out.variance,
         relief_map=relief_map,
         relief=np.where(reason == Reason.OK, relief, np.nan),
         reason=reason,

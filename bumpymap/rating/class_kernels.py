@@ -1,19 +1,68 @@
 """Compiled kernels: tiles and their textures in, ride costs out; see ``bumpymap.rating.cost`` for the model."""
 
 import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import entry, inner
+from bumpytiles import helper, kernel
 
-__all__ = ["rate_tiles"]
+__all__ = ["CostRules", "CostTables", "RatedTiles", "TilesToRate", "rate_tiles"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 
-@inner
+class TilesToRate(NamedTuple):
+    """Tiles."""
+
+    known: Annotated[NDArray[np.bool_], 1]
+    """(tiles,) whether to rate it."""
+    chance: Annotated[Singles, 2]
+    """(tiles, textures) probability of each texture."""
+    relief: Annotated[Floats, 1]
+    """(tiles,) m."""
+    slope: Annotated[Floats, 1]
+    """(tiles,) degrees."""
+    coverage: Annotated[Floats, 1]
+    """(tiles,) 0 to 1."""
+
+
+class CostTables(NamedTuple):
+    """What a calibration says of every texture."""
+
+    log_range: Annotated[Floats, 1]
+    """(rungs,) ln of the calibrated z ranges."""
+    tables: Annotated[Floats, 3]
+    """(3, textures, rungs) mean of ln C_r, its standard deviation, p_fail."""
+
+
+class CostRules(NamedTuple):
+    """How classes follow."""
+
+    limits: Annotated[Floats, 1]
+    """(classes - 1,) C_r between the classes, rad/m."""
+    slope_limit: float
+    """Steeper tiles fail for certain, degrees."""
+    fail: float
+    """A tile with at least this p_fail is of the last class."""
+    tail: float
+    """Probability below c_r_low and above c_r_high."""
+    normal: float
+    """That quantile of the standard normal."""
+
+
+class RatedTiles(NamedTuple):
+    """What is filled where a tile is known."""
+
+    class_id: Annotated[NDArray[np.uint8], 1]
+    """(tiles,) class."""
+    rated: Annotated[Singles, 2]
+    """(5, tiles) c_r, c_r_low, c_r_high, p_fail, confidence."""
+
+
+@helper
 def _share_below(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Probability that C_r is below exp(log_c) under a mixture of log-normals."""
     below = 0.0
@@ -22,7 +71,7 @@ def _share_below(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats
     return below
 
 
-@inner
+@helper
 def _mixture_density(log_c: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Slope of ``_share_below``."""
     density = 0.0
@@ -32,7 +81,7 @@ def _mixture_density(log_c: float, chance: Singles, log_mean: Floats, log_sd: Fl
     return density / math.sqrt(2.0 * math.pi)
 
 
-@inner
+@helper
 def mixture_quantile(share: float, normal: float, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
     """Find the ln C_r with a share of the mixture below it, to 1e-10; ``normal`` is the standard normal's quantile.
 
@@ -60,7 +109,7 @@ def mixture_quantile(share: float, normal: float, chance: Singles, log_mean: Flo
     return at
 
 
-@inner
+@helper
 def _read_ladder(relief: float, log_range: Floats, tables: Floats, rungs: Floats) -> None:
     """Read the tables (ln C_r, its spread, p_fail) of every texture at a relief [m] into ``rungs``.
 
@@ -84,78 +133,43 @@ def _read_ladder(relief: float, log_range: Floats, tables: Floats, rungs: Floats
         rungs[0, k] += min(0.0, log_relief - log_range[0])
 
 
-@entry("?:1 f4:2 f8:1 f8:1 f8:1 f8:1 f8:3 f8:1 f8 f8 f8 f8 u1:1 f4:2 f8:2")
+@helper
+def _sureness(rank: int, limits: Floats, chance: Singles, log_mean: Floats, log_sd: Floats) -> float:
+    """Probability that C_r lies between the limits of a class."""
+    above = 1.0 if rank == len(limits) else _share_below(math.log(limits[rank]), chance, log_mean, log_sd)
+    below = 0.0 if rank == 0 else _share_below(math.log(limits[rank - 1]), chance, log_mean, log_sd)
+    return above - below
+
+
+@kernel
 def rate_tiles(
-    known: NDArray[np.bool_],
-    chance: Singles,
-    relief: Floats,
-    slope: Floats,
-    coverage: Floats,
-    log_range: Floats,
-    tables: Floats,
-    limits: Floats,
-    slope_limit: float,
-    fail: float,
-    tail: float,
-    normal: float,
-    class_id: NDArray[np.uint8],
-    rated: Singles,
-    rungs: Floats,
+    tiles: TilesToRate, cost: CostTables, rules: CostRules, out: RatedTiles, rungs: Annotated[Floats, 2]
 ) -> None:
     """Rate the tiles that are known; see ``bumpymap.rating.cost`` for the model. Others keep what the results hold.
 
-    Parameters
-    ----------
-    known : (tiles,) bool
-        Tiles to rate.
-    chance : (tiles, textures) float32
-        Probability of each texture.
-    relief, slope, coverage : (tiles,) float64
-        m, degrees, 0..1.
-    log_range : (rungs,) float64
-        ln of the calibrated z ranges.
-    tables : (3, textures, rungs) float64
-        Mean of ln C_r, its standard deviation, p_fail.
-    limits : (classes - 1,) float64
-        C_r between the classes, rad/m.
-    slope_limit : float
-        Steeper tiles fail for certain, degrees.
-    fail : float
-        A tile with at least this p_fail is of the last class.
-    tail, normal : float
-        Probability below c_r_low and above c_r_high; that quantile of the standard normal.
-    klass : (tiles,) uint8
-        Filled where known.
-    rated : (5, tiles) float32
-        Filled where known: c_r, c_r_low, c_r_high, p_fail, confidence.
-    rungs : (3, textures) float64
-        Scratch.
+    ``rungs`` is scratch: (3, textures).
     """
-    last = len(limits)
-    for t in range(len(known)):
-        if not known[t]:
+    last = len(rules.limits)
+    for t in range(len(tiles.known)):
+        if not tiles.known[t]:
             continue
-        _read_ladder(relief[t], log_range, tables, rungs)
-        mean, sd, mine = rungs[0], rungs[1], chance[t]
+        _read_ladder(tiles.relief[t], cost.log_range, cost.tables, rungs)
+        mean, sd, mine = rungs[0], rungs[1], tiles.chance[t]
         c_r = p_fail = 0.0
         for k in range(len(mine)):
             c_r += mine[k] * math.exp(mean[k])
             p_fail += mine[k] * rungs[2, k]
             mean[k] -= 0.5 * sd[k] * sd[k]  # of the logarithm, where the table's is the logarithm of the mean
-        if slope[t] > slope_limit:
+        if tiles.slope[t] > rules.slope_limit:
             p_fail = 1.0
-        low = math.exp(mixture_quantile(tail, normal, mine, mean, sd))
-        high = math.exp(mixture_quantile(1.0 - tail, -normal, mine, mean, sd))
+        low = math.exp(mixture_quantile(rules.tail, rules.normal, mine, mean, sd))
+        high = math.exp(mixture_quantile(1.0 - rules.tail, -rules.normal, mine, mean, sd))
         rank = 0
-        while rank < last and c_r >= limits[rank]:
+        while rank < last and c_r >= rules.limits[rank]:
             rank += 1
-        sure = p_fail
-        if p_fail >= fail:
-            rank = last
-        else:
-            above = 1.0 if rank == last else _share_below(math.log(limits[rank]), mine, mean, sd)
-            below = 0.0 if rank == 0 else _share_below(math.log(limits[rank - 1]), mine, mean, sd)
-            sure = above - below
-        class_id[t] = rank
-        rated[0, t], rated[1, t], rated[2, t] = c_r, min(low, c_r), max(high, c_r)
-        rated[3, t], rated[4, t] = p_fail, sure * coverage[t]
+        failing = p_fail >= rules.fail
+        rank = last if failing else rank
+        sure = p_fail if failing else _sureness(rank, rules.limits, mine, mean, sd)
+        out.class_id[t] = rank
+        out.rated[0, t], out.rated[1, t], out.rated[2, t] = c_r, min(low, c_r), max(high, c_r)
+        out.rated[3, t], out.rated[4, t] = p_fail, sure * tiles.coverage[t]

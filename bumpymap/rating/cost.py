@@ -62,27 +62,25 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
         The calibration was made for tiles of another size or another number of pixels.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-    from bumpymap.rating.class_kernels import rate_tiles
+    from bumpymap.rating.class_kernels import CostRules, CostTables, RatedTiles, TilesToRate, rate_tiles
 
     ladder = _ladder(calibration)
     tiles = len(patches.reason)
     class_id = np.full(tiles, NO_CLASS, np.uint8)
     rated = np.full((5, tiles), np.nan, np.float32)
+    chance = np.ascontiguousarray(textures.probability, np.float32)
+    x = [np.ascontiguousarray(column, np.float64) for column in (patches.relief, patches.slope, patches.coverage)]
     rate_tiles(
-        patches.reason == Reason.OK,
-        np.ascontiguousarray(textures.probability, np.float32),
-        np.ascontiguousarray(patches.relief, np.float64),
-        np.ascontiguousarray(patches.slope, np.float64),
-        np.ascontiguousarray(patches.coverage, np.float64),
-        ladder.log_range,
-        np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail)),
-        np.array(calibration.class_limits),
-        float(calibration.vehicle["slope_limit_deg"]),
-        FAIL_SHARE,
-        _TAIL,
-        _NORMAL_TAIL,
-        class_id,
-        rated,
+        TilesToRate(patches.reason == Reason.OK, chance, x[0], x[1], x[2]),
+        CostTables(ladder.log_range, np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail))),
+        CostRules(
+            np.array(calibration.class_limits),
+            slope_limit=float(calibration.vehicle["slope_limit_deg"]),
+            fail=FAIL_SHARE,
+            tail=_TAIL,
+            normal=_NORMAL_TAIL,
+        ),
+        RatedTiles(class_id, rated),
         np.empty((3, len(TEXTURES))),
     )
     c_r, c_r_low, c_r_high, p_fail, confidence = rated

@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Georeference, PointCloud
-from bumpymap.readers._kernel import KEPT, STRIP, convert_records, filter_points
+from bumpymap.readers._kernel import (
+    KEPT,
+    STRIP,
+    CountedPoints,
+    FilePoints,
+    RecordNumbers,
+    WatchCounts,
+    WatchRules,
+    convert_records,
+    filter_points,
+)
 from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
@@ -68,34 +78,34 @@ def convert_las_points(
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
     places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
-    box = _limits(checks.file_bounds)
-    scratch = (*np.empty((3, STRIP)), np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
+    x, y, z = np.empty((3, STRIP))
+    strip = FilePoints(x, y, z, np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
     size = len(records)
-    out = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
-    extremes, counts = _empty_stats()
-    convert_records(records, numbers, places, box, checks.first, *scratch, *out, extremes, counts)
-    return _chunk_points(out, size, extremes, counts)
+    out = CountedPoints(np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
+    seen_stats = _empty_stats()
+    convert_records(records, RecordNumbers(numbers, places), _rules(checks), strip, out, seen_stats)
+    return _chunk_points(out, size, seen_stats)
 
 
 def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
     """Convert rows of a table; the coordinate arrays of ``raw`` are overwritten."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
-    ground, withheld = np.empty(size, np.bool_), np.zeros(size, np.bool_)
-    box = _limits(checks.file_bounds)
-    extremes, counts = _empty_stats()
-    no_return = checks.nan_is_no_return
-    filter_points(*axes, _codes(raw), withheld, box, no_return, checks.first, *axes, ground, extremes, counts)
-    return _chunk_points((*axes, ground), size, extremes, counts)
+    points = FilePoints(*axes, _codes(raw), np.zeros(size, np.bool_))
+    out = CountedPoints(*axes, np.empty(size, np.bool_))
+    seen_stats = _empty_stats()
+    filter_points(points, _rules(checks), out, seen_stats)
+    return _chunk_points(out, size, seen_stats)
 
 
-_Out = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
-
-
-def _empty_stats() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _empty_stats() -> WatchCounts:
     empty = PointStats()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
-    return extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0])
+    return WatchCounts(extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0]))
+
+
+def _rules(checks: PointChecks) -> WatchRules:
+    return WatchRules(_limits(checks.file_bounds), checks.nan_is_no_return, checks.first)
 
 
 def _limits(bounds: Bounds | None) -> NDArray[np.float64]:
@@ -112,12 +122,13 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     return codes
 
 
-def _chunk_points(out: _Out, seen: int, extremes: NDArray[np.float64], counts: NDArray[np.int64]) -> ChunkPoints:
+def _chunk_points(out: CountedPoints, seen: int, seen_stats: WatchCounts) -> ChunkPoints:
+    counts = seen_stats.counts
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # Points outside their octree node are counted by `count_points_outside_node`.
-    stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *extremes.tolist())
+    stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *seen_stats.extremes.tolist())
     kept = 0 if stats.bad else int(counts[KEPT])
-    cloud = PointCloud(out[0][:kept], out[1][:kept], out[2][:kept], out[3][:kept])
+    cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept])
     if kept < seen // 2:
         # A view would keep the memory of the dropped points.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())

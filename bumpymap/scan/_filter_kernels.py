@@ -5,10 +5,12 @@ run in the same order wherever it lies among others. A matrix product of a libra
 nothing else to do, and several times slower on one whose cores are taken: its threads wait for each other.
 """
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import entry
+from bumpytiles import kernel
 
 __all__ = ["LANES", "STEP", "filter_maps"]
 
@@ -20,9 +22,14 @@ STEP = 8
 """Pixels that are added at once; maps are padded with zeros to a multiple."""
 
 
-@entry("f4:2 f4:3 f4 f4:1 f4:2 f4:2")
+@kernel
 def filter_maps(
-    maps: Singles, bank: Singles, threshold: float, sums: Singles, answers: Singles, stripes: Singles
+    maps: Annotated[Singles, 2],
+    bank: Annotated[Singles, 3],
+    threshold: np.float32,
+    sums: Annotated[Singles, 1],
+    answers: Annotated[Singles, 2],
+    stripes: Annotated[Singles, 2],
 ) -> None:
     """Count the stripes of maps.
 
@@ -32,7 +39,7 @@ def filter_maps(
         First pixel of every map of the group, second pixel, and so on.
     bank : (pixels^2, orientations, padded) float32
         Weights of the maps' pixels in the answer at each pixel.
-    threshold : float
+    threshold : float32
         A stripe's least answer.
     sums : (``LANES``,) float32
         Scratch: one answer.

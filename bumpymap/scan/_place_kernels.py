@@ -5,23 +5,69 @@ cell, ``count_labels`` goes through the labels of each. Nothing here allocates: 
 """
 
 import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import entry, inner
+from bumpytiles import helper, kernel
 
-__all__ = ["count_labels", "place_points", "point_directions", "sort_points", "turn_of"]
+__all__ = [
+    "BLOCK",
+    "CellOrder",
+    "PointPlaces",
+    "ZoneGrid",
+    "count_labels",
+    "place_points",
+    "point_directions",
+    "sort_points",
+    "turn_of",
+]
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Integers = NDArray[np.int32]
+Floats = Annotated[NDArray[np.float64], 1]
+ScanPoints = Annotated[NDArray[np.float32], 2]
+Integers = Annotated[NDArray[np.int32], 1]
+Counts = Annotated[NDArray[np.int64], 1]
 
+BLOCK = 512
+"""Points whose distance and direction are found at once: they stay in the nearest cache."""
 _EIGHTH = math.sqrt(2.0) - 1.0
 """Tangent of an eighth of a half turn."""
 
 
-@inner
+class ZoneGrid(NamedTuple):
+    """The polar grid."""
+
+    edges: Floats
+    """(zones + 1,) where zones begin, and the last one ends, m; half-open."""
+    sectors: Counts
+    """(zones,) of each zone, as the next."""
+    rings: Counts
+    start: float
+    """Where sector 0 starts, as a share of a turn."""
+    pixels: int
+    """Rows (outwards) and columns (counter-clockwise) of a sector."""
+
+
+class PointPlaces(NamedTuple):
+    """Where the points of a scan lie, (points,) each."""
+
+    cell: Integers
+    """Number of the cell, by zone, ring, sector; -1 outside the grid."""
+    pixel: Integers
+    """``row * pixels + column``."""
+
+
+class CellOrder(NamedTuple):
+    """The points by cell, in the scan's order inside each."""
+
+    starts: Counts
+    """(cells + 2,) cell c has ``order[starts[c]:starts[c + 1]]``; the last entry is scratch."""
+    order: Integers
+    """(points,)."""
+
+
+@helper
 def turn_of(x: float, y: float) -> float:
     """Angle from the x axis towards y as a share of a full turn, -0.5 to 0.5; 0 at the origin.
 
@@ -44,8 +90,8 @@ def turn_of(x: float, y: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-@entry("f4:2 f8:1 f8:1")
-def point_directions(points: Singles, reach: Floats, total: Floats) -> None:
+@kernel
+def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
     """Sum the horizontal unit vectors of the points whose distance is in ``reach`` (from, below), m.
 
     Parameters
@@ -67,17 +113,9 @@ def point_directions(points: Singles, reach: Floats, total: Floats) -> None:
     total[0], total[1] = sx, sy
 
 
-@entry("f4:2 f8:1 i8:1 i8:1 f8 i8 f8:2 i4:1 i4:1")
+@kernel
 def place_points(
-    points: Singles,
-    edges: Floats,
-    sectors: NDArray[np.int64],
-    rings: NDArray[np.int64],
-    start: float,
-    pixels: int,
-    polar: Floats,
-    cell: Integers,
-    pixel: Integers,
+    points: ScanPoints, grid: ZoneGrid, out: PointPlaces, polar: Annotated[NDArray[np.float64], 2]
 ) -> None:
     """Find the cell and the pixel of every point.
 
@@ -85,63 +123,46 @@ def place_points(
     ----------
     points : (points, 3) float32
         m.
-    edges : (zones + 1,) float64
-        Where zones begin, and the last one ends, m; half-open.
-    sectors, rings : (zones,) int64
-        Of each zone.
-    start : float
-        Where sector 0 starts, as a share of a turn.
-    pixels : int
-        Rows (outwards) and columns (counter-clockwise) of a sector.
-    polar : (2, block) float64
+    grid : ZoneGrid
+    out : PointPlaces
+        Filled.
+    polar : (2, ``BLOCK``) float64
         Scratch: distance and turn of so many points at a time.
-    cell : (points,) int32
-        Filled: number of the cell, by zone, ring, sector; -1 outside the grid.
-    pixel : (points,) int32
-        Filled: ``row * pixels + column``.
     """
-    zones, block = len(sectors), polar.shape[1]
-    for begin in range(0, len(points), block):
-        some = points[begin : begin + block]
+    edges, sectors, rings, pixels = grid.edges, grid.sectors, grid.rings, grid.pixels
+    zones = len(sectors)
+    for begin in range(0, len(points), BLOCK):
+        some = points[begin : begin + BLOCK]
         distance, turns = polar[0, : len(some)], polar[1, : len(some)]
         for i in range(len(some)):
             x, y = np.float64(some[i, 0]), np.float64(some[i, 1])
             distance[i] = math.sqrt(x * x + y * y)
-            turn = turn_of(x, y) - start
+            turn = turn_of(x, y) - grid.start
             turn = turn + 1.0 if turn < 0.0 else turn
             turns[i] = turn + 1.0 if turn < 0.0 else turn
         for i in range(len(some)):
             r, at = distance[i], begin + i
-            cell[at], pixel[at] = -1, 0
+            out.cell[at], out.pixel[at] = -1, 0
             if not edges[0] <= r < edges[zones]:
                 continue
             zone, first = 0, 0
             while r >= edges[zone + 1]:
                 first += sectors[zone] * rings[zone]
                 zone += 1
-            out = (r - edges[zone]) / (edges[zone + 1] - edges[zone]) * rings[zone]
-            ring = min(int(out), rings[zone] - 1)
+            outward = (r - edges[zone]) / (edges[zone + 1] - edges[zone]) * rings[zone]
+            ring = min(int(outward), rings[zone] - 1)
             around = turns[i] * sectors[zone]
             sector = min(int(around), sectors[zone] - 1)
-            row = min(int((out - ring) * pixels), pixels - 1)
+            row = min(int((outward - ring) * pixels), pixels - 1)
             column = min(int((around - sector) * pixels), pixels - 1)
-            cell[at] = np.int32(first + ring * sectors[zone] + sector)
-            pixel[at] = np.int32(row * pixels + column)
+            out.cell[at] = np.int32(first + ring * sectors[zone] + sector)
+            out.pixel[at] = np.int32(row * pixels + column)
 
 
-@entry("i4:1 i8:1 i4:1")
-def sort_points(cell: Integers, starts: NDArray[np.int64], order: Integers) -> None:
-    """List the points by cell, in the scan's order inside each.
-
-    Parameters
-    ----------
-    cell : (points,) int32
-        -1 outside the grid.
-    starts : (cells + 2,) int64
-        Zeros. Filled: cell c has ``order[starts[c]:starts[c + 1]]``; the last entry is scratch.
-    order : (points,) int32
-        Filled.
-    """
+@kernel
+def sort_points(cell: Integers, out: CellOrder) -> None:
+    """List the points by cell, -1 outside the grid; ``out.starts`` comes as zeros."""
+    starts, order = out.starts, out.order
     for i in range(len(cell)):
         if cell[i] >= 0:
             starts[cell[i] + 2] += 1
@@ -153,14 +174,13 @@ def sort_points(cell: Integers, starts: NDArray[np.int64], order: Integers) -> N
             starts[cell[i] + 1] += 1
 
 
-@entry("u2:1 i4:1 i8:1 i8:1 i4:1 i2:1")
+@kernel
 def count_labels(
-    label: NDArray[np.uint16],
-    order: Integers,
-    starts: NDArray[np.int64],
-    cells: NDArray[np.int64],
+    label: Annotated[NDArray[np.uint16], 1],
+    by_cell: CellOrder,
+    cells: Counts,
     tally: Integers,
-    most: NDArray[np.int16],
+    most: Annotated[NDArray[np.int16], 1],
 ) -> None:
     """Find the most frequent label of each listed sector, the smallest of equals.
 
@@ -168,13 +188,14 @@ def count_labels(
     ----------
     label : (points,) uint16
         Below 32,768.
-    order, starts, cells
+    by_cell, cells
         As in ``measure_sectors``.
     tally : (32768,) int32
         Scratch, zeros before and after.
     most : (sectors,) int16
         Filled.
     """
+    starts, order = by_cell.starts, by_cell.order
     for s in range(len(cells)):
         first, last = starts[cells[s]], starts[cells[s] + 1]
         best, count = 0, 0

@@ -5,34 +5,82 @@ scan gives the same bits.
 """
 
 import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import entry, inner
+from bumpymap.core import NO_PLANE, Plane, best_candidate, fill_holes
+from bumpymap.scan._place_kernels import CellOrder
+from bumpytiles import helper, kernel
 
-__all__ = ["SAMPLE", "measure_sectors"]
+__all__ = ["SectorInputs", "SectorMeasures", "SectorScratch", "measure_sectors", "sector_scratch"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
-Plane = tuple[float, float, float, float]
-"""Unit normal (a, b, c), upward, and d of a x + b y + c z + d = 0."""
 
-SAMPLE = 128
+_SAMPLE = 128
 """Points that RANSAC scores candidates on, in equal steps through the sector's points."""
-_MAX_CANDIDATES = 200
-_MISS_PROBABILITY = 1e-4
-"""Accepted probability that no candidate was drawn from inliers alone."""
-_MIN_LENGTH = 2e-3
-"""Twice the least area that a candidate's three points must span, m^2."""
+_MOST_CANDIDATES = 200
 _STEEPEST = 0.2
 """A plane whose upward normal is less than this (steeper than 78 degrees) is a wall: only the mean height comes off."""
 _LINE = 2e-3
 """Product of the two horizontal spreads over the square of their sum: less is one scan line, bent as the sector is."""
 
 
-@inner
+class SectorInputs(NamedTuple):
+    """A scan on the polar grid."""
+
+    points: Annotated[Singles, 2]
+    """(points, 3) m."""
+    pixel: Annotated[Integers, 1]
+    """(points,) as ``place_points`` gives it."""
+    cells: Annotated[NDArray[np.int64], 1]
+    """(sectors,) cells to measure, each with points; their numbers seed RANSAC."""
+    threshold: float
+    """RANSAC inlier distance, m."""
+
+
+class SectorMeasures(NamedTuple):
+    """What is filled."""
+
+    scalars: Annotated[Floats, 2]
+    """(sectors, 4) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
+    origin below the principal plane [m]; below the points' mean, where they lie on one line: they tell no tilt."""
+    normal: Annotated[Singles, 2]
+    """(sectors, 3) principal normal; zeros where the points lie on a line."""
+    heights: Annotated[Singles, 3]
+    """(sectors, pixels, pixels) mean z above the plane that RANSAC found, holes filled, m."""
+
+
+class SectorScratch(NamedTuple):
+    """Scratch, see `sector_scratch`."""
+
+    xyz: Annotated[Floats, 2]
+    """(3, most points of a sector) centred coordinates."""
+    sample: Annotated[Singles, 2]
+    """(3, ``_SAMPLE``) points that score candidates."""
+    sums: Annotated[Floats, 2]
+    """(2, pixels^2) count and sum of heights, by pixel."""
+    holes: Annotated[Integers, 1]
+    """(pixels^2,) empty pixels."""
+    values: Annotated[Singles, 1]
+    """(pixels^2,) what fills them."""
+
+
+def sector_scratch(xyz: Floats, pixels: int) -> SectorScratch:
+    """Make scratch for sectors of at most as many points as ``xyz`` (3, points) holds."""
+    return SectorScratch(
+        xyz,
+        np.empty((3, _SAMPLE), np.float32),
+        np.empty((2, pixels * pixels)),
+        np.empty(pixels * pixels, np.int32),
+        np.empty(pixels * pixels, np.float32),
+    )
+
+
+@helper
 def _least_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> tuple[float, float, float]:
     """Find the unit eigenvector of the smallest eigenvalue of a scatter matrix, upward; zeros where none stands out.
 
@@ -71,7 +119,7 @@ def _least_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
     return ax / length, ay / length, az / length
 
 
-@inner
+@helper
 def _principal_plane(x: Floats, y: Floats, z: Floats, near: Plane, reach: float) -> Plane:
     """Plane of the least perpendicular spread of the points within ``reach`` of a plane; zeros where there is none."""
     a, b, c, d = near
@@ -89,200 +137,113 @@ def _principal_plane(x: Floats, y: Floats, z: Floats, near: Plane, reach: float)
             yz += y[i] * z[i]
             zz += z[i] * z[i]
     if n < 3.0:
-        return 0.0, 0.0, 0.0, 0.0
+        return NO_PLANE
     mx, my, mz = sx / n, sy / n, sz / n
     a, b, c = _least_axis(xx - sx * mx, xy - sx * my, xz - sx * mz, yy - sy * my, yz - sy * mz, zz - sz * mz)
     return a, b, c, -(a * mx + b * my + c * mz)
 
 
-@inner
-def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """One step of splitmix64: the new state and 64 mixed bits."""
-    state = state + np.uint64(0x9E3779B97F4A7C15)
-    z = state
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return state, z ^ (z >> np.uint64(31))
-
-
-@inner
-def _below(bits: np.uint64, place: int, n: int) -> int:
-    """Turn the ``place``-th 21 bits into a number from 0 to n - 1."""
-    part = (bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)
-    return int((part * np.uint64(n)) >> np.uint64(21))
-
-
-@inner
-def _hits(
-    sample: Singles, n: int, a: np.float32, b: np.float32, c: np.float32, d: np.float32, reach: np.float32
-) -> int:
-    """Count the points of the sample within ``reach`` of a plane; single precision is enough to count."""
-    x, y, z = sample[0, :n], sample[1, :n], sample[2, :n]
-    hits = np.int32(0)
-    for i in range(n):
-        hits = np.int32(hits + np.int32(abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach))
-    return int(hits)
-
-
-@inner
+@helper
 def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles) -> Plane:
     """Plane by RANSAC (Fischler and Bolles 1981), then twice the principal plane of its inliers.
 
-    Points must be centred. Drawing stops when a better candidate has become improbable. Zeros where the points span
-    no plane.
+    Points must be centred. Zeros where the points span no plane.
     """
     count = len(x)
-    n = min(count, SAMPLE)
+    n = min(count, _SAMPLE)
     for i in range(n):
         k = i * count // n
         sample[0, i], sample[1, i], sample[2, i] = x[k], y[k], z[k]
-    best, plane = 0, (0.0, 0.0, 0.0, 0.0)
-    state, needed, drawn = seed, _MAX_CANDIDATES, 0
-    while drawn < needed:
-        drawn += 1
-        state, bits = _next_random(state)
-        i, j, k = _below(bits, 0, count), _below(bits, 1, count), _below(bits, 2, count)
-        ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
-        vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
-        a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = math.sqrt(a * a + b * b + c * c)
-        if length < _MIN_LENGTH:
-            continue
-        if c < 0.0:
-            length = -length
-        a, b, c = a / length, b / length, c / length
-        d = -(a * x[i] + b * y[i] + c * z[i])
-        hits = _hits(sample, n, np.float32(a), np.float32(b), np.float32(c), np.float32(d), np.float32(threshold))
-        if hits > best:
-            best, plane = hits, (a, b, c, d)
-            clean = (hits / n) ** 3  # chance that all three of a draw are inliers
-            if clean >= 1.0 - 1e-9:
-                break
-            needed = min(_MAX_CANDIDATES, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean)))
+    plane = best_candidate(x, y, z, sample, threshold, seed, _MOST_CANDIDATES, True)
+    found = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
     for _ in range(2):
-        fitted = _principal_plane(x, y, z, plane, threshold if best > 0 else np.inf)
+        fitted = _principal_plane(x, y, z, plane, threshold if found else np.inf)
         if fitted[0] == 0.0 and fitted[1] == 0.0 and fitted[2] == 0.0:
             break
         plane = fitted
     return plane
 
 
-@inner
-def _fill(heights: Singles, holes: Integers, values: Singles) -> None:
-    """Fill NaN pixels in place with the mean of their known 8 neighbours, from the rim inwards."""
-    size, missing = heights.shape[0], 0
+@helper
+def _centre_points(inputs: SectorInputs, by_cell: CellOrder, first: int, scratch: SectorScratch, n: int) -> Plane:
+    """Write the coordinates of n points minus their mean; returns the mean, and the variance of z."""
+    x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
+    mx = my = mz = 0.0
+    for i in range(n):
+        p = by_cell.order[first + i]
+        x[i], y[i], z[i] = inputs.points[p, 0], inputs.points[p, 1], inputs.points[p, 2]
+        mx += x[i]
+        my += y[i]
+        mz += z[i]
+    mx, my, mz = mx / n, my / n, mz / n
+    square = 0.0
+    for i in range(n):
+        x[i] -= mx
+        y[i] -= my
+        z[i] -= mz
+        square += z[i] * z[i]
+    return mx, my, mz, square / n
+
+
+@helper
+def _on_a_line(x: Floats, y: Floats) -> bool:
+    """Whether centred points lie on one line, seen from above."""
+    xx = xy = yy = 0.0
+    for i in range(len(x)):
+        xx += x[i] * x[i]
+        xy += x[i] * y[i]
+        yy += y[i] * y[i]
+    return xx * yy - xy * xy < _LINE * (xx + yy) * (xx + yy)
+
+
+@helper
+def _sum_by_pixel(
+    inputs: SectorInputs, by_cell: CellOrder, first: int, scratch: SectorScratch, n: int, plane: Plane
+) -> float:
+    """Sum the heights above a plane by pixel; returns the mean distance of the points from it."""
+    x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
+    a, b, c, d = plane
+    east, north, level = (-a / c, -b / c, -d / c) if c > _STEEPEST else (0.0, 0.0, 0.0)
+    sums = scratch.sums
+    for k in range(sums.shape[1]):
+        sums[0, k] = sums[1, k] = 0.0
+    total = 0.0
+    for i in range(n):
+        k = inputs.pixel[by_cell.order[first + i]]
+        total += abs(a * x[i] + b * y[i] + c * z[i] + d)
+        sums[0, k] += 1.0
+        sums[1, k] += z[i] - east * x[i] - north * y[i] - level
+    return total / n
+
+
+@helper
+def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
+    """Write the mean height of every pixel, holes filled; returns the share of pixels with points."""
+    size, known = heights.shape[0], 0
     for r in range(size):
-        for c in range(size):
-            if math.isnan(heights[r, c]):
-                holes[missing] = np.int32(r * size + c)
-                missing += 1
-    while missing > 0:
-        for k in range(missing):
-            row, column = holes[k] // size, holes[k] % size
-            total, known = np.float32(0.0), np.float32(0.0)
-            for r in range(max(0, row - 1), min(size, row + 2)):
-                for c in range(max(0, column - 1), min(size, column + 2)):
-                    h = heights[r, c]
-                    if h == h:  # noqa: PLR0124 - false for NaN
-                        total += h
-                        known += np.float32(1.0)
-            values[k] = total / known
-        left = 0
-        for k in range(missing):
-            heights[holes[k] // size, holes[k] % size] = values[k]
-            if math.isnan(values[k]):
-                holes[left] = holes[k]
-                left += 1
-        missing = left
+        for q in range(size):
+            count = scratch.sums[0, r * size + q]
+            known += count > 0.0
+            heights[r, q] = scratch.sums[1, r * size + q] / count if count > 0.0 else np.nan
+    if known < size * size:
+        fill_holes(heights, size * size, scratch.holes, scratch.values)
+    return known / (size * size)
 
 
-@entry("f4:2 i4:1 i4:1 i8:1 i8:1 f8 f8:2 f4:2 f4:3 f8:2 f4:2 f8:2 i4:1 f4:1")
-def measure_sectors(
-    points: Singles,
-    pixel: Integers,
-    order: Integers,
-    starts: NDArray[np.int64],
-    cells: NDArray[np.int64],
-    threshold: float,
-    scalars: Floats,
-    normal: Singles,
-    heights: Singles,
-    xyz: Floats,
-    sample: Singles,
-    sums: Floats,
-    holes: Integers,
-    values: Singles,
-) -> None:
-    """Measure every sector that is listed; each has points.
-
-    Parameters
-    ----------
-    points, pixel, order, starts
-        As ``place_points`` and ``sort_points`` give them.
-    cells : (sectors,) int64
-        Cells to measure; their numbers seed RANSAC.
-    threshold : float
-        RANSAC inlier distance, m.
-    scalars : (sectors, 4) float64
-        Filled: variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
-        origin below the principal plane [m]; below the points' mean, where they lie on one line: they tell no tilt.
-    normal : (sectors, 3) float32
-        Filled: principal normal; zeros where the points lie on a line.
-    heights : (sectors, pixels, pixels) float32
-        Filled: mean z above the plane that RANSAC found, holes filled, m.
-    xyz : (3, most points of a sector) float64
-        Scratch, as are all that follow: centred coordinates.
-    sample : (3, ``SAMPLE``) float32
-        Points that score candidates.
-    sums : (2, pixels^2) float64
-        Count and sum of heights, by pixel.
-    holes, values : (pixels^2,) int32, float32
-        Empty pixels and what fills them.
-    """
-    size = heights.shape[1]
-    for s in range(len(cells)):
-        first = starts[cells[s]]
-        n = starts[cells[s] + 1] - first
-        x, y, z = xyz[0, :n], xyz[1, :n], xyz[2, :n]
-        mx = my = mz = 0.0
-        for i in range(n):
-            p = order[first + i]
-            x[i], y[i], z[i] = points[p, 0], points[p, 1], points[p, 2]
-            mx += x[i]
-            my += y[i]
-            mz += z[i]
-        mx, my, mz = mx / n, my / n, mz / n
-        square = xx = xy = yy = 0.0
-        for i in range(n):
-            x[i] -= mx
-            y[i] -= my
-            z[i] -= mz
-            square += z[i] * z[i]
-            xx += x[i] * x[i]
-            xy += x[i] * y[i]
-            yy += y[i] * y[i]
-        scalars[s, 0] = square / n
-        a, b, c, d = _principal_plane(x, y, z, (0.0, 0.0, 0.0, 0.0), np.inf)
-        normal[s, 0], normal[s, 1], normal[s, 2] = a, b, c
-        on_a_line = xx * yy - xy * xy < _LINE * (xx + yy) * (xx + yy)
-        scalars[s, 3] = mz if on_a_line else a * mx + b * my + c * mz
-        a, b, c, d = ransac_plane(x, y, z, threshold, np.uint64(cells[s]), sample)
-        east, north, level = (-a / c, -b / c, -d / c) if c > _STEEPEST else (0.0, 0.0, 0.0)
-        for k in range(size * size):
-            sums[0, k] = sums[1, k] = 0.0
-        total = 0.0
-        for i in range(n):
-            k = pixel[order[first + i]]
-            total += abs(a * x[i] + b * y[i] + c * z[i] + d)
-            sums[0, k] += 1.0
-            sums[1, k] += z[i] - east * x[i] - north * y[i] - level
-        scalars[s, 1] = total / n if a != 0.0 or b != 0.0 or c != 0.0 else np.nan
-        known = 0
-        for r in range(size):
-            for q in range(size):
-                count = sums[0, r * size + q]
-                known += count > 0.0
-                heights[s, r, q] = sums[1, r * size + q] / count if count > 0.0 else np.nan
-        scalars[s, 2] = known / (size * size)
-        if known < size * size:
-            _fill(heights[s], holes, values)
+@kernel
+def measure_sectors(inputs: SectorInputs, by_cell: CellOrder, out: SectorMeasures, scratch: SectorScratch) -> None:
+    """Measure every sector that is listed."""
+    for s in range(len(inputs.cells)):
+        cell = inputs.cells[s]
+        first = by_cell.starts[cell]
+        n = by_cell.starts[cell + 1] - first
+        mx, my, mz, out.scalars[s, 0] = _centre_points(inputs, by_cell, first, scratch, n)
+        x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
+        a, b, c, _ = _principal_plane(x, y, z, NO_PLANE, np.inf)
+        out.normal[s, 0], out.normal[s, 1], out.normal[s, 2] = a, b, c
+        out.scalars[s, 3] = mz if _on_a_line(x, y) else a * mx + b * my + c * mz
+        plane = ransac_plane(x, y, z, inputs.threshold, np.uint64(cell), scratch.sample)
+        residual = _sum_by_pixel(inputs, by_cell, first, scratch, n, plane)
+        found = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
+        out.scalars[s, 1] = residual if found else np.nan
+        out.scalars[s, 2] = _heights_of(out.heights[s], scratch)

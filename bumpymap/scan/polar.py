@@ -12,16 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
-from bumpymap.scan._place_kernels import count_labels, place_points, point_directions, sort_points
-from bumpymap.scan._sector_kernels import SAMPLE, measure_sectors
+from bumpymap.scan._place_kernels import (
+    BLOCK,
+    CellOrder,
+    PointPlaces,
+    ZoneGrid,
+    count_labels,
+    place_points,
+    point_directions,
+    sort_points,
+)
+from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
 
 __all__ = ["RANSAC_THRESHOLD_M", "SectorBuffers", "anchor_of", "polar_sectors"]
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
 _LABELS = 32_768
-_BLOCK = 512
-"""Points whose distance and direction are computed together: they fit into the L1 cache."""
 
 
 class SectorBuffers:
@@ -67,16 +74,19 @@ def polar_sectors(
     points = np.ascontiguousarray(scan.points, np.float32)
     start = anchor_of(points, settings) if settings.anchored else 0.0
     sectors, rings = np.array(settings.sectors, np.int64), np.array(settings.rings, np.int64)
+    edges = np.array([*settings.zone_starts_m, settings.end_m])
+    grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
     cell, pixel, order = (buffers.empty(name, len(points), np.int32) for name in ("cell", "pixel", "order"))
-    polar = np.empty((2, _BLOCK))
-    edges = np.array([*settings.zone_starts_m, settings.end_m])
-    place_points(points, edges, sectors, rings, start / (2.0 * math.pi), settings.pixels, polar, cell, pixel)
-    starts = np.zeros(int(sectors @ rings) + 2, np.int64)
-    sort_points(cell, starts, order)
-    counts = np.diff(starts[:-1])
+    places = PointPlaces(cell, pixel)
+    place_points(points, grid, places, np.empty((2, BLOCK)))
+    by_cell = CellOrder(np.zeros(int(sectors @ rings) + 2, np.int64), order)
+    sort_points(cell, by_cell)
+    counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    scalars, normal, heights = _measure(points, pixel, order, starts, cells, settings.pixels, buffers)
+    scalars, normal, heights = _measure(
+        SectorInputs(points, pixel, cells, RANSAC_THRESHOLD_M), by_cell, settings, buffers
+    )
     zone, ring, sector = _places(cells, sectors, rings)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
     rows[cells] = np.arange(len(cells), dtype=np.int32)
@@ -93,7 +103,7 @@ def polar_sectors(
         scalars[:, 2].astype(np.float32),
         scalars[:, 0].astype(np.float32),
         scalars[:, 1].astype(np.float32),
-        _labels(scan, order, starts, cells),
+        _labels(scan, by_cell, cells),
         rows[cell],
     )
 
@@ -106,35 +116,16 @@ def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:
 
 
 def _measure(
-    points: NDArray[np.float32],
-    pixel: NDArray[np.int32],
-    order: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    cells: NDArray[np.int64],
-    pixels: int,
-    buffers: SectorBuffers,
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-    """Return scalars, normals and heightmaps as ``measure_sectors`` computes them."""
-    scalars, normal = np.empty((len(cells), 4)), np.empty((len(cells), 3), np.float32)
-    heights = np.empty((len(cells), pixels, pixels), np.float32)
-    most = int(np.diff(starts)[cells].max(initial=0))
-    measure_sectors(
-        points,
-        pixel,
-        order,
-        starts,
-        cells,
-        RANSAC_THRESHOLD_M,
-        scalars,
-        normal,
-        heights,
-        buffers.empty("sector", most, np.float64, rows=3),
-        np.empty((3, SAMPLE), np.float32),
-        np.empty((2, pixels * pixels)),
-        np.empty(pixels * pixels, np.int32),
-        np.empty(pixels * pixels, np.float32),
+    inputs: SectorInputs, by_cell: CellOrder, settings: PolarSettings, buffers: SectorBuffers
+) -> SectorMeasures:
+    sectors, pixels = len(inputs.cells), settings.pixels
+    out = SectorMeasures(
+        np.empty((sectors, 4)), np.empty((sectors, 3), np.float32), np.empty((sectors, pixels, pixels), np.float32)
     )
-    return scalars, normal, heights
+    most = int(np.diff(by_cell.starts)[inputs.cells].max(initial=0))
+    xyz = buffers.empty("xyz", most, np.float64, rows=3)
+    measure_sectors(inputs, by_cell, out, sector_scratch(xyz, pixels))
+    return out
 
 
 def _places(
@@ -147,9 +138,7 @@ def _places(
     return zone.astype(np.int16), ring.astype(np.int16), sector.astype(np.int16)
 
 
-def _labels(
-    scan: Scan, order: NDArray[np.int32], starts: NDArray[np.int64], cells: NDArray[np.int64]
-) -> NDArray[np.int16]:
+def _labels(scan: Scan, by_cell: CellOrder, cells: NDArray[np.int64]) -> NDArray[np.int16]:
     most = np.full(len(cells), -1, np.int16)
     if scan.label is not None and len(cells):
         if int(scan.label.max()) >= _LABELS:
@@ -158,5 +147,5 @@ def _labels(
                 "its label file belong to it?"
             )
         label = np.ascontiguousarray(scan.label, np.uint16)
-        count_labels(label, order, starts, cells, np.zeros(_LABELS, np.int32), most)
+        count_labels(label, by_cell, cells, np.zeros(_LABELS, np.int32), most)
     return most

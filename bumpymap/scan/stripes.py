@@ -126,7 +126,7 @@ def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.
     side_by_side = padded.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
     stripes = np.zeros((len(side_by_side), LANES), np.float32)
     scratch = np.empty(LANES, np.float32), np.empty((pixels * pixels, LANES), np.float32)
-    filter_maps(side_by_side, bank, settings.threshold, *scratch, stripes)
+    filter_maps(side_by_side, bank, np.float32(settings.threshold), *scratch, stripes)
     mean: NDArray[np.float32] = stripes.reshape(-1)[:count] / np.float32(pixels)
     return mean
 

@@ -4,10 +4,14 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
+from bumpymap.patches.kernels.heightmap import pixel_index
+from bumpymap.patches.kernels.lanes import LANES
+from bumpymap.patches.kernels.plane import SUMS, fit_plane
+from bumpymap.patches.kernels.strays import stray_bounds
 from bumpytiles import Grid
-from bumpytiles.native import compiled_twin
+from bumpytiles.native import jitted
 
-KERNELS = compiled_twin("bumpymap.patches.kernels.measure")
+STRAY_BOUNDS, FIT_PLANE, PIXEL_INDEX = jitted(stray_bounds), jitted(fit_plane), jitted(pixel_index)
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
 
@@ -88,7 +92,7 @@ def test_a_point_on_a_tile_or_pixel_edge_falls_to_the_north_east(c, r, tile, siz
     corner = grid.bounds(tile, tile).west
     x, y = np.array([corner + c * size / 15]), np.array([corner + r * size / 15])
     pixel = np.empty(1, np.int32)
-    KERNELS._pixel_index(x, y, tile * size, tile * size, size, 15, pixel)
+    PIXEL_INDEX(x, y, tile * size, tile * size, size, 15, pixel)
     across, up = int(15 * (x[0] - tile * size) / size), int(15 * (y[0] - tile * size) / size)
     assert divmod(int(pixel[0]), 15) == (14 - up, across)
 
@@ -290,7 +294,7 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
     distance = rng.normal(scale=spread, size=n)
     lifted = rng.integers(0, n, rng.integers(0, 2 * most + 2))
     distance[lifted] += rng.uniform(-30, 30, len(lifted))
-    low, high, strays = KERNELS.stray_bounds(distance, 0.5, most, np.empty((2, most + 1)))
+    low, high, strays = STRAY_BOUNDS(distance, 0.5, most, np.empty((2, most + 1)))
     kept = (distance >= low) & (distance <= high)
     rank = np.sort(distance)
     fits = {(0, 0)}
@@ -314,7 +318,7 @@ def test_a_plane_fit_equals_numpys_on_the_inliers(n):
     near = np.array([-0.3, 0.2, 1.0, 0.0]) / np.sqrt(1.13)
     inlier = np.abs(near[0] * x + near[1] * y + near[2] * z) <= 0.06
     assert n == 3 or 3 < inlier.sum() < n
-    fitted = KERNELS.fit_plane(x, y, z, tuple(near), 0.06 if n > 3 else np.inf, np.empty(KERNELS.SUMS * KERNELS.LANES))
+    fitted = FIT_PLANE(x, y, z, tuple(near), 0.06 if n > 3 else np.inf, np.empty(SUMS * LANES))
     used = inlier if n > 3 else np.ones(3, bool)
     (east, north, level), *_ = np.linalg.lstsq(np.column_stack((x, y, np.ones(n)))[used], z[used])
     expected = np.array([-east, -north, 1.0, -level]) / np.hypot(1.0, np.hypot(east, north))

@@ -10,25 +10,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpytiles.native import Entry, compiled_twin
+from bumpytiles.native import Kernel, jitted
 
 SOURCE = """
 import math
+from typing import Annotated, NamedTuple
 import numpy as np
-from bumpytiles.native import entry, inner
+from numpy.typing import NDArray
+from bumpytiles.native import helper, kernel
 
-@inner
+Vector = Annotated[NDArray[np.float64], 1]
+
+class Weights(NamedTuple):
+    table: Annotated[NDArray[np.float32], 2]
+    times: int
+    shift: float
+    use: Annotated[NDArray[np.bool_], 1]
+
+@helper
 def square(x):
     return x * x
 
-@entry("f8:1 f4:2 i8 f8 ?:1 f8:1")
-def weigh(x, table, times, shift, use, out):
+@kernel
+def weigh(x: Vector, weights: Weights, out: Vector) -> None:
     for i in range(len(x)):
-        if use[i]:
-            out[i] = shift + times * square(x[i]) + table[i, 1] + math.erfc(x[i])
-
-@entry("f8:1 f8:1")
-def allocates(x, out):
+        if weights.use[i]:
+            out[i] = weights.shift + weights.times * square(x[i]) + weights.table[i, 1] + math.erfc(x[i])
+"""
+ALLOCATES = """
+@kernel
+def allocates(x: Vector, out: Vector) -> None:
     twice = np.empty(len(x))
     for i in range(len(x)):
         twice[i] = 2.0 * x[i]
@@ -40,7 +51,8 @@ import sys
 import numpy as np
 import tiny
 out = np.zeros(3)
-tiny.weigh(np.array([0.5, 1.0, 2.0]), np.ones((3, 2), np.float32), 3, 0.25, np.array([True, False, True]), out)
+weights = tiny.Weights(np.ones((3, 2), np.float32), 3, 0.25, np.array([True, False, True]))
+tiny.weigh(np.array([0.5, 1.0, 2.0]), weights, out)
 print(out.tolist(), "numba" in sys.modules)
 """
 NUMBERS = "[2.479500122"
@@ -53,7 +65,7 @@ def place(tmp_path):
     return tmp_path
 
 
-ALONE = "from bumpytiles import native; native._known.clear()\n"  # the package's own kernels stay out of it
+ALONE = "from bumpytiles import native; native._kernels.clear()\n"  # the package's own kernels stay out of it
 
 
 def run(place, code=RUN, cache="cache"):
@@ -86,7 +98,7 @@ def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
 
 
 def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):
-    (place / "other.py").write_text(SOURCE.replace("weigh", "other"))
+    (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     run(place, "import other\n" + RUN)
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
 
@@ -193,9 +205,9 @@ logging.basicConfig(format="%(message)s")
 def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
     (place / "__pycache__").write_text("in the way")
     (place / "other").mkdir()
-    (place / "other" / "small.py").write_text(SOURCE)
+    (place / "other" / "small.py").write_text(SOURCE.replace("weigh(", "small("))
     (place / "other" / "__pycache__").write_text("in the way")
-    other = "\nsys.path.append('other')\nimport small\nsmall.allocates(np.arange(3.0), out)"
+    other = "\nsys.path.append('other')\nimport small\nsmall.small(np.ones(3), weights, out)"
     code = WITHOUT_HOME + RUN + other
     paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": "none"}
@@ -209,10 +221,38 @@ def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
     assert "Set NUMBA_CACHE_DIR to a folder of your own" in line
 
 
-def test_a_kernel_that_needs_the_interpreter_works_through_numba(place):
-    code = "import numpy as np, tiny; out = np.zeros(3); tiny.allocates(np.arange(3.0), out); print(out.tolist())"
-    assert run(place, code) == "[4.0, 2.0, 0.0]"
-    assert kept(place).name.startswith("tiny.weigh.")  # which can be kept, and was made on the way
+def test_a_kernel_that_allocates_is_refused_by_name(place):
+    (place / "tiny.py").write_text(SOURCE + ALLOCATES)
+    code = """
+import numpy as np, tiny
+try:
+    tiny.allocates(np.arange(3.0), np.zeros(3))
+except TypeError as error:
+    print(error)
+"""
+    assert "the kernel allocates cannot be kept: it calls NRT_" in run(place, code)
+
+
+def test_a_helper_of_another_module_is_called_and_its_change_is_seen(place):
+    helper = (
+        "from bumpytiles.native import helper\n\n@helper\ndef square(x):\n    return FACTOR * x * x\n\nFACTOR = 1.0\n"
+    )
+    (place / "parts.py").write_text(helper)
+    own = SOURCE.replace("@helper\ndef square(x):\n    return x * x\n", "from parts import square\n")
+    assert own != SOURCE
+    (place / "tiny.py").write_text(own)
+    assert run(place).startswith(NUMBERS)
+    (place / "parts.py").write_text(helper.replace("1.0", "0.0"))
+    assert not run(place).startswith(NUMBERS)
+
+
+def test_a_constant_of_another_module_is_seen_when_it_changes(place):
+    (place / "numbers_of.py").write_text("FACTOR = 1.0\n")
+    own = SOURCE.replace("x * x", "FACTOR * x * x").replace("import math", "import math\nfrom numbers_of import FACTOR")
+    (place / "tiny.py").write_text(own)
+    assert run(place).startswith(NUMBERS)
+    (place / "numbers_of.py").write_text("FACTOR = 0.0\n")
+    assert not run(place).startswith(NUMBERS)
 
 
 @pytest.fixture(scope="module")
@@ -222,20 +262,20 @@ def tiny(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         patch.setenv("NUMBA_CACHE_DIR", str(folder / "cache"))
-        patch.setattr("bumpytiles.native._known", {})  # other modules need not be compiled into this cache
-        yield compiled_twin("tiny_here"), __import__("tiny_here")
+        patch.setattr("bumpytiles.native._kernels", {})  # other modules need not be compiled into this cache
+        yield __import__("tiny_here")
 
 
-def arguments(n=50):
+def arguments(tiny, n=50):
     rng = np.random.default_rng(0)
-    return [rng.normal(size=n), np.ones((n, 2), np.float32), 2, 0.5, rng.random(n) < 0.5, np.zeros(n)]
+    weights = tiny.Weights(np.ones((n, 2), np.float32), 2, 0.5, rng.random(n) < 0.5)
+    return [rng.normal(size=n), weights, np.zeros(n)]
 
 
 def test_machine_code_numba_and_python_agree(tiny):
-    compiled, module = tiny
     outs = []
-    for kernel in (module.weigh, compiled.weigh, module.weigh.plain):
-        given = arguments()
+    for kernel in (tiny.weigh, jitted(tiny.weigh.plain), tiny.weigh.plain):
+        given = arguments(tiny)
         kernel(*given)
         outs.append(given[-1])
     assert np.count_nonzero(outs[0]) > 10
@@ -244,28 +284,31 @@ def test_machine_code_numba_and_python_agree(tiny):
 
 
 @pytest.mark.parametrize(
-    ("place_of", "wrong", "message"),
+    ("field", "wrong", "message"),
     [
-        (0, np.zeros(50, np.float32), "argument 0 of weigh is float32"),
-        (1, np.zeros((50, 4), np.float32)[:, ::2], "C-contiguous"),
-        (5, np.zeros((50, 1)), "with 2 dimensions"),
+        ("x", np.zeros(50, np.float32), "x of weigh is float32"),
+        ("table", np.zeros((50, 4), np.float32)[:, ::2], "table of weigh .* C-contiguous"),
+        ("out", np.zeros((50, 1)), "out of weigh .* with 2 dimensions"),
     ],
 )
-def test_arrays_of_another_kind_are_refused(tiny, place_of, wrong, message):
-    given = arguments()
-    given[place_of] = wrong
+def test_arrays_of_another_kind_are_refused(tiny, field, wrong, message):
+    x, weights, out = arguments(tiny)
+    weights = weights._replace(table=wrong) if field == "table" else weights
     with pytest.raises(TypeError, match=message):
-        tiny[1].weigh(*given)
+        tiny.weigh(wrong if field == "x" else x, weights, wrong if field == "out" else out)
 
 
-def test_a_missing_argument_is_refused(tiny):
-    with pytest.raises(TypeError, match="takes 6 arguments, not 5"):
-        tiny[1].weigh(*arguments()[:-1])
+def test_a_missing_argument_and_a_wrong_group_are_refused(tiny):
+    x, weights, out = arguments(tiny)
+    with pytest.raises(TypeError, match="takes 3 arguments, not 2"):
+        tiny.weigh(x, weights)
+    with pytest.raises(TypeError, match="takes a Weights, not a tuple"):
+        tiny.weigh(x, tuple(weights), out)
 
 
 def test_threads_that_come_at_once_get_the_same(tiny):
-    fresh = Entry(tiny[1].weigh.plain, "f8:1 f4:2 i8 f8 ?:1 f8:1")
-    given = [arguments() for _ in range(4)]
+    fresh = Kernel(tiny.weigh.plain)
+    given = [arguments(tiny) for _ in range(4)]
     threads = [threading.Thread(target=fresh, args=each) for each in given]
     for thread in threads:
         thread.start()

@@ -21,8 +21,8 @@ from .grid import (
     TileWindow as TileWindow,
 )
 from .native import (
-    entry as entry,
-    inner as inner,
+    helper as helper,
+    kernel as kernel,
     order_free as order_free,
 )
 from .pack import (

@@ -10,14 +10,12 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
-from bumpytiles._compiler import Code, found, machine, versions
+from bumpytiles._compiler import Code, KernelSource, linkable, machine, versions
 
 __all__ = ["Store"]
 
@@ -25,15 +23,14 @@ _log = logging.getLogger(__name__)
 
 
 class Store:
-    """Where the machine code of one entry is kept: one file for each kind of processor, replaced when it is stale."""
+    """Where the machine code of one kernel is kept: one file for each kind of processor, replaced when it is stale."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        source = Path(function.__code__.co_filename)
+    def __init__(self, source: KernelSource) -> None:
         processor = machine()
-        parts = [source.read_bytes(), *_own_source(), versions(), processor, function.__name__.encode()]
+        parts = [*source.parts(), *_own_source(), versions(), processor, source.name.encode()]
         self._key = hashlib.sha256(b"\0".join(parts)).hexdigest()
-        name = f"{source.stem}.{function.__name__}.{hashlib.sha256(processor).hexdigest()[:8]}.native"
-        self._files = [folder / name for folder in _folders(source)]
+        name = f"{source.file.stem}.{source.name}.{hashlib.sha256(processor).hexdigest()[:8]}.native"
+        self._files = [folder / name for folder in _folders(source.file)]
 
     @property
     def can_keep(self) -> bool:
@@ -51,7 +48,7 @@ class Store:
                 head, _, code = _read(file).partition(b"\n")
                 record = json.loads(head)
                 whole = record["digest"] == hashlib.sha256(code).hexdigest()
-                if whole and record["key"] == self._key and found(record["outside"]):
+                if whole and record["key"] == self._key and linkable(record["outside"]):
                     return Code(record["symbol"], record["outside"], code)
         return None
 

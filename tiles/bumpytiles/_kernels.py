@@ -1,32 +1,107 @@
 """Compiled loops over points: grouping by block, and the one canonical order inside a block.
 
+The order inside a tile is that of a hash of the coordinates. Hashes are evenly spread, so a tile is cut into as many
+buckets as it has points by the leading bits, and only the few points of a bucket are compared.
+
 Nothing here allocates (see ``bumpytiles.native``): scratch arrays come from the caller.
 """
 
 import math
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles.native import entry, inner
+from bumpytiles.native import helper, kernel
 
-__all__ = ["BLOCK_TILES", "MAX_CELLS", "group", "rank_points", "sort_points"]
+__all__ = [
+    "BLOCK_TILES",
+    "MAX_CELLS",
+    "BlockWindow",
+    "GroupScratch",
+    "MarkedPoints",
+    "SortScratch",
+    "TiledPoints",
+    "group",
+    "rank_points",
+    "sort_points",
+]
 
 BLOCK_TILES = 16
 """Tiles along a side of a block: one unit of work."""
 MAX_CELLS = 1 << 22
 """Blocks in the window around a chunk that `group` counts in a table."""
 
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.int64]
-Places = NDArray[np.int32]
-Keys = NDArray[np.uint64]
+Floats = Annotated[NDArray[np.float64], 1]
+Bytes = Annotated[NDArray[np.uint8], 1]
+Flags = Annotated[NDArray[np.bool_], 1]
+Indices = Annotated[NDArray[np.int64], 1]
+Places = Annotated[NDArray[np.int32], 1]
+Keys = Annotated[NDArray[np.uint64], 1]
 
 
-@inner
+class MarkedPoints(NamedTuple):
+    """Points, (n,) each."""
+
+    easting: Floats
+    """m, as the two that follow."""
+    northing: Floats
+    upward: Floats
+    flag: Flags
+    """A mark that travels with each point."""
+
+
+class TiledPoints(NamedTuple):
+    """Points that know their tile, (n,) each."""
+
+    easting: Floats
+    """m, as the two that follow."""
+    northing: Floats
+    upward: Floats
+    tile: Bytes
+    """Tile inside the block, row * 16 + column."""
+    flag: Flags
+
+
+class BlockWindow(NamedTuple):
+    """The window of blocks around some points."""
+
+    tile_size: float
+    """m."""
+    first_col: int
+    """South-west block, as the next."""
+    first_row: int
+    cols: int
+    """Width in blocks."""
+
+
+class GroupScratch(NamedTuple):
+    """Scratch of `group`."""
+
+    cell: Places
+    """(n,) block of each point in the window."""
+    tile: Bytes
+    """(n,)."""
+    place: Indices
+    """(blocks of the window,) where the next point of each block goes."""
+
+
+class SortScratch(NamedTuple):
+    """Scratch of `sort_points`."""
+
+    by_tile: Places
+    """(n,) points, tile by tile."""
+    tile_key: Keys
+    """(n,) their keys."""
+    bucket: Indices
+    """(at least a tile's points, rounded up to a power of two from 2, + 1,) where each bucket's points begin."""
+    order: Places
+    """(most points of a tile,) points of a tile in their final order."""
+    rank: Keys
+    """The same, their keys."""
+
+
+@helper
 def _index(coordinate: float, size: float) -> Any:
     """Return the tile index along one axis; the twin of ``Grid.index``."""
     i = math.floor(coordinate / size)
@@ -37,48 +112,26 @@ def _index(coordinate: float, size: float) -> Any:
     return np.int64(i)
 
 
-@entry("f8:1 f8:1 f8:1 ?:1 f8 i8 i8 i8 i8:1 f8:1 f8:1 f8:1 u1:1 ?:1 i4:1 u1:1 i8:1")
-def group(
-    easting: Floats,
-    northing: Floats,
-    upward: Floats,
-    flag: Flags,
-    size: float,
-    first_col: int,
-    first_row: int,
-    cols: int,
-    counts: Indices,
-    out_easting: Floats,
-    out_northing: Floats,
-    out_upward: Floats,
-    out_tile: Bytes,
-    out_flag: Flags,
-    cell: Places,
-    tile: Bytes,
-    place: Indices,
-) -> None:
+@kernel
+def group(points: MarkedPoints, window: BlockWindow, counts: Indices, out: TiledPoints, scratch: GroupScratch) -> None:
     """Put points block by block, in their own order inside a block (a counting sort).
 
     Parameters
     ----------
-    easting, northing, upward : (n,) float64
-        m.
-    flag : (n,) bool
-    size : float
-        Side of a tile, m.
-    first_col, first_row, cols : int
-        South-west block of the window around the points, and its width in blocks.
+    points : MarkedPoints
+    window : BlockWindow
+        Holds all points.
     counts : (blocks of the window + 1,) int64, zeros
         Filled: where the points of each block begin.
-    out_easting, out_northing, out_upward, out_tile, out_flag : (n,)
-        Filled; ``out_tile`` is the tile inside the block, row * 16 + column.
-    cell : (n,) int32, tile : (n,) uint8, place : (blocks of the window,) int64
-        Scratch.
+    out : TiledPoints
+        Filled.
+    scratch : GroupScratch
     """
-    n = len(easting)
+    n = len(points.easting)
+    cell, tile, place = scratch.cell, scratch.tile, scratch.place
     for i in range(n):
-        col, row = _index(easting[i], size), _index(northing[i], size)
-        c = (row // BLOCK_TILES - first_row) * cols + col // BLOCK_TILES - first_col
+        col, row = _index(points.easting[i], window.tile_size), _index(points.northing[i], window.tile_size)
+        c = (row // BLOCK_TILES - window.first_row) * window.cols + col // BLOCK_TILES - window.first_col
         cell[i] = c
         tile[i] = (row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES
         counts[c + 1] += 1
@@ -90,14 +143,14 @@ def group(
         c = cell[i]
         p = place[c]
         place[c] = p + 1
-        out_easting[p] = easting[i]
-        out_northing[p] = northing[i]
-        out_upward[p] = upward[i]
-        out_tile[p] = tile[i]
-        out_flag[p] = flag[i]
+        out.easting[p] = points.easting[i]
+        out.northing[p] = points.northing[i]
+        out.upward[p] = points.upward[i]
+        out.tile[p] = tile[i]
+        out.flag[p] = points.flag[i]
 
 
-@inner
+@helper
 def _hash(x: float, y: float, z: float) -> np.uint64:
     """64 well-mixed bits of a point's coordinates (multiply and fold each, then Stafford's finaliser)."""
     mixed = np.uint64(0)
@@ -116,129 +169,127 @@ def _hash(x: float, y: float, z: float) -> np.uint64:
     return mixed
 
 
-@entry("f8:1 f8:1 f8:1 u1:1 u8:1 i8:1")
-def rank_points(easting: Floats, northing: Floats, upward: Floats, tile: Bytes, key: Keys, first: Indices) -> None:
+@kernel
+def rank_points(points: TiledPoints, key: Keys, first: Indices) -> None:
     """Hash every point, and count the points of each tile.
 
     Parameters
     ----------
-    easting, northing, upward, tile : (n,)
-        Points.
+    points : TiledPoints
     key : (n,) uint64
         Filled: 56 bits.
     first : (257,) int64, zeros
         Filled: the points of each tile ``t`` of the block, at ``t + 1``.
     """
-    for i in range(len(easting)):
-        key[i] = _hash(easting[i], northing[i], upward[i]) >> np.uint64(8)
-        first[int(tile[i]) + 1] += 1
+    for i in range(len(points.easting)):
+        key[i] = _hash(points.easting[i], points.northing[i], points.upward[i]) >> np.uint64(8)
+        first[int(points.tile[i]) + 1] += 1
 
 
-@entry("f8:1 f8:1 f8:1 u1:1 ?:1 u8:1 i8:1 i8:1 f8:1 f8:1 f8:1 ?:1 i4:1 u8:1 i8:1 i4:1 u8:1")
+@helper
+def _fill_buckets(begin: int, end: int, scratch: SortScratch) -> None:
+    """Put the points ``begin:end`` of ``by_tile`` into ``order`` by the leading bits of their keys."""
+    tile_key, bucket = scratch.tile_key, scratch.bucket
+    width = 1
+    while (1 << width) < end - begin:
+        width += 1
+    shift = np.uint64(56 - width)
+    for b in range((1 << width) + 1):
+        bucket[b] = 0
+    for j in range(begin, end):
+        bucket[int(tile_key[j] >> shift) + 1] += 1
+    for b in range(1, (1 << width) + 1):
+        bucket[b] += bucket[b - 1]
+    for j in range(begin, end):
+        b = int(tile_key[j] >> shift)
+        scratch.order[bucket[b]] = scratch.by_tile[j]
+        scratch.rank[bucket[b]] = tile_key[j]
+        bucket[b] += 1
+
+
+@helper
+def _comes_later(points: TiledPoints, o: int, i: int) -> Any:
+    """Whether point o goes behind point i, where their keys are equal."""
+    if points.easting[o] != points.easting[i]:
+        return points.easting[o] > points.easting[i]
+    if points.northing[o] != points.northing[i]:
+        return points.northing[o] > points.northing[i]
+    if points.upward[o] != points.upward[i]:
+        return points.upward[o] > points.upward[i]
+    return points.flag[i] and not points.flag[o]
+
+
+@helper
+def _insert_by_key(points: TiledPoints, count: int, order: Places, rank: Keys) -> None:
+    """Sort the first points of ``order`` by insertion: the buckets have nearly sorted them."""
+    for j in range(1, count):
+        i, k = order[j], rank[j]
+        m = j
+        while m > 0:
+            o = order[m - 1]
+            if rank[m - 1] < k or (rank[m - 1] == k and not _comes_later(points, o, i)):
+                break
+            order[m] = o
+            rank[m] = rank[m - 1]
+            m -= 1
+        order[m] = i
+        rank[m] = k
+
+
+@helper
+def _append_single(points: TiledPoints, order: Places, begin: int, out: MarkedPoints) -> int:
+    """Append points to the ``begin`` that ``out`` holds, but for exact duplicates; returns how many there are now."""
+    kept = begin
+    for j in range(len(order)):
+        i = order[j]
+        if (
+            kept > begin
+            and out.easting[kept - 1] == points.easting[i]
+            and out.northing[kept - 1] == points.northing[i]
+            and out.upward[kept - 1] == points.upward[i]
+        ):
+            continue
+        out.easting[kept] = points.easting[i]
+        out.northing[kept] = points.northing[i]
+        out.upward[kept] = points.upward[i]
+        out.flag[kept] = points.flag[i]
+        kept += 1
+    return kept
+
+
+@kernel
 def sort_points(
-    easting: Floats,
-    northing: Floats,
-    upward: Floats,
-    tile: Bytes,
-    flag: Flags,
-    key: Keys,
-    first: Indices,
-    starts: Indices,
-    out_easting: Floats,
-    out_northing: Floats,
-    out_upward: Floats,
-    out_flag: Flags,
-    by_tile: Places,
-    tile_key: Keys,
-    bucket: Indices,
-    order: Places,
-    rank: Keys,
+    points: TiledPoints, key: Keys, first: Indices, starts: Indices, out: MarkedPoints, scratch: SortScratch
 ) -> None:
     """Put points tile by tile, inside a tile by ``key`` (then by coordinates); drop exact duplicates.
 
-    Keys are evenly spread, so each tile is cut into as many buckets as it has points by their leading bits, and only
-    the few points of a bucket are compared.
-
     Parameters
     ----------
-    easting, northing, upward, tile, flag, key : (n,)
-        Points; ``key`` holds 56 bits.
+    points : TiledPoints
+    key : (n,) uint64
+        56 bits.
     first : (257,) int64
         Where each tile's points begin when they are put tile by tile.
     starts : (257,) int64
         Filled: where each tile of the block begins in the output; last, the number of points that stay.
-    out_easting, out_northing, out_upward, out_flag : (n,)
+    out : MarkedPoints
         Filled up to that number. Of twins, a flagged one stays.
-    by_tile : (n,) int32, tile_key : (n,) uint64
-        Scratch, as are all that follow.
-    bucket : (at least a tile's points, rounded up to a power of two from 2, + 1,) int64
-    order : (most points of a tile,) int32, rank : (the same,) uint64
+    scratch : SortScratch
     """
-    n, tiles = len(easting), BLOCK_TILES * BLOCK_TILES
+    tiles = BLOCK_TILES * BLOCK_TILES
     for t in range(tiles):
         starts[t] = first[t]
-    for i in range(n):
-        p = starts[int(tile[i])]
-        by_tile[p] = i
-        tile_key[p] = key[i]
-        starts[int(tile[i])] = p + 1
-    kept = np.int64(0)
+    for i in range(len(points.easting)):
+        p = starts[int(points.tile[i])]
+        scratch.by_tile[p] = i
+        scratch.tile_key[p] = key[i]
+        starts[int(points.tile[i])] = p + 1
+    kept = 0
     for t in range(tiles):
         starts[t] = kept
         count = first[t + 1] - first[t]
-        if count == 0:
-            continue
-        width = 1
-        while (1 << width) < count:
-            width += 1
-        shift = np.uint64(56 - width)
-        for b in range((1 << width) + 1):
-            bucket[b] = 0
-        for j in range(first[t], first[t + 1]):
-            bucket[int(tile_key[j] >> shift) + 1] += 1
-        for b in range(1, (1 << width) + 1):
-            bucket[b] += bucket[b - 1]
-        for j in range(first[t], first[t + 1]):
-            b = int(tile_key[j] >> shift)
-            order[bucket[b]] = by_tile[j]
-            rank[bucket[b]] = tile_key[j]
-            bucket[b] += 1
-        for j in range(1, count):
-            i, k = order[j], rank[j]
-            m = j
-            while m > 0:
-                o = order[m - 1]
-                if rank[m - 1] < k:
-                    break
-                if rank[m - 1] == k:
-                    if easting[o] != easting[i]:
-                        later = easting[o] > easting[i]
-                    elif northing[o] != northing[i]:
-                        later = northing[o] > northing[i]
-                    elif upward[o] != upward[i]:
-                        later = upward[o] > upward[i]
-                    else:
-                        later = flag[i] and not flag[o]
-                    if not later:
-                        break
-                order[m] = o
-                rank[m] = rank[m - 1]
-                m -= 1
-            order[m] = i
-            rank[m] = k
-        begin = kept
-        for j in range(count):
-            i = order[j]
-            if (
-                kept > begin
-                and out_easting[kept - 1] == easting[i]
-                and out_northing[kept - 1] == northing[i]
-                and out_upward[kept - 1] == upward[i]
-            ):
-                continue
-            out_easting[kept] = easting[i]
-            out_northing[kept] = northing[i]
-            out_upward[kept] = upward[i]
-            out_flag[kept] = flag[i]
-            kept += 1
+        if count > 0:
+            _fill_buckets(first[t], first[t + 1], scratch)
+            _insert_by_key(points, count, scratch.order, scratch.rank)
+            kept = _append_single(points, scratch.order[:count], kept, out)
     starts[tiles] = kept

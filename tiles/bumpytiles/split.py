@@ -17,7 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._kernels import BLOCK_TILES, MAX_CELLS, group, rank_points, sort_points
+from bumpytiles._kernels import (
+    BLOCK_TILES,
+    MAX_CELLS,
+    BlockWindow,
+    GroupScratch,
+    MarkedPoints,
+    SortScratch,
+    TiledPoints,
+    group,
+    rank_points,
+    sort_points,
+)
 from bumpytiles.grid import Grid
 from bumpytiles.pack import BlockKey, Column
 
@@ -96,10 +107,11 @@ def group_points(
     if rows * cols > MAX_CELLS:
         return _group_scattered(grid, easting, northing, upward, flag)
     counts = np.zeros(rows * cols + 1, np.int64)
-    given = [np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward)]
-    given.append(np.ascontiguousarray(flag, np.bool_))
-    scratch = np.empty(n, np.int32), np.empty(n, np.uint8), np.empty(rows * cols, np.int64)
-    group(*given, grid.tile_size, west, south, cols, counts, *points.values(), *scratch)
+    x, y, z = (np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward))
+    given = MarkedPoints(x, y, z, np.ascontiguousarray(flag, np.bool_))
+    window = BlockWindow(grid.tile_size, west, south, cols)
+    scratch = GroupScratch(np.empty(n, np.int32), np.empty(n, np.uint8), np.empty(rows * cols, np.int64))
+    group(given, window, counts, TiledPoints(**points), scratch)
     present = np.flatnonzero(np.diff(counts))
     keys = [(south + cell // cols, west + cell % cols) for cell in present.tolist()]
     return GroupedPoints(keys, np.append(counts[present], n), points)
@@ -123,24 +135,21 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointColumns]) -> Tile
     """Sort the points of a block, given in one or more parts, by tile and hash; drop duplicates."""
     names = [column.name for column in POINT_COLUMNS]
     joined = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in names}
-    columns = [joined[name] for name in names]
-    n = len(columns[0])
+    points = TiledPoints(**{name: joined[name] for name in names})
+    n = len(points.easting)
     rank, counts = np.empty(n, np.uint64), np.zeros(BLOCK_TILES**2 + 1, np.int64)
-    rank_points(*columns[:4], rank, counts)
+    rank_points(points, rank, counts)
     most = int(counts.max())
     starts = np.empty_like(counts)
-    out = [np.empty(n) for _ in range(3)]
-    marks = np.empty(n, np.bool_)
-    # Buckets of a tile: the next power of two, at least 2.
-    buckets = np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int64)
-    scratch = (
-        np.empty(n, np.int32),
-        np.empty(n, np.uint64),
-        buckets,
-        np.empty(most, np.int32),
-        np.empty(most, np.uint64),
+    out = MarkedPoints(np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.bool_))
+    scratch = SortScratch(
+        by_tile=np.empty(n, np.int32),
+        tile_key=np.empty(n, np.uint64),
+        bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int64),
+        order=np.empty(most, np.int32),
+        rank=np.empty(most, np.uint64),
     )
-    sort_points(*columns, rank, np.cumsum(counts), starts, *out, marks, *scratch)
+    sort_points(points, rank, np.cumsum(counts), starts, out, scratch)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
     return TilePoints(
@@ -148,8 +157,8 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointColumns]) -> Tile
         col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
         row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
         starts=np.append(starts[present], kept),
-        easting=out[0][:kept],
-        northing=out[1][:kept],
-        upward=out[2][:kept],
-        flag=marks[:kept],
+        easting=out.easting[:kept],
+        northing=out.northing[:kept],
+        upward=out.upward[:kept],
+        flag=out.flag[:kept],
     )

@@ -14,7 +14,7 @@ from bumpymap.lab.evaluate.drives import DriveStats, journal_settings
 from bumpymap.lab.evaluate.findings import ComparedPatches, Findings
 from bumpymap.lab.evaluate.settings import EvaluateSettings
 from bumpymap.lab.evaluate.subject import MAPPED, Subject
-from bumpymap.lab.simulate import Journal, Key, drive_patches
+from bumpymap.lab.simulate import DriveConditions, Journal, Key, drive_patches
 
 __all__ = ["PatchTrial", "TrialOptions"]
 
@@ -68,12 +68,8 @@ class PatchTrial:
         recorded = journal_settings(subject.profile, settings, size, pixels, self.origin)
         trial.progress.start(f"driving {subject.name} over patches", len(self.names))
         results = drive_patches(
-            subject.profile,
+            DriveConditions(subject.profile, size, settings.seed, settings.effort, settings.drive),
             dict(zip(self.names, self.ground, strict=True)),
-            size,
-            settings.seed,
-            settings.effort,
-            settings.drive,
             Steps(trial.progress, settings.min_starts),
             workers=trial.workers,
             journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),

@@ -18,5 +18,6 @@ from .ride_fit import (
     survey_terrains as survey_terrains,
 )
 from .validate import (
+    DriveConditions as DriveConditions,
     drive_patches as drive_patches,
 )

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.rating import Vehicle
 
-__all__ = ["drive_patches"]
+__all__ = ["DriveConditions", "drive_patches"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,23 +27,21 @@ class _PatchJob:
 
 
 @dataclass(frozen=True, slots=True)
-class _Common:
-    """Arguments shared by all jobs."""
+class DriveConditions:
+    """Arguments shared by all patches of a trial."""
 
     profile: Vehicle
     tile_size: float
+    """m."""
     seed: int
-    effort: Effort
-    settings: DriveSettings | None
+    effort: Effort = field(default_factory=Effort)
+    settings: DriveSettings | None = None
+    """As in `drive_patch`."""
 
 
 def drive_patches(
-    profile: Vehicle,
+    conditions: DriveConditions,
     patches: Mapping[Key, NDArray[np.floating]],
-    tile_size: float,
-    seed: int,
-    effort: Effort | None = None,
-    settings: DriveSettings | None = None,
     progress: Progress | None = None,
     *,
     workers: int = 1,
@@ -56,14 +54,9 @@ def drive_patches(
 
     Parameters
     ----------
-    profile : Vehicle
+    conditions : DriveConditions
     patches : mapping
         Key, such as (col, row) of a tile -> heights (pixels, pixels), m, north row first, without NaN.
-    tile_size : float
-        m.
-    seed : int
-    effort, settings : optional
-        As in `drive_patch`.
     progress, workers, journal, discard_other
         As in `drive_jobs`; progress counts ``effort.least`` drives per patch. The journal's settings must contain
         everything that affects the numbers, including the survey.
@@ -74,22 +67,21 @@ def drive_patches(
         Key -> drives.
     """
     require_dart()
-    common = _Common(profile, tile_size, seed, effort or Effort(), settings)
-    jobs = [_PatchJob(key, heights, common.effort.least) for key, heights in patches.items()]
+    jobs = [_PatchJob(key, heights, conditions.effort.least) for key, heights in patches.items()]
     return drive_jobs(
-        partial(drive_job, common), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
+        partial(drive_job, conditions), jobs, progress, workers=workers, journal=journal, discard_other=discard_other
     )
 
 
-def drive_job(common: _Common, job: _PatchJob) -> PatchDrives:
+def drive_job(conditions: DriveConditions, job: _PatchJob) -> PatchDrives:
     """Drive over one patch, as `drive_patch` does."""
     return drive_patch(
-        common.profile,
+        conditions.profile,
         job.heights,
-        common.tile_size,
-        common.seed,
-        common.effort,
-        common.settings,
+        conditions.tile_size,
+        conditions.seed,
+        conditions.effort,
+        conditions.settings,
         stream=_stream(job.key),
     )
 

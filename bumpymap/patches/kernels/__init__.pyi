@@ -1,7 +1,7 @@
 from .measure import (
-    LANES as LANES,
-    SAMPLE as SAMPLE,
-    SUMS as SUMS,
-    fill_holes as fill_holes,
+    MeasureSettings as MeasureSettings,
+    PointsByTile as PointsByTile,
+    TileMeasures as TileMeasures,
+    measure_scratch as measure_scratch,
     measure_tiles as measure_tiles,
 )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._kernels import GROUP, ride_patches
+from bumpymap.rating.ride._ride_kernels import PatchesToRide, VehicleGeometry, ride_patches, ride_scratch
 from bumpymap.rating.ride.operator import RideOperator
 
 __all__ = ["Rides", "roll_over"]
@@ -40,31 +40,17 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         Of the vehicle.
     """
     patches = np.ascontiguousarray(relief_map, np.float32)
-    known = np.isfinite(patches).all(axis=(1, 2))
-    wheel, samples, poses, nodes = operator.wheel, operator.samples, operator.poses, operator.nodes
-    wide = nodes + 2 * int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
+    known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
+    wheel = operator.wheel
+    margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
     rides = np.full((len(patches), 6), np.nan)
     ride_patches(
-        known,
-        patches,
-        operator.fine,
-        wheel.row,
-        wheel.col,
-        wheel.rise,
-        samples.starts,
-        samples.node,
-        samples.weight,
-        poses.wheel_node,
-        poses.wheel_weight,
-        poses.belly_node,
-        poses.belly_weight,
-        np.array([operator.wheelbase, operator.track, operator.belly_half, operator.clearance]),
-        np.empty((wide, wide), np.float32),
-        np.empty((nodes, nodes), np.float32),
-        np.zeros((nodes * nodes, GROUP), np.float32),
-        np.zeros((nodes * nodes, GROUP), np.float32),
-        np.empty(GROUP, np.int64),
-        np.empty((2, GROUP)),
+        PatchesToRide(known, patches, operator.fine),
+        wheel,
+        operator.samples,
+        operator.poses,
+        VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance),
         rides,
+        ride_scratch(operator.nodes, margin),
     )
     return Rides(*rides.T.copy())

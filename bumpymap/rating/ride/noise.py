@@ -18,7 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PatchStack, Reason
-from bumpymap.rating.ride._kernels import denoise_patches
+from bumpymap.rating.ride._noise_kernels import (
+    DenoisedPatches,
+    PatchesToDenoise,
+    Spectrum,
+    denoise_patches,
+    spectrum_scratch,
+)
 from bumpymap.rating.ride.operator import RideOperator, cosines
 
 __all__ = ["CleanPatches", "denoise"]
@@ -44,35 +50,27 @@ class CleanPatches:
 def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
     """Estimate the noise of every patch that can be judged, and take it off its relief."""
     tiles, pixels = len(patches.reason), patches.grid.pixels
-    basis, band, shapes = _spectrum(pixels)
+    spectrum = _spectrum(pixels)
     clean = patches.relief_map.copy()
     noise = np.full((2, tiles), np.nan)
-    bands = shapes.shape[1]
     denoise_patches(
-        patches.reason == Reason.OK,
-        patches.relief_map,
-        patches.spread_count,
-        patches.spread_variance,
-        basis,
-        band,
-        shapes,
-        np.empty((2, bands)),
-        np.empty(bands),
-        np.empty((2, pixels * pixels)),
-        np.empty((3, pixels, pixels)),
-        clean,
-        noise,
+        PatchesToDenoise(
+            patches.reason == Reason.OK, patches.relief_map, patches.spread_count, patches.spread_variance
+        ),
+        spectrum,
+        DenoisedPatches(clean, noise),
+        spectrum_scratch(pixels, spectrum.shapes.shape[1]),
     )
     point, pixel = noise
     return CleanPatches(clean, point, pixel, pixel * operator.noise_gain)
 
 
 @cache
-def _spectrum(pixels: int) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+def _spectrum(pixels: int) -> Spectrum:
     """Cosines, the band of each coefficient (by its wave number, -1 for the mean), spectra that are tried by band."""
     order = np.arange(pixels)
     wave = np.hypot(order[:, None], order[None, :])
     band = np.rint(wave).astype(np.int32) - 1
     members = [wave[band == b] for b in range(int(band.max()) + 1)]
     shapes = np.array([[float(np.mean(wave_numbers**-beta)) for wave_numbers in members] for beta in _STEEPNESS])
-    return np.ascontiguousarray(cosines(pixels)), band, shapes
+    return Spectrum(np.ascontiguousarray(cosines(pixels)), band, shapes)

@@ -12,12 +12,12 @@ or mirrored gets the same answer.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Poses", "RideOperator", "Samples", "WheelShape"]
+__all__ = ["PitchSamples", "Poses", "RideOperator", "WheelShape"]
 
 Floats = NDArray[np.float64]
 _WHEEL_NODES = 2.0
@@ -28,41 +28,38 @@ _MOST_TAPS = 400
 _SETTLED = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class WheelShape:
+class WheelShape(NamedTuple):
     """The lower half of a wheel (a sphere) on the nodes of the envelope."""
 
-    row: NDArray[np.int32]
+    row: Annotated[NDArray[np.int32], 1]
     """(n,) nodes to the north of the centre."""
-    col: NDArray[np.int32]
+    col: Annotated[NDArray[np.int32], 1]
     """(n,) nodes to the east."""
-    rise: NDArray[np.float32]
+    rise: Annotated[NDArray[np.float32], 1]
     """(n,) how much higher than its lowest point the wheel is there, negative, m."""
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class PitchSamples(NamedTuple):
     """Rows of a sparse matrix over the nodes (compressed rows)."""
 
-    starts: NDArray[np.int32]
+    starts: Annotated[NDArray[np.int32], 1]
     """(samples + 1,) where each row begins."""
-    node: NDArray[np.int32]
+    node: Annotated[NDArray[np.int32], 1]
     """(entries,) index into the flat (nodes, nodes) envelope."""
-    weight: NDArray[np.float32]
+    weight: Annotated[NDArray[np.float32], 1]
     """(entries,) rad/m of pitch change per metre of height."""
 
 
-@dataclass(frozen=True, slots=True)
-class Poses:
+class Poses(NamedTuple):
     """Where the wheels and the belly are at some places and headings: bilinear reads of the nodes."""
 
-    wheel_node: NDArray[np.int32]
+    wheel_node: Annotated[NDArray[np.int32], 3]
     """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right."""
-    wheel_weight: NDArray[np.float32]
+    wheel_weight: Annotated[NDArray[np.float32], 3]
     """The same shape."""
-    belly_node: NDArray[np.int32]
+    belly_node: Annotated[NDArray[np.int32], 3]
     """(poses, 3 places, 4 corners): front end, middle, rear end of the belly."""
-    belly_weight: NDArray[np.float32]
+    belly_weight: Annotated[NDArray[np.float32], 3]
     """The same shape."""
 
 
@@ -75,7 +72,7 @@ class RideOperator:
     nodes: int
     """Along the side of a patch, both edges among them."""
     wheel: WheelShape
-    samples: Samples
+    samples: PitchSamples
     poses: Poses
     wheelbase: float
     track: float
@@ -212,7 +209,7 @@ def _exponential(matrix: Floats) -> Floats:
 
 def _pitch_change(
     lattice: _Lattice, places: tuple[Floats, Floats, Floats], taps: Floats, way: float, wheelbase: float, track: float
-) -> Samples:
+) -> PitchSamples:
     """Rows that give the change of the chassis' pitch per metre at each sample."""
     x, y, heading = places
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
@@ -229,7 +226,7 @@ def _pitch_change(
     return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
 
 
-def _compressed(node: NDArray[np.int64], weight: Floats) -> Samples:
+def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     """Put (samples, entries) together: one entry for each node of a sample, in the order of the nodes."""
     samples = node.shape[0]
     size = int(node.max()) + 1
@@ -242,7 +239,7 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> Samples:
     felt = np.abs(total) > 1e-9 * np.abs(total).max()
     keys, total = keys[felt], total[felt]
     starts = np.searchsorted(keys // size, np.arange(samples + 1))
-    return Samples(starts.astype(np.int32), (keys % size).astype(np.int32), total.astype(np.float32))
+    return PitchSamples(starts.astype(np.int32), (keys % size).astype(np.int32), total.astype(np.float32))
 
 
 def _poses(
@@ -260,7 +257,7 @@ def _poses(
     )  # fmt: skip
 
 
-def _noise_gain(samples: Samples, pixels: int, fine: int) -> float:
+def _noise_gain(samples: PitchSamples, pixels: int, fine: int) -> float:
     """Take the root of the mean sum of squares of what the pixels' heights are worth to each sample.
 
     Turns and mirror images only swap the pixels: the samples before the symmetries are enough.

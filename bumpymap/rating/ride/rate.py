@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap, UsageError
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride._kernels import normal_shares
+from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise

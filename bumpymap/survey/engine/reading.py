@@ -73,9 +73,6 @@ class RangeReader:
         See `ReadTask`; for all ranges.
     threads : int
     progress : Progress
-    skip_bad : bool
-        Whether reading goes on after a bad file. Ranges are then whole files; the points of a file can be dropped, and
-        none of its blocks is complete, until its last chunk has been judged.
     """
 
     def __init__(
@@ -87,11 +84,9 @@ class RangeReader:
         nearby: Sequence[tuple[Bounds, ...] | None],
         threads: int,
         progress: Progress,
-        *,
-        skip_bad: bool,
     ) -> None:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
-        self._progress, self._skip_bad = progress, skip_bad
+        self._progress, self._skip_bad = progress, False
         self._stream = ChunkStream(ranges, work.grid, threads)
         self._areas, bounds = _areas(ranges)
         others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
@@ -105,8 +100,13 @@ class RangeReader:
         """Return whether no unread chunk, of this worker or others, can add points to a block."""
         return self._completion.is_complete(key)
 
-    def run(self) -> Iterator[ReadResult]:
-        """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files."""
+    def run(self, *, skip_bad: bool = False) -> Iterator[ReadResult]:
+        """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files.
+
+        With ``skip_bad``, reading goes on after a bad file. Ranges are then whole files; the points of a file can be
+        dropped, and none of its blocks is complete, until its last chunk has been judged.
+        """
+        self._skip_bad = skip_bad
         self._store.final = 0 if self._skip_bad else None
         for read in self._stream.read():
             if isinstance(read, BadFile):

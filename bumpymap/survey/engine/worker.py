@@ -57,14 +57,14 @@ class Worker:
 
     def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
         """Read ranges; yield results whose points are on disk, errors, and last the result for points in memory."""
-        reading = self._reading(tasks, ranges, skip_bad=skip_bad)
-        yield from reading.run()
+        reading = self._reading(tasks, ranges)
+        yield from reading.run(skip_bad=skip_bad)
         if (remainder := reading.remainder()) is not None:
             yield remainder
 
     def read_to_disk(self, task: ReadTask, source: OpenRange) -> ReadResult:
         """Read a range; rate the blocks that no other range overlaps, write the points of all others to packs."""
-        reading, store = self._reading([task], [source], skip_bad=False), self._store
+        reading, store = self._reading([task], [source]), self._store
         results = list(reading.run())
         bad = next((result for result in results if result.error is not None), None)
         if bad is not None:
@@ -103,12 +103,10 @@ class Worker:
         sink.flush()
         yield FinishedTiles(tuple(sink.new_packs()), blocks)
 
-    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> RangeReader:
+    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange]) -> RangeReader:
         self._store.done = set().union(*(task.finished for task in tasks))
         nearby = [task.nearby for task in tasks]
-        return RangeReader(
-            ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress, skip_bad=skip_bad
-        )
+        return RangeReader(ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress)
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Return the packs that hold points of unfinished blocks; delete the others."""

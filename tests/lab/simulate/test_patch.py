@@ -10,7 +10,7 @@ from bumpymap.lab.simulate import patch as patch_module
 from bumpymap.lab.simulate.drive import Drive, DriveSettings
 from bumpymap.lab.simulate.journal import Journal
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
-from bumpymap.lab.simulate.validate import drive_patches
+from bumpymap.lab.simulate.validate import DriveConditions, drive_patches
 from bumpymap.rating.vehicle.profile import load_profile
 
 WARTHOG = load_profile("warthog")
@@ -92,23 +92,26 @@ def test_effort_that_cannot_be_is_refused(effort):
 def test_patches_do_not_depend_on_their_neighbours_or_their_order(fake_drive):
     patches = {(-3, 2): LEVEL, (7, 11): LEVEL, ("site", 4): LEVEL}
     effort = Effort.fixed(3)
-    every = drive_patches(WARTHOG, patches, 3.0, 1, effort)
-    turned = drive_patches(WARTHOG, dict(reversed(patches.items())), 3.0, 1, effort)
+    every = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), patches)
+    turned = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), dict(reversed(patches.items())))
     assert every == turned
-    assert drive_patches(WARTHOG, {(7, 11): LEVEL}, 3.0, 1, effort)[7, 11] == every[7, 11]
+    assert drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), {(7, 11): LEVEL})[7, 11] == every[7, 11]
     assert len({drives.c_r for drives in every.values()}) == 3
-    assert drive_patches(WARTHOG, patches, 3.0, 2, effort)[-3, 2] != every[-3, 2]
+    assert drive_patches(DriveConditions(WARTHOG, 3.0, 2, effort), patches)[-3, 2] != every[-3, 2]
 
 
 def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     patches = {(col, -1): LEVEL for col in range(4)}
     journal = Journal(tmp_path / "j", {"survey": "x"})
     effort = Effort.fixed(2)
-    first = drive_patches(WARTHOG, dict(list(patches.items())[:3]), 3.0, 1, effort, journal=journal)
+    first = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), dict(list(patches.items())[:3]), journal=journal)
     fake_drive["seeds"].clear()
     seen = []
     again = drive_patches(
-        WARTHOG, patches, 3.0, 1, effort, journal=journal, progress=lambda done, total: seen.append((done, total))
+        DriveConditions(WARTHOG, 3.0, 1, effort),
+        patches,
+        journal=journal,
+        progress=lambda done, total: seen.append((done, total)),
     )
     assert {key: again[key] for key in first} == first
     assert len(fake_drive["seeds"]) == 2
@@ -120,7 +123,8 @@ def test_real_drives_are_the_same_in_a_pool():
     rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))
     patches = {(0, 0): rough, (0, 1): rough.T.copy()}
     alone, pooled = (
-        drive_patches(WARTHOG, patches, 3.0, 1, Effort.fixed(2), SHORT, workers=workers) for workers in (1, 2)
+        drive_patches(DriveConditions(WARTHOG, 3.0, 1, Effort.fixed(2), SHORT), patches, workers=workers)
+        for workers in (1, 2)
     )
     assert alone == pooled
     assert alone[0, 0].completed

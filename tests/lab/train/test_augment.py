@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
+from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
 from bumpymap.lab.train.augment import (
     ALL,
     KINDS,
@@ -18,7 +19,6 @@ from bumpymap.lab.train.augment import (
     punch_holes,
     rotate,
 )
-from bumpymap.patches import fill_holes as fill_holes_of_features
 from bumpymap.rating.textures import make_textures
 
 
@@ -98,5 +98,5 @@ def test_holes_are_filled_as_the_features_fill_them(patches):
     holed = punch_holes(patches.astype(float), np.full(30, 0.6), np.full(30, 2.5), np.random.default_rng(6))
     expected = holed.copy()
     for patch in expected:
-        assert fill_holes_of_features(patch, 15) == 0
+        assert fill_holes_of_features(patch, 15, np.empty(patch.size, np.int32), np.empty(patch.size)) == 0
     assert_allclose(fill_holes(holed), expected, rtol=1e-12)

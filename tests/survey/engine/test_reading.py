@@ -96,9 +96,9 @@ def read(readers, *, skip_bad, threads=2):
     unread, _ = cut_ranges(readers, chunks, None, {})
     ranges = [OpenRange(part, readers[part.file], chunks[part.file]) for part in unread]
     store, work = Store(), BlockWork(GRID, (), Mock(), "all")
-    reading = RangeReader(ranges, store, work, {}, [()], threads, SilentProgress(), skip_bad=skip_bad)
+    reading = RangeReader(ranges, store, work, {}, [()], threads, SilentProgress())
     stats, bad = {}, {}
-    for result in (*reading.run(), reading.remainder()):
+    for result in (*reading.run(skip_bad=skip_bad), reading.remainder()):
         stats |= result.stats
         if result.error is not None:
             bad[result.spans[0][0]] = str(result.error)

@@ -1,0 +1,151 @@
+"""From the points of a tile to its pixels: heights, their spread, and the relief that is left without the slope."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import Plane, fill_holes
+from bumpymap.patches.kernels.lanes import extremes, set_map
+from bumpytiles import helper
+
+__all__ = ["detrend", "heightmap", "pixel_index", "pixel_sums", "relief_of", "remove_plane"]
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int32]
+
+_NOTHING = 1e-6
+"""Relief below this is rounding, not ground, m."""
+_STEEPEST = 0.2
+"""A plane whose upward normal is less than this (steeper than 78 degrees) is a wall, not the slope of the ground."""
+
+
+@helper
+def detrend(heights: Floats) -> bool:
+    """Take the least-squares plane over the known pixels off ``heights`` [m] in place; NaN stays NaN.
+
+    Returns False, and changes nothing, where the known pixels do not span a plane.
+    """
+    size = heights.shape[0]
+    middle = 0.5 * (size - 1)
+    n = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
+    for r in range(size):
+        row_n = row_x = row_z = row_xx = row_xz = 0.0
+        for c in range(size):
+            h = heights[r, c]
+            known = h == h  # noqa: PLR0124 - false for NaN; a test without a branch
+            x = c - middle if known else 0.0
+            h = h if known else 0.0
+            row_n += 1.0 if known else 0.0
+            row_x += x
+            row_z += h
+            row_xx += x * x
+            row_xz += x * h
+        y = r - middle
+        n, sx, sy, sz = n + row_n, sx + row_x, sy + y * row_n, sz + row_z
+        xx, xy, yy = xx + row_xx, xy + y * row_x, yy + y * y * row_n
+        xz, yz = xz + row_xz, yz + y * row_z
+    if n < 3.0:
+        return False
+    mx, my, mz = sx / n, sy / n, sz / n
+    xx, xy, yy = xx - sx * mx, xy - sx * my, yy - sy * my
+    xz, yz = xz - mx * sz, yz - my * sz
+    det = xx * yy - xy * xy
+    if det <= 1e-9 * xx * yy:
+        return False
+    a, b = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
+    for r in range(size):
+        level = mz + b * (r - middle - my)
+        for c in range(size):
+            heights[r, c] -= level + a * (c - middle - mx)
+    return True
+
+
+@helper
+def pixel_index(
+    easting: Floats, northing: Floats, west: float, south: float, tile_size: float, size: int, out: Integers
+) -> None:
+    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size)."""
+    last, width = np.int32(size - 1), np.int32(size)
+    for i in range(len(easting)):
+        c = min(last, np.int32(size * (easting[i] - west) / tile_size))
+        r = min(last, np.int32(size * (northing[i] - south) / tile_size))
+        out[i] = np.int32((last - r) * width + c)
+
+
+@helper
+def pixel_sums(pixel: Integers, x: Floats, y: Floats, z: Floats, plane: Plane, sums: Floats) -> None:
+    """Count, sum of z, of squared heights above the plane, of the plane's height, by pixel: the rows of ``sums``."""
+    set_map(sums, 0.0)
+    a, b, c, _ = plane
+    east, north = (-a / c, -b / c) if c > _STEEPEST else (0.0, 0.0)
+    for i in range(len(pixel)):
+        k = pixel[i]
+        slope = east * x[i] + north * y[i]
+        sums[0, k] += 1.0
+        sums[1, k] += z[i]
+        sums[2, k] += (z[i] - slope) * (z[i] - slope)
+        sums[3, k] += slope
+
+
+@helper
+def remove_plane(sums: Floats, level: Floats) -> None:
+    """Take the plane off the pixels' heights where their points are.
+
+    On a slope the mean of some points is not the height of the pixel's middle: where they fell by chance, the slope
+    would look rough.
+    """
+    size = level.shape[0]
+    for r in range(size):
+        for c in range(size):
+            level[r, c] -= sums[3, r * size + c] / sums[0, r * size + c]
+
+
+@helper
+def heightmap(
+    sums: Floats, mean: float, level: Floats, heights: Singles, variance: Singles, count: Integers
+) -> tuple[int, float]:
+    """Mean, population variance about the plane and number of the points in each pixel; NaN where none fell.
+
+    ``level`` takes the heights above ``mean`` in double precision. Returns the known pixels and their range, m.
+    """
+    size = level.shape[0]
+    known, low, high = 0, np.inf, -np.inf
+    for r in range(size):
+        for c in range(size):
+            k = r * size + c
+            n = sums[0, k]
+            m = sums[1, k] / n  # 0 / 0: NaN, and so are those that follow from it
+            above = m - sums[3, k] / n
+            v = sums[2, k] / n - above * above
+            level[r, c] = m
+            count[r, c] = np.int32(n)
+            heights[r, c] = np.float32(mean + m)
+            variance[r, c] = np.float32(0.0 if v < 0.0 else v)  # noqa: FURB136 - NaN stays
+            known += n > 0.0
+            low = m if m < low else low  # noqa: FURB136 - NaN does not count
+            high = m if m > high else high  # noqa: FURB136
+    return known, high - low
+
+
+@helper
+def relief_of(level: Floats, depth: int, complete: bool, holes: Integers, values: Floats, relief: Singles) -> float:
+    """Plane-removed, hole-filled heights into ``relief``; returns their range, NaN where holes are too deep.
+
+    ``level`` is changed. Filled holes move the plane, so it is taken off once more.
+    """
+    if not detrend(level) or (not complete and (fill_holes(level, depth, holes, values) > 0)):
+        set_map(relief, np.nan)
+        return np.nan
+    if not complete:
+        detrend(level)
+    low, high = np.inf, -np.inf
+    for r in range(level.shape[0]):
+        least, greatest = extremes(level[r])
+        low, high = min(low, least), max(high, greatest)
+    if high - low < _NOTHING:
+        set_map(relief, 0.0)
+        return 0.0
+    for r in range(level.shape[0]):
+        for c in range(level.shape[1]):
+            relief[r, c] = np.float32(level[r, c])
+    return high - low
