@@ -79,7 +79,7 @@ def deliveries(draw):
             st.sampled_from([(400_000, 3_500_000, 0), (500_000, 4_000_000, 300), (123_456.789, 3_900_000, 17)])
         ),
         "threads": draw(st.integers(1, 3)),
-        "piece": draw(st.integers(2_000, 150_000)),
+        "chunk": draw(st.integers(2_000, 150_000)),
         "waiting": draw(st.integers(8_000, 200_000)),
         "block": draw(st.integers(5_000, 100_000)),
     }
@@ -108,7 +108,7 @@ def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factor
     folder = tmp_path_factory.mktemp("delivery")
     files = delivered(points, folder, way)
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("piece", "waiting", "block"):
+        for name in ("chunk", "waiting", "block"):
             patch.setattr(Budget, f"{name}_points", way[name])
         content, run = mapped(
             files, folder / "layers", "--ground", ground, "--threads", way["threads"], "--scratch", folder / "scratch"
