@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 import bumpymap
-from bumpymap.cli import as_options, main
+from bumpymap.cli import main
+from bumpymap.cli._wording import as_options
 from bumpymap.core.config import MapConfig
 
 ROOT = Path(__file__).resolve().parents[1]

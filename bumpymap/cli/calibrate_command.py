@@ -44,16 +44,7 @@ if TYPE_CHECKING:
 @click.option("--check", is_flag=True, help="Only check the simulation against analytical solutions; writes no file.")
 @output_options()
 def command(
-    *,
-    vehicle: str,
-    out: Path | None,
-    workers: int | None,
-    quick: bool,
-    overwrite: bool,
-    check: bool,
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
+    *, vehicle: str, out: Path | None, quick: bool, check: bool, quiet: bool, log_json: bool, **given: Any
 ) -> None:
     """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.
 
@@ -64,6 +55,7 @@ def command(
 
     set_up_logging(as_json=log_json)
     profile = load_profile(vehicle)
+    workers, overwrite = given.pop("workers") or os.cpu_count() or 1, given.pop("overwrite")
     settings = CalibrationSettings(profile)
     settings = replace(settings.quick() if quick else settings, **given_options(given))
     if check:
@@ -74,7 +66,7 @@ def command(
         raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
     again = _command_line(settings, vehicle, out, quick)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
-        calibration = _calibrate(settings, out, workers or os.cpu_count() or 1, overwrite, again, progress)
+        calibration = _calibrate(settings, out, workers, overwrite, again, progress)
     if quiet:
         return
     if log_json:

@@ -69,20 +69,7 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 @click.option("--overwrite", is_flag=True, help="Replace the report, and discard drives made with other settings.")
 @output_options()
 def command(
-    *,
-    surveys: tuple[Any, ...],
-    library: bool,
-    scans: bool,
-    out: Path,
-    crs: str | None,
-    local: bool,
-    z_unit: ZUnit | None,
-    ground: Ground,
-    workers: int | None,
-    overwrite: bool,
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
+    *, surveys: tuple[Any, ...], library: bool, scans: bool, out: Path, quiet: bool, log_json: bool, **given: Any
 ) -> None:
     """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
 
@@ -101,7 +88,7 @@ def command(
     if scans:
         if library:
             raise UsageError("--scans and --library are separate evaluations; give one of them")
-        _evaluate_scans(surveys, out, given, shown, overwrite=overwrite)
+        _evaluate_scans(surveys, out, given, shown, overwrite=given["overwrite"])
         return
     if library == bool(surveys):
         raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans")
@@ -112,15 +99,15 @@ def command(
     from bumpymap.lab import TrialOptions, evaluate_library, evaluate_survey, open_readers, write_report
     from bumpymap.readers import ReadOptions
 
-    options = ReadOptions(crs=crs, z_unit=z_unit)
-    readers = [] if library else open_readers(surveys, options, local=local)
+    options = ReadOptions(crs=given["crs"], z_unit=given["z_unit"])
+    readers = [] if library else open_readers(surveys, options, local=given["local"])
     with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
-        _check_place(out, overwrite=overwrite)
-        trial = TrialOptions(out, workers or os.cpu_count() or 1, overwrite, progress)
+        _check_place(out, overwrite=given["overwrite"])
+        trial = TrialOptions(out, given["workers"] or os.cpu_count() or 1, given["overwrite"], progress)
         findings = (
             evaluate_library(subjects, settings, trial)
             if library
-            else evaluate_survey(readers, options, ground, subjects, settings, trial)
+            else evaluate_survey(readers, options, given["ground"], subjects, settings, trial)
         )
         files = write_report(findings, out)
     if shown.summary(out, files):

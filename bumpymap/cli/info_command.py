@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -47,22 +47,7 @@ _BAD_INPUT = 3
 @output_options("Print no progress.")
 @click.pass_context
 def command(
-    ctx: click.Context,
-    /,
-    surveys: tuple[Path | str, ...],
-    crs: str | None,
-    z_unit: ZUnit | None,
-    ground: Ground,
-    tile_size: float,
-    pixels: int,
-    memory: str,
-    threads: int | None,
-    *,
-    trust_points: bool,
-    quick: bool,
-    as_json: bool,
-    quiet: bool,
-    log_json: bool,
+    ctx: click.Context, /, surveys: tuple[Path | str, ...], *, quick: bool, quiet: bool, log_json: bool, **given: Any
 ) -> None:
     """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
 
@@ -80,12 +65,13 @@ def command(
 
     set_up_logging(as_json=log_json)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
-    count = (os.cpu_count() or 1) if threads is None else threads
+    count = (os.cpu_count() or 1) if given["threads"] is None else given["threads"]
     # Checks that the settings are valid for a run.
-    run = MapConfig(surveys, Path(), tile_size=tile_size, pixels=pixels, memory=memory, threads=count)
+    sizes = {name: given[name] for name in ("tile_size", "pixels", "memory")}
+    run, ground, as_json = MapConfig(surveys, Path(), threads=count, **sizes), given["ground"], given["as_json"]
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
-    options = ReadOptions(crs, z_unit, trust_points, budget.memory)
+    options = ReadOptions(given["crs"], given["z_unit"], given["trust_points"], budget.memory)
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
@@ -99,7 +85,7 @@ def command(
     else:
         _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
-            _show_run(forecast, grid, memory, budget.threads)
+            _show_run(forecast, grid, run.memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 

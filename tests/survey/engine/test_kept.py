@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bumpymap.cli import as_options, main
+from bumpymap.cli import main
+from bumpymap.cli._wording import as_options
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
