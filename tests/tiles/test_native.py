@@ -207,7 +207,7 @@ def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
     (place / "other").mkdir()
     (place / "other" / "small.py").write_text(SOURCE.replace("weigh(", "small("))
     (place / "other" / "__pycache__").write_text("in the way")
-    other = "\nsys.path.append('other')\nimport small\nsmall.small(np.ones(3), weights, out)"
+    other = "\nsys.path.append('other')\nimport small\nsmall.small(np.ones(3), small.Weights(*weights), out)"
     code = WITHOUT_HOME + RUN + other
     paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": "none"}
