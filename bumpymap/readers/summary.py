@@ -20,7 +20,7 @@ __all__ = ["PointSummary", "PointSummaryBuilder"]
 MERGE_AT = 4_000_000
 MOST_PIXELS = 500_000
 """Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
-_GROUP_PIXELS = 4_000_000
+GROUP_PIXELS = 4_000_000
 _INDEX_MASK = (1 << 23) - 1
 """Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -212,7 +212,7 @@ class _PixelSample:
         places = self.merged()
         tiles = np.intersect1d(_distinct(places >> 16), _codes(keys), assume_unique=True)
         depth = max(1, round(settings.max_hole / self._grid.pixel_size))
-        bad, group = 0, max(1, _GROUP_PIXELS // size)
+        bad, group = 0, max(1, GROUP_PIXELS // size)
         for first in range(0, tiles.size, group):
             part = tiles[first : first + group]
             mine = places[np.isin(places >> 16, part)]

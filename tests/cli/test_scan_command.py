@@ -167,7 +167,7 @@ def no_calibration(folder):
         (empty, "holds no points"),
         (no_bytes, "is empty (0 bytes)"),
         (other_labels, "12,000 points, whose labels take 48,000"),
-        (other_poses, "holds 2 poses, but the frames are 1"),
+        (other_poses, "holds 2 poses, but there are 1 frames"),
         (no_poses, "none.txt"),
         (not_there, "does not exist"),
         (an_empty_folder, "holds no scans"),

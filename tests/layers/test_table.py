@@ -145,7 +145,7 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     packs = []
     for chosen in (east, ~east):
         part = TileTable.of(table.tiles.grid, {name: array[chosen] for name, array in columns.items()})
-        packs += {id(pack): pack for pack in part.home.values()}.values()
+        packs += {id(pack): pack for pack in part.pack_of.values()}.values()
     twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
     write_tiles(twin, tmp_path / "two.parquet")
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()

@@ -48,7 +48,7 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     whole = stats(path, FeatureSettings(min_points=4)).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "MERGE_AT", 10)
-    monkeypatch.setattr(module, "BATCH_PIXELS", 1000)
+    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
     reader = open_survey(path)
     clouds = reader.clouds
     monkeypatch.setattr(reader, "clouds", lambda: clouds(77))

@@ -193,7 +193,7 @@ def test_other_files_are_refused(tmp_path, model):
         if prop.key == "sector_version":
             prop.value = "0"
     (tmp_path / "old.onnx").write_bytes(old.SerializeToString())
-    with pytest.raises(BadInputError, match="of version 0; this bumpymap makes those of version 2"):
+    with pytest.raises(BadInputError, match="of version 0; this bumpymap uses version 2"):
         ScanModel.load(tmp_path / "old.onnx")
 
 

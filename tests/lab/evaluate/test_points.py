@@ -162,7 +162,7 @@ def test_a_survey_without_a_place_is_refused(tmp_path):
     las = laspy.create(point_format=0, file_version="1.2")
     las.x, las.y, las.z = np.zeros((3, 5))
     las.write(path)
-    with pytest.raises(BadInputError, match="--local"):
+    with pytest.raises(BadInputError, match="`local=True`"):
         open_readers([path], ReadOptions(), local=False)
     with (
         pytest.raises(BadInputError, match="class 2"),

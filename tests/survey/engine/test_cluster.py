@@ -340,7 +340,7 @@ def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, sa
     with nullcontext() if same else pytest.raises(UsageError, match="differs from the file on the client"):
         assert read_range(context, source, whole_file()).stats[0].points >= 1000
     assert started
-    assert not any(child.runs for child in started)
+    assert not any(child.is_alive for child in started)
     assert processes.MEMORY.size == 0
 
 
