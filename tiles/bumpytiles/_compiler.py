@@ -212,17 +212,32 @@ def _alone(text: str, symbol: str) -> Any:
     for function in module.functions:
         if not function.is_declaration and function.name != symbol:
             function.linkage = "internal"
+    # What numba does with a whole library: bring loops into the form that vectorises, drop pairs of reference counts.
+    _optimise(
+        module, lambda passes: passes.add_loop_rotate_pass(), lambda passes: passes.add_instruction_combine_pass()
+    )
+    # A kernel raises nothing; with that known, what would print an exception is dead.
+    _optimise(
+        module,
+        lambda passes: passes.add_ipsccp_pass(),
+        lambda passes: passes.add_simplify_cfg_pass(),
+        lambda passes: passes.add_global_dead_code_eliminate_pass(),
+        lambda passes: passes.add_strip_dead_prototype_pass(),
+    )
+    return module
+
+
+def _optimise(module: Any, *more: Callable[[Any], None]) -> None:
+    """Run LLVM's passes of level 3 over a module, and more passes after them."""
+    llvm = _llvm()
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
-    tuning.loop_vectorization = True
+    tuning.loop_vectorization = tuning.slp_vectorization = True
     builder = llvm.create_pass_builder(_target(), tuning)
     passes = builder.getModulePassManager()
-    # A kernel raises nothing; with that known, what would print an exception is dead.
-    passes.add_ipsccp_pass()
-    passes.add_simplify_cfg_pass()
-    passes.add_global_dead_code_eliminate_pass()
-    passes.add_strip_dead_prototype_pass()
+    for add in more:
+        add(passes)
+    passes.add_refprune_pass()
     passes.run(module, builder)
-    return module
 
 
 @cache
