@@ -24,6 +24,8 @@ from bumpymap.readers import read_scan
 from bumpymap.scan import polar_sectors
 from bumpymap.survey.api import MapSettings
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 

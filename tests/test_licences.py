@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 _SPEC = importlib.util.spec_from_file_location("list_licences", ROOT / "docs" / "licences" / "list_licences.py")
 licences = importlib.util.module_from_spec(_SPEC)

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 SURVEY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry_part.ply"
 SWITCHES = {"CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS"}
 """Variables that keep the telemetry off by themselves."""

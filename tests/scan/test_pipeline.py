@@ -26,6 +26,8 @@ from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.fit import fit_frames
 from bumpymap.scan.pipeline import scan_frames
 
+pytestmark = pytest.mark.slow
+
 POSES = [
     (Rotation.from_euler("zyx", (0.4, 0.02, -0.03)), np.array([1003.0, 2001.0, 51.5])),
     (Rotation.from_euler("zyx", (2.6, -0.04, 0.01)), np.array([1007.5, 2004.0, 51.5])),

@@ -13,6 +13,8 @@ from bumpymap.core.types import Reason
 from bumpymap.survey.advice import Outcome, advise, enough_points
 from bumpytiles import Grid
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = FeatureSettings()
 CLASS_2 = "ground points (class 2)"
 

@@ -17,6 +17,8 @@ from bumpymap.cli import main
 from bumpymap.core.lock import locked
 from bumpymap.layers import PRODUCT_NAMES
 
+pytestmark = pytest.mark.slow
+
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
 
 

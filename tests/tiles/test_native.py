@@ -12,6 +12,8 @@ import pytest
 
 from bumpytiles.native import Kernel, jitted
 
+pytestmark = pytest.mark.slow
+
 SOURCE = """
 import math
 from typing import Annotated, NamedTuple

@@ -9,6 +9,8 @@ from bumpymap.core.progress import SilentProgress
 from bumpymap.lab.evaluate import noise
 from bumpymap.lab.evaluate.library import flat_terrains, library_terrains, require_unseen
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rows(subject, module_patch):

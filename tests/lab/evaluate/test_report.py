@@ -15,6 +15,8 @@ from bumpymap.lab.evaluate.noise import NoiseRow
 from bumpymap.lab.evaluate.report import write_report
 from bumpymap.lab.evaluate.timing import StepCost
 
+pytestmark = pytest.mark.slow
+
 FACTS = {
     "files": ["site.laz"],
     "points": 1234567,

@@ -10,6 +10,8 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.model import Physics
 from bumpymap.rating.vehicle.profile import load_profile
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("dartpy")
 WARTHOG = load_profile("warthog")
 SHORT = DriveSettings(measure_s=5.0)

@@ -18,6 +18,8 @@ from bumpymap.survey import Budget, estimate
 from bumpymap.survey.engine.resource_estimate import most_tiles
 from bumpytiles import Bounds, Grid
 
+pytestmark = pytest.mark.slow
+
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 
 

@@ -13,6 +13,8 @@ from bumpymap.lab import QuarrySite, make_quarry_survey, sample_survey
 from bumpymap.lab.worlds.sample.__main__ import main
 from bumpymap.lab.worlds.sample.files import part_bounds
 
+pytestmark = pytest.mark.slow
+
 COMMITTED = Path(__file__).parents[4] / "sample_data"
 SITE = QuarrySite(1)
 

@@ -15,6 +15,8 @@ from bumpymap.lab.worlds.scans.plants import herb
 from bumpymap.lab.worlds.scans.regions import make_blob, make_road
 from bumpymap.lab.worlds.scans.scene import THEMES, make_scene
 
+pytestmark = pytest.mark.slow
+
 AREA = np.linspace(-30, 30, 121)
 X, Y = (axis.ravel() for axis in np.meshgrid(AREA, AREA))
 

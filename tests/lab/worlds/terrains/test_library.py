@@ -13,6 +13,8 @@ from bumpymap.lab import KINDS, Terrain, make_terrain
 from bumpymap.lab.worlds.terrains import fractal
 from bumpymap.lab.worlds.terrains.library import FINE
 
+pytestmark = pytest.mark.slow
+
 
 def without_plane(surface):
     """Residual of a square surface, by least squares."""
