@@ -12,14 +12,15 @@ import os
 import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
-from typing import Any, TextIO
-
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, TextIO
 
 from bumpymap.cli._wording import as_options
 from bumpymap.core import OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
 __all__ = [
     "LostOutputError",
@@ -82,16 +83,23 @@ def _escaped(letter: str) -> str:
 
 def print_line(text: str = "", style: str = "") -> None:
     """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
+    from rich.text import Text
+
     _print(Text(_as_shown(text), style))
 
 
 def print_labelled(label: str, text: str, style: str) -> None:
     """Print a line that begins with a styled label."""
+    from rich.text import Text
+
     _print(Text(escape(label), style).append(_as_shown(text), "default"))
 
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
     """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
+    from rich.table import Table
+    from rich.text import Text
+
     if titles:
         table = Table(box=None, pad_edge=False)
         for column, title in enumerate(titles):
@@ -132,8 +140,10 @@ def flush() -> None:
         raise _stdout_error(error) from error
 
 
-def error_console() -> Console:
+def error_console() -> "Console":
     """Return a console on standard error, for progress bars."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
@@ -145,7 +155,10 @@ class _Rendered(io.StringIO):
         return sys.stdout is not None and sys.stdout.isatty()
 
 
-def _print(what: Text | Table) -> None:
+def _print(what: "Text | Table") -> None:
+    from rich.console import Console
+    from rich.text import Text
+
     rendered = _Rendered()
     Console(file=rendered, highlight=False).print(what, soft_wrap=isinstance(what, Text))
     _write(rendered.getvalue())
