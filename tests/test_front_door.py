@@ -61,7 +61,7 @@ def test_the_settings_for_type_checkers_are_those_of_a_map():
 
 def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
     dataset = layers.dataset()
-    assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost"]
+    assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost", "barred"]
     with rasterio.open(layers.folder / "roughness.tif") as file:
         assert dataset.rio.crs == file.crs
         assert dataset.rio.transform() == file.transform
@@ -75,6 +75,7 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
         np.testing.assert_array_equal(dataset["reason"].values, file.read(2))
     with rasterio.open(layers.folder / "cost.tif") as file:
         np.testing.assert_array_equal(dataset["cost"].values, file.read(1))
+    np.testing.assert_array_equal(np.isfinite(dataset["cost"].values), dataset["barred"].values == 0)
     assert dataset["class"].dtype == np.uint8
     assert dataset["class"].rio.nodata == 255
     assert dataset["class"].attrs["flag_meanings"] == "smooth fair rough very_rough"
@@ -120,6 +121,14 @@ def test_heights_are_those_of_the_file(layers):
     assert heights.attrs["units"] == "m"
 
 
+def test_objects_are_those_of_the_file(layers):
+    objects = layers.obstacles()
+    with rasterio.open(layers.folder / "obstacle.tif") as file:
+        np.testing.assert_array_equal(objects.values, file.read(1))
+        assert objects.rio.transform() == file.transform == layers.heights().rio.transform()
+    assert objects.attrs["flag_meanings"] == "free obstacle canopy unknown"
+
+
 def test_tiles_and_regions_are_geodataframes(layers):
     tiles, regions = layers.tiles(), layers.regions()
     assert isinstance(tiles, geopandas.GeoDataFrame)
@@ -130,7 +139,7 @@ def test_tiles_and_regions_are_geodataframes(layers):
 
 def test_the_text_says_place_size_vehicle_and_classes(layers):
     text = repr(layers)
-    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 65.9%"):
+    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 64.6%"):
         assert part in text
 
 

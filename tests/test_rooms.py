@@ -13,7 +13,7 @@ ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pypcd4", "pyproj"}),
-    "patches": ({"core"}, {"CSF", "numpy"}),
+    "patches": ({"core"}, {"CSF", "numpy", "scipy"}),
     "rating": ({"core"}, {"numpy"}),
     "layers": (
         {"core"},

@@ -6,6 +6,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import click
 
@@ -69,6 +70,11 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
 def _call(run: Callable[[], object]) -> int:
     try:
         code = run()
+    except OSError:
+        # click has written to a full output: drop what its buffer holds, which the interpreter would report at exit.
+        with suppress(LostOutputError):
+            flush()
+        raise
     except SystemExit as end:
         code = end.code
         if code == _FAULT and _reader_left():  # click's exit code for it

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.filesize import decimal
 
+from bumpymap.cli._wording import as_options
 from bumpymap.core import (
     REASON_TEXT,
     FeatureSettings,
@@ -19,11 +20,23 @@ from bumpymap.core import (
     vertical_of,
 )
 from bumpymap.readers import PointSummary, SurveyInfo
-from bumpymap.survey import Budget, Estimate, Outcome, advise, enough_points, estimate, models_for, size_options
+from bumpymap.survey import (
+    Budget,
+    Estimate,
+    FlightLines,
+    Outcome,
+    advise,
+    describe_pairs,
+    enough_points,
+    estimate,
+    models_for,
+    size_options,
+)
 from bumpytiles import Bounds, Grid
 
 __all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
 
+_ON_THE_GROUND = "all points will be measured, so what stands on the ground is part of its relief"
 _FAR_APART = 100_000.0
 """Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
 
@@ -44,6 +57,8 @@ class Report:
     """Options of the command line that ``map`` needs too, such as ``--crs EPSG:32614``."""
     ground: Ground = "auto"
     """The ``ground`` setting for ``map``."""
+    lines: FlightLines = FlightLines()  # noqa: RUF009 (frozen)
+    """Height steps between flight lines; without ``--quick``."""
 
     @property
     def bounds(self) -> Bounds | None:
@@ -99,7 +114,7 @@ class Report:
             return [text] if text else []
         if self.dropped is not None or self.density is None:
             return []
-        per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings)
+        per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings, thin=True)
         if per_tile >= enough:
             return []
         text = (
@@ -119,7 +134,7 @@ class Report:
 
 
 def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
-    """Forecast the tiles that ``map`` will make."""
+    """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
     # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
     ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
     return Outcome(
@@ -128,6 +143,7 @@ def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
         measured="ground points (class 2)" if ground_only else "points",
         points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
         all_points_per_tile=summary.points / summary.tiles,
+        thin=True,
     )
 
 
@@ -165,6 +181,7 @@ def as_record(report: Report) -> dict[str, Any]:
             "ground_points": summary.ground_share,
             "ground_tiles": summary.ground_tiles / summary.tiles,
             "unknown_tiles_about": _shares(outcome_of(summary, report.ground)),
+            "flight_lines": report.lines.to_record(),
         }
     return record if report.dropped is None else record | {"dropped": report.dropped}
 
@@ -198,6 +215,8 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
         rows.append(("density", _density(report, report.density)))
     if report.dropped is not None or info.has_classes is False:
         rows.append(("classified", _classified(report)))
+    if text := describe_pairs(report.lines):
+        rows.append(("flight lines", as_options(text)))
     return rows + [("note", note) for note in info.notes]
 
 
@@ -283,9 +302,9 @@ def _has_classes(report: Report) -> bool | None:
 
 def _classified(report: Report) -> str:
     if report.info is not None and report.info.has_classes is False:
-        return "no: the file has no classes"
+        return f"no: the file has no classes; {_ON_THE_GROUND}"
     if report.summary is None or report.summary.ground_share == 0:
-        return "no: no point has class 2 (ground)"
+        return f"no: no point has class 2 (ground); {_ON_THE_GROUND}"
     return f"yes: {report.summary.ground_share:.0%} of the points are ground (class 2)"
 
 

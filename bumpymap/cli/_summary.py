@@ -4,18 +4,16 @@ import math
 from collections.abc import Iterator
 
 from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.core import CLASS_NAMES, MapConfig, Reason
+from bumpymap.cli._wording import as_options
+from bumpymap.core import CLASS_NAMES, MapConfig
 from bumpymap.layers import MapSummary
-from bumpymap.survey import MapResult, Measured, Outcome, advise
-from bumpytiles import Grid
+from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 
 __all__ = ["ALREADY_DONE", "show"]
 
 ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite replaces it"
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
-_MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
-"""Source of the ground points: the survey, or the cloth filter."""
 
 
 def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
@@ -26,20 +24,29 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     summary = result.summary
     if result.already_done:
         print_line(f"Already done: {config.out} {ALREADY_DONE}")
-    which = _outcome(result, config).measured
+    which = outcome_of_run(result, config).measured
     print_line(
         f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from "
         f"{'all points' if which == 'points' else which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
     print_table(_rows(summary), _TITLES)
-    share = summary.passable / summary.tiles
-    print_line(f"{share:.1%} of the tiles are passable: known, not too steep, and under half of the drives fail")
-    if advice := _advice(result, config):
-        print_line(advice)
+    print_line(_passable_line(summary))
+    print_line(unknown_line(result, config))
+    if line := ground_line(result):
+        print_line(as_options(line))
+    if steps := _steps(result, config):
+        print_line(steps)
     if result.skipped:
         print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
     print_line(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
+
+
+def _passable_line(summary: MapSummary) -> str:
+    """Say which share of the tiles is passable, and what bars the others."""
+    bars = ", ".join(f"{text} {count / summary.tiles:.1%}" for text, count in summary.bars.items())
+    line = f"{summary.passable / summary.tiles:.1%} of the tiles are passable"
+    return f"{line}; what bars the others: {bars}" if bars else line
 
 
 def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
@@ -55,21 +62,9 @@ def _number(value: float, decimals: int) -> str:
     return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
 
-def _outcome(result: MapResult, config: MapConfig) -> Outcome:
-    summary = result.summary
-    return Outcome(
-        tiles=summary.tiles,
-        unknown={code: summary.by_reason[code] for code in Reason if summary.by_reason[code]},
-        measured=_MEASURED[config.ground == "csf"] if result.ground_only else "points",
-        points_per_tile=summary.median_count,
-        all_points_per_tile=result.points / summary.tiles,
-    )
-
-
-def _advice(result: MapResult, config: MapConfig) -> str:
-    """Return advice if many tiles are unknown, else an empty string."""
-    grid = Grid(config.tile_size, config.pixels)
-    return advise(_outcome(result, config), grid, config.features, before_run=False)
+def _steps(result: MapResult, config: MapConfig) -> str:
+    """Return a sentence about flight lines, or an empty string."""
+    return as_options(describe_lines(result.lines, config.align))
 
 
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
@@ -81,8 +76,12 @@ def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "classes": result.summary.classes,
         "unknown": result.summary.reasons,
         "passable": result.summary.passable,
-        "advice": _advice(result, config),
+        "barred": result.summary.bars,
+        "unknown_share": result.summary.unknown / result.summary.tiles,
+        "advice": unknown_line(result, config),
+        "ground_advice": as_options(ground_line(result)),
         "ground_only": result.ground_only,
+        "flight_lines": _steps(result, config),
         "skipped": result.skipped,
         "seconds": result.seconds,
         "already_done": result.already_done,

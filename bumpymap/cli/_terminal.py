@@ -9,7 +9,7 @@ import click
 
 from bumpymap.core import path_fault
 
-__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "interrupt_note"]
+__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "SHARE", "interrupt_note"]
 
 DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
@@ -42,6 +42,27 @@ class _Location(_NamedPath):
 
 LOCATION = _Location(path_type=Path)
 """Type of surveys on the command line."""
+
+
+class _Share(click.ParamType):  # type: ignore[type-arg]
+    """A share, as a number from 0 to 1 or as a percentage."""
+
+    name = "share"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert a string to a number from 0 to 1."""
+        text = str(value).strip()
+        try:
+            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+        except ValueError:
+            share = float("nan")
+        if not 0.0 <= share <= 1.0:
+            self.fail(f"{text!r} is no share; give one such as 50% or 0.5", param, ctx)
+        return share
+
+
+SHARE = _Share()
+"""Type of a share on the command line."""
 
 
 @contextmanager

@@ -85,7 +85,15 @@ def _refuse_beside_check() -> None:
 def _calibrate(
     settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str, progress: CommandProgress
 ) -> "Calibration":
-    from bumpymap.lab import Journal, calibrate_vehicle, fit_ride, require_dart
+    from bumpymap.lab import (
+        Journal,
+        add_steps,
+        calibrate_vehicle,
+        crossing_jobs,
+        fit_ride,
+        fit_thin_surveys,
+        require_dart,
+    )
 
     require_dart()
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
@@ -100,7 +108,10 @@ def _calibrate(
             discard_other=overwrite,
             command=again,
             fit=fit_ride,
+            fit_thin=fit_thin_surveys,
         )
+        progress.start("driving over steps", len(crossing_jobs(settings.profile)))
+        calibration = add_steps(calibration, Steps(progress), workers=workers, journal=journal)
         with atomic(out) as beside:
             beside.write_text(calibration.to_json(), encoding="utf-8")
         journal.remove()

@@ -15,6 +15,7 @@ from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
+from bumpymap.cli._wording import as_options
 from bumpymap.core import Ground, MapConfig, ZUnit
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def command(
     run, ground, as_json = MapConfig(surveys, Path(), threads=count, **sizes), given["ground"], given["as_json"]
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
-    options = ReadOptions(given["crs"], given["z_unit"], given["trust_points"], budget.memory)
+    options = ReadOptions(given["crs"], given["z_unit"], given["trust_points"], budget.memory, lines=True)
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
@@ -102,6 +103,7 @@ def _inspect(
     from bumpymap.cli._info_report import Report
     from bumpymap.core import BadInputError, FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey
+    from bumpymap.survey import compare_lines
 
     given = tuple(_map_options(options, ground))
     try:
@@ -113,7 +115,8 @@ def _inspect(
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
-        return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground)
+        lines, _ = compare_lines(builder.lines)
+        return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground, lines=lines)
     except BadInputError as error:
         return Report(path, grid, error=str(error))
 
@@ -149,7 +152,7 @@ def _advise_one_map(
     """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
     from bumpymap.cli._info_report import outcome_of
     from bumpymap.core import FeatureSettings
-    from bumpymap.survey import advise
+    from bumpymap.survey import advise, compare_lines, describe_lines
 
     infos = [report.info for report in reports if report.info is not None and not report.error]
     if len(reports) == 1 or len(infos) < len(reports):
@@ -162,7 +165,8 @@ def _advise_one_map(
         return [text]
     outcome = outcome_of(summary, reports[0].ground)
     advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
-    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", text]
+    steps = as_options(describe_lines(compare_lines(whole.lines)[0], "report")) if whole is not None else ""
+    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
 
 
 def _show(reports: "list[Report]", why_not_together: list[str]) -> None:

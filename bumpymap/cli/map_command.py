@@ -8,8 +8,8 @@ import click
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import LOCATION, PATH
-from bumpymap.core import CLASHES, Compat, Ground, MapConfig, Rating, UsageError, ZUnit, read_settings_file
+from bumpymap.cli._terminal import LOCATION, PATH, SHARE
+from bumpymap.core import CLASHES, Align, Compat, Ground, MapConfig, Rating, UsageError, ZUnit, read_settings_file
 
 __all__ = ["command"]
 
@@ -23,6 +23,7 @@ _PARTLY_DONE = 4
 @click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
 @click.option("--ground", type=click.Choice(get_args(Ground)), help="Points to use [default: auto].")
+@click.option("--align", type=click.Choice(get_args(Align)), help="Height steps of flight lines [default: report].")
 @click.option(
     "--vehicle", metavar="NAME_OR_FILE", help="Name of an included vehicle, or a TOML file [default: warthog]."
 )
@@ -43,6 +44,9 @@ _PARTLY_DONE = 4
 @click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
 @click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header.")
 @click.option("--skip-bad", is_flag=True, help="Skip files that cannot be read (exit code 4).")
+@click.option(
+    "--max-unknown", type=SHARE, metavar="SHARE", help="Fail (exit code 4) if more tiles are unknown: 50% or 0.5."
+)
 @click.option("--resume", is_flag=True, help="Continue an interrupted run.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
 @output_options()
@@ -56,7 +60,7 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli._summary import show
     from bumpymap.layers import import_without_pandas
-    from bumpymap.survey import map_surveys
+    from bumpymap.survey import map_surveys, require_known
 
     set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}
@@ -71,5 +75,6 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
         result = map_surveys(config, progress)
     if not quiet:
         show(result, config, as_json=log_json)
+    require_known(result, config, explain=quiet or log_json)
     if result.skipped:
         ctx.exit(_PARTLY_DONE)

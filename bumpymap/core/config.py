@@ -13,6 +13,7 @@ __all__ = [
     "CRS_OR_LOCAL",
     "RESUME_OR_OVERWRITE",
     "VEHICLE_OR_CALIBRATION",
+    "Align",
     "Clash",
     "Compat",
     "CsfSettings",
@@ -29,6 +30,7 @@ __all__ = [
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
+Align = Literal["off", "report", "on"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
@@ -63,14 +65,18 @@ CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a ra
 
 @dataclass(frozen=True, slots=True)
 class FeatureSettings:
-    """How tiles are measured, and when a tile cannot be rated."""
+    """How tiles are measured, and when a heightmap cannot be rated.
+
+    With ``rating = "ride"`` tiles that have too few points or too many holes for the first three are rated from their
+    points where these carry it, by a rule that has no settings (``docs/pages/thin-surveys.md``).
+    """
 
     min_points: int = 30
-    """A tile with fewer points is unknown, reason 2."""
+    """The heightmap of a tile with fewer points is not rated, reason 2. A larger number holds for thin tiles too."""
     min_coverage: float = 0.25
-    """A tile with a smaller share of pixels that hold a point is unknown, reason 3."""
+    """One with a smaller share of pixels that hold a point is not rated, reason 3."""
     max_hole: float = 1.0
-    """A tile with a pixel farther than this from every pixel that holds a point is unknown, reason 3, m."""
+    """One with a pixel farther than this from every pixel that holds a point is not rated, reason 3, m."""
     ransac_threshold: float = 0.1
     """Points within this distance of a plane are its inliers, m."""
     stray_gap: float = 0.5
@@ -124,6 +130,9 @@ class MapConfig:
     ground: Ground = "auto"
     """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
+    align: Align = "report"
+    """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
+    tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
     rating: Rating = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
     compat: Compat = "none"
@@ -144,6 +153,9 @@ class MapConfig:
     """Continue if the extent in a file header contradicts the points."""
     skip_bad: bool = False
     """Continue without files that cannot be read."""
+    max_unknown: float | None = None
+    """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
+    anyway."""
     overwrite: bool = False
     """Replace the layers of an earlier run."""
     resume: bool = False
@@ -168,10 +180,13 @@ class MapConfig:
         _within("pixels", self.pixels, 3, 255)
         _at_least("threads", self.threads, 1)
         _one_of("ground", self.ground, get_args(Ground))
+        _one_of("align", self.align, get_args(Align))
         _one_of("rating", self.rating, get_args(Rating))
         _one_of("compat", self.compat, get_args(Compat))
         if self.z_unit is not None:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
+        if self.max_unknown is not None:
+            _within("max_unknown", self.max_unknown, 0.0, 1.0)
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
         if self.resume and self.overwrite:

@@ -3,7 +3,15 @@
 import errno
 from collections.abc import Iterator
 
-__all__ = ["BadInputError", "BumpymapError", "OutputError", "UsageError", "error_chain", "missing_resource"]
+__all__ = [
+    "BadInputError",
+    "BumpymapError",
+    "OutputError",
+    "TooUnknownError",
+    "UsageError",
+    "error_chain",
+    "missing_resource",
+]
 
 _RESOURCES = {
     errno.EAGAIN: "process",
@@ -40,6 +48,12 @@ class BadInputError(BumpymapError):
 
 class OutputError(BumpymapError):
     """An output folder that cannot be written, or holds something that must not be overwritten."""
+
+
+class TooUnknownError(BumpymapError):
+    """A map is complete, but more of its tiles are unknown than ``max_unknown`` allows."""
+
+    exit_code = 4
 
 
 def error_chain(error: BaseException | None) -> Iterator[BaseException]:

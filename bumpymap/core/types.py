@@ -19,22 +19,35 @@ if TYPE_CHECKING:  # half of this module's time to import
 
 __all__ = [
     "BANDS",
+    "BARRED_TEXT",
+    "CANOPY",
     "CLASS_NAMES",
     "FAIL_SHARE",
+    "FREE",
     "NO_CLASS",
-    "PASSABLE_COLUMNS",
+    "OBJECT_NAMES",
+    "OBSTACLE",
     "REASON_TEXT",
+    "SIDES",
     "TEXTURES",
+    "THIN_MEASURES",
+    "UNDECIDED",
+    "UNSEEN",
     "Band",
+    "Barred",
     "CostMap",
     "CostRule",
     "CostTable",
     "Georeference",
+    "ObjectStack",
     "PatchStack",
     "PointCloud",
     "Reason",
     "Texture",
     "TextureMap",
+    "VehicleBody",
+    "neighbour_columns",
+    "rated_columns",
     "tile_columns",
 ]
 
@@ -67,6 +80,29 @@ REASON_TEXT: dict[Reason, str] = {
     Reason.NO_GROUND: "no ground points",
     Reason.OUTLIER_RELIEF: "outlier-only relief",
 }
+
+
+class Barred(IntEnum):
+    """Why a tile is not passable."""
+
+    NO = 0
+    UNKNOWN = 1
+    OBSTACLE = 2
+    SLOPE = 3
+    FAILS = 4
+    STEP = 5
+
+
+BARRED_TEXT: dict[Barred, str] = {
+    Barred.NO: "passable",
+    Barred.UNKNOWN: "unknown ground",
+    Barred.OBSTACLE: "obstacle",
+    Barred.SLOPE: "too steep",
+    Barred.FAILS: "drives fail",
+    Barred.STEP: "step",
+}
+SIDES = ("north", "east", "south", "west")
+"""Sides of a tile, in the order of every array of sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,20 +174,62 @@ class PatchStack:
     """(n,) a ``Reason``; 0 if the tile can be rated."""
 
 
+FREE, OBSTACLE, CANOPY, UNDECIDED, UNSEEN = 0, 1, 2, 3, 255
+"""States of a pixel in ``ObjectStack.objects``."""
+OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown")
+"""Names of these states in obstacle.tif, where ``UNSEEN`` is 3."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectStack:
+    """What stands on the ground of tiles or hangs over it, one row each."""
+
+    objects: NDArray[np.uint8]
+    """(n, pixels, pixels) state of each pixel, north row first: ``FREE``; ``OBSTACLE`` between the vehicle's belly and
+    its height; ``CANOPY``: only higher than the vehicle; ``UNSEEN``: neither ground nor anything else is known.
+    ``UNDECIDED``, at a tile's border only: points of an obstacle, too few without those of the neighbouring tile."""
+    obstacle: NDArray[np.float32]
+    """(n,) share of the pixels with an obstacle, 0..1; NaN in unknown tiles without one (so is ``canopy``)."""
+    obstacle_height: NDArray[np.float32]
+    """(n,) highest point of the obstacles, up to the vehicle's height, above the ground beneath, m; 0 without an
+    obstacle; NaN in unknown tiles, and where an obstacle stands over unknown ground."""
+    clearance: NDArray[np.float32]
+    """(n,) height of the lowest thing overhead above the ground beneath, m; NaN where there is none."""
+    canopy: NDArray[np.float32]
+    """(n,) share of the pixels under something higher than the vehicle, obstacle or not, 0..1."""
+
+    @classmethod
+    def empty(cls, tiles: int, pixels: int) -> "ObjectStack":
+        """Return n tiles where objects are part of the relief: no pixel is known to hold one."""
+        unknown = np.full(tiles, np.nan, np.float32)
+        return cls(
+            objects=np.full((tiles, pixels, pixels), FREE, np.uint8),
+            obstacle=unknown,
+            obstacle_height=unknown,
+            clearance=unknown,
+            canopy=unknown,
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by name, as a run stores them."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
 @dataclass(frozen=True, slots=True)
 class TextureMap:
     """Texture probabilities of each tile, from the texture network."""
 
     probability: NDArray[np.float32]
-    """(n, 4) in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles."""
+    """(n, 4) in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles, and without a texture network."""
+
+    @classmethod
+    def unknown(cls, tiles: int) -> "TextureMap":
+        """Return the record of tiles whose texture was not classified."""
+        return cls(np.full((tiles, len(TEXTURES)), np.nan, np.float32))
 
 
 FAIL_SHARE = 0.5
 """If at least this share of the simulated drives fails, the ground is not passable and gets the roughest class."""
-
-
-PASSABLE_COLUMNS = ("class_id", "c_r", "p_fail", "slope")
-"""Columns that decide whether a tile is passable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,23 +254,55 @@ class CostRule:
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-p_fail.astype(np.float64)) / self.drive_m)
 
-    def passable(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-        """Return which tiles are passable: known, not too steep, and fewer than ``FAIL_SHARE`` of the drives fail.
+    def barred(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+        """Return why tiles are not passable as far as each tile alone tells: unknown, too steep, or drives fail.
 
-        If the rating has no ``p_fail`` (NaN: ``--compat paper``), the roughest class is not passable.
+        At least ``FAIL_SHARE`` of the drives must fail. If the rating has no ``p_fail`` (NaN: ``--compat paper``), the
+        roughest class is not passable.
 
         Parameters
         ----------
         columns : mapping
-            The columns named in ``PASSABLE_COLUMNS``, (n,) each, as in `tile_columns`.
+            ``class_id``, ``c_r``, ``p_fail`` and ``slope``, arrays of one shape, as in `tile_columns`.
+
+        Returns
+        -------
+        uint8, of the same shape
+            A `Barred`.
         """
-        class_id, c_r, p_fail, slope = (columns[name] for name in PASSABLE_COLUMNS)
+        class_id, c_r, p_fail, slope = (columns[name] for name in ("class_id", "c_r", "p_fail", "slope"))
         fails = np.where(np.isnan(p_fail), class_id == len(CLASS_NAMES) - 1, p_fail >= FAIL_SHARE)
-        return np.asarray((class_id != NO_CLASS) & np.isfinite(c_r) & (slope <= self.slope_limit_deg) & ~fails)
+        unknown = (class_id == NO_CLASS) | ~np.isfinite(c_r)
+        return np.select(
+            [unknown, ~(slope <= self.slope_limit_deg), fails], [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS], Barred.NO
+        ).astype(np.uint8)
 
     def cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the factor on distance; an unknown hazard (NaN) counts as 0."""
         return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * np.where(np.isnan(hazard), 0.0, hazard))
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleBody:
+    """Outline of a vehicle: what it passes over, between and under, m."""
+
+    clearance_m: float
+    """Of the belly, above level ground."""
+    height_m: float
+    """Of the whole vehicle above ground; what is higher is overhead."""
+    width_m: float
+    """Full width."""
+    brush_stem_m: float
+    """Plants up to this height above ground are brushed aside."""
+
+    @property
+    def lowest_obstacle_m(self) -> float:
+        """Height above ground from which a thing is an obstacle, m: it reaches the belly and is not brushed aside."""
+        return max(self.clearance_m, self.brush_stem_m)
+
+
+THIN_MEASURES = 20
+"""Length of a row of ``CostMap.thin``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +326,10 @@ class CostMap:
     """(n,) probability that the class is right, 0..1."""
     rule: CostRule
     """Which tiles are passable, and at what cost."""
+    objects: ObjectStack | None = None
+    """What stands on the ground; None where that is part of the relief, because all points are measured as ground."""
+    thin: NDArray[np.float32] | None = None
+    """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
@@ -224,10 +338,24 @@ class CostMap:
         return values
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns of `tile_columns`, one row for each tile, as a run stores its tiles."""
+        """Return the columns of `rated_columns`, one row for each tile."""
+        objects = self.objects or ObjectStack.empty(len(self.class_id), self.patches.grid.pixels)
         own: dict[str, NDArray[Any]] = {"class_id": self.class_id, "probability": self.textures.probability}
-        names = [column.name for column in tile_columns(self.patches.grid.pixels) if column.name not in own]
+        own |= objects.columns()
+        tiles = len(self.class_id)
+        own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
+        names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
+        names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
+
+    def lone_columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns of `tile_columns`, each tile judged without its neighbours: no step is known."""
+        columns = self.columns()
+        unknown = np.full(len(self.class_id), np.nan, np.float32)
+        columns |= dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), unknown)
+        columns["barred"] = self.rule.barred(columns)
+        columns["passable"] = (columns["barred"] == Barred.NO).astype(np.uint8)
+        return columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,12 +370,13 @@ class CostTable:
 
     @classmethod
     def of(cls, cost_map: CostMap) -> "CostTable":
-        """Return the table of a map in memory (at least one tile)."""
-        return cls(cost_map.georeference, cost_map.rule, TileTable.of(cost_map.patches.grid, cost_map.columns()))
+        """Return the table of a map in memory (at least one tile), each tile judged without its neighbours."""
+        tiles = TileTable.of(cost_map.patches.grid, cost_map.lone_columns())
+        return cls(cost_map.georeference, cost_map.rule, tiles)
 
 
-def tile_columns(pixels: int) -> tuple[Column, ...]:
-    """Return the columns of a rated tile, with names and units as in `PatchStack` and `CostMap`."""
+def rated_columns(pixels: int) -> tuple[Column, ...]:
+    """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`."""
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
     return (
@@ -257,7 +386,31 @@ def tile_columns(pixels: int) -> tuple[Column, ...]:
         *(Column(name, "<f4") for name in singles),
         Column("probability", "<f4", (len(TEXTURES),)),
         Column("heights", "<f4", (pixels, pixels)),
+        *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
+        Column("objects", "|u1", (pixels, pixels)),
+        Column("thin", "<f4", (THIN_MEASURES,)),
     )
+
+
+def neighbour_columns(pixels: int) -> tuple[Column, ...]:
+    """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
+
+    ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
+    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0.
+    """
+    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "obstacle", "edge_step")
+    return (
+        *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
+        *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
+        Column("objects", "|u1", (pixels, pixels)),
+    )
+
+
+def tile_columns(pixels: int) -> tuple[Column, ...]:
+    """Return all columns of a finished tile."""
+    own = rated_columns(pixels)
+    known = {column.name for column in own}
+    return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known))
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +424,7 @@ class Band:
 
 
 BANDS: tuple[Band, ...] = (
-    Band("c_r", "rad/m", "ride cost: pitch motion per metre of way"),
+    Band("c_r", "rad/m", "ride cost: pitch motion per metre driven"),
     Band("c_r_low", "rad/m", "lower end of the 80 % interval of c_r"),
     Band("c_r_high", "rad/m", "upper end of the 80 % interval of c_r"),
     Band("p_fail", "", "share of simulated drives that rolled over or got stuck"),
@@ -282,5 +435,11 @@ BANDS: tuple[Band, ...] = (
     Band("density", "m-2", "points per square metre"),
     Band("coverage", "", "share of the pixels that hold a point"),
     Band("confidence", "", "probability that the class is right"),
+    Band("passable", "", "1 if the vehicle can cross the tile, else 0"),
+    Band("obstacle", "", "share of the pixels with an obstacle between the vehicle's belly and its height"),
+    Band("obstacle_height", "m", "highest point of the obstacles above the ground, up to the vehicle's height"),
+    Band("clearance", "m", "lowest thing above the vehicle's height, above the ground"),
+    Band("canopy", "", "share of the pixels under something higher than the vehicle"),
+    Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
 )
 """The bands of roughness.tif, in order."""

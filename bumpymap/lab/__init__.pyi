@@ -67,8 +67,15 @@ from .simulate.plan import (
 from .simulate.ride_fit import (
     fit_ride as fit_ride,
 )
+from .simulate.steps import (
+    add_steps as add_steps,
+    crossing_jobs as crossing_jobs,
+)
 from .simulate.terrain import (
     PatchGround as PatchGround,
+)
+from .simulate.thin_surveys import (
+    fit_thin_surveys as fit_thin_surveys,
 )
 from .train.evaluate import (
     predict as predict,
@@ -133,6 +140,7 @@ from .worlds.scans.sensor import (
     Sensor as Sensor,
 )
 from .worlds.terrains.library import (
+    FINE as FINE,
     KINDS as KINDS,
     Terrain as Terrain,
     make_terrain as make_terrain,

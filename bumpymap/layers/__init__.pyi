@@ -15,10 +15,14 @@ from .folder import (
     write_products as write_products,
 )
 from .geotiff import (
+    BARRED_COLOURS as BARRED_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
+    OBJECT_COLOURS as OBJECT_COLOURS,
+    write_barred as write_barred,
     write_classes as write_classes,
     write_cost as write_cost,
     write_heightmap as write_heightmap,
+    write_obstacles as write_obstacles,
     write_roughness as write_roughness,
 )
 from .manifest import (

@@ -1,14 +1,15 @@
 """Write cloud-optimised GeoTIFFs (COG).
 
 A sparse scratch raster is filled window by window, so that memory does not grow with the survey or with gaps in it.
-GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory.
+GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory; a large one that
+is mostly empty is written by `write_sparse_cog`.
 """
 
 import os
 import struct
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -16,7 +17,6 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
-from pyproj import CRS
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
@@ -28,6 +28,8 @@ except ImportError:  # not on Windows
 
 from bumpymap.core import atomic
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
+from bumpymap.layers._raster_spec import BandSpec, RasterSpec, open_raster
+from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
 from bumpymap.layers.placement import Placement, RasterWindow
 
 __all__ = ["BandSpec", "RasterSpec", "write_cog"]
@@ -38,47 +40,8 @@ _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 compressed: compressing them took a third of the time of a dense raster and two thirds of that of an empty one."""
 SMALL = 16 << 20
 """Largest scratch raster that is kept in memory, bytes."""
-_SCRATCH_BLOCK = 256
-"""Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
-of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 _EXTRA_SAMPLES = 338
 """TIFF tag ExtraSamples, the meaning of further bands: 0 is "unspecified", 2 is "unassociated alpha"."""
-
-
-@dataclass(frozen=True, slots=True)
-class BandSpec:
-    """Name, unit and description of one band."""
-
-    name: str
-    unit: str = ""
-    text: str = ""
-    """Description, written as ``long_name``."""
-    categories: tuple[str, ...] = ()
-    """Names of the values 0, 1, 2, ..."""
-
-
-@dataclass(frozen=True, slots=True)
-class RasterSpec:
-    """Everything about a raster but its pixels."""
-
-    bands: Sequence[BandSpec]
-    dtype: str
-    nodata: float
-    pixels: int
-    """Pixels along the side of a tile."""
-    crs: CRS | None
-    overviews: str
-    """Resampling method of the overviews, as GDAL names it."""
-    block: int
-    """Side of an internal block of the file, pixels."""
-    colours: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
-    """Colour table of band 1."""
-    tags: dict[str, str] = field(default_factory=dict)
-    """Metadata of the file."""
-    write_empty: bool = False
-    """Write blocks without tiles too, instead of leaving them out of the file."""
-    level: int = 6
-    """DEFLATE compression level, 1 to 9."""
 
 
 def write_cog(
@@ -87,6 +50,7 @@ def write_cog(
     spec: RasterSpec,
     paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int,
+    pieces: Pieces | None = None,
 ) -> None:
     """Write a COG; the file appears only when it is complete.
 
@@ -102,6 +66,9 @@ def write_cog(
         Returns the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata.
     side : int
         Side of a window in tiles, a multiple of a block's.
+    pieces : callable, optional
+        Returns line and column, in a window, of its tiles, (n,), and their values, (n, pixels, pixels): given if most
+        of the raster is empty, for `write_sparse_cog`.
 
     Raises
     ------
@@ -114,9 +81,14 @@ def write_cog(
             with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 _write_scratch(scratch.name, placement, spec, paint, None)
                 _convert(scratch.name, layer.name, temporary, spec)
-                if any(band.categories for band in spec.bands):  # GDAL keeps category names in a side file
-                    rasterio.shutil.copyfiles(layer.name, str(temporary))
+                _copy_names(layer.name, temporary, spec)
                 temporary.write_bytes(layer.getbuffer())
+        elif pieces is not None:
+            with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+                open_raster(scratch.name, placement, spec, (1, 1)).close()
+                _convert(scratch.name, layer.name, temporary, replace(spec, write_empty=True))
+                _copy_names(layer.name, temporary, spec)
+            write_sparse_cog(temporary, placement, spec, pieces)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
             painted = _write_scratch(str(waiting), placement, spec, paint, side)
@@ -131,6 +103,12 @@ def write_cog(
             raise OSError("the class names could not be written to its .aux.xml file; the disk may be full")
         if spec.colours:
             _extra_band_is_no_alpha(temporary)
+
+
+def _copy_names(layer: str, temporary: Path, spec: RasterSpec) -> None:
+    """Copy a raster in memory and the side file in which GDAL keeps category names, if it has any."""
+    if any(band.categories for band in spec.bands):
+        rasterio.shutil.copyfiles(layer, str(temporary))
 
 
 def _convert(scratch: str, layer: str, temporary: Path, spec: RasterSpec) -> None:
@@ -180,27 +158,8 @@ def _write_scratch(
     """
     pixels = spec.pixels
     painted: list[tuple[Window, int]] = []
-    with rasterio.open(
-        scratch,
-        "w",
-        driver="GTiff",
-        width=placement.window.cols * pixels,
-        height=placement.window.rows * pixels,
-        count=len(spec.bands),
-        dtype=spec.dtype,
-        nodata=spec.nodata,
-        crs=None if spec.crs is None else rasterio.crs.CRS.from_wkt(spec.crs.to_wkt()),
-        transform=placement.transform(pixels),
-        tiled=True,
-        interleave="band",
-        blockxsize=_SCRATCH_BLOCK,
-        blockysize=_SCRATCH_BLOCK,
-        sparse_ok=True,
-        bigtiff="IF_SAFER",
-        photometric="MINISBLACK",
-        alpha="NO",
-    ) as file:
-        _write_metadata(file, spec)
+    size = (placement.window.cols * pixels, placement.window.rows * pixels)
+    with open_raster(scratch, placement, spec, size) as file:
         longest = max(placement.window.cols, placement.window.rows)
         for window in placement.windows(side or longest, aligned=side is not None):
             canvas = paint(window)
@@ -210,16 +169,6 @@ def _write_scratch(
                 file.write(canvas, window=place)
                 painted += [] if side is None else [(place, checksum(canvas))]
     return painted
-
-
-def _write_metadata(file: rasterio.io.DatasetWriter, spec: RasterSpec) -> None:
-    file.update_tags(**spec.tags)
-    for number, band in enumerate(spec.bands, start=1):
-        file.set_band_description(number, band.name)
-        file.set_band_unit(number, band.unit)
-        file.update_tags(number, **({"long_name": band.text} if band.text else {}))
-    if spec.colours:
-        file.write_colormap(1, spec.colours)
 
 
 def _name_categories(scratch: str, virtual: Path, bands: Sequence[BandSpec]) -> str:

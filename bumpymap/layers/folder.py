@@ -12,7 +12,14 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core import STAGED, CostTable, OutputError, Progress, SilentProgress, remove_path, write_together
-from bumpymap.layers.geotiff import write_classes, write_cost, write_heightmap, write_roughness
+from bumpymap.layers.geotiff import (
+    write_barred,
+    write_classes,
+    write_cost,
+    write_heightmap,
+    write_obstacles,
+    write_roughness,
+)
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, describe_input, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
@@ -20,19 +27,23 @@ from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
-__all__ = ["PRODUCT_NAMES", "check_folder", "write_products"]
+__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "check_folder", "write_products"]
 
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
     "cost.tif",
+    "barred.tif",
     "heightmap.tif",
+    "obstacle.tif",
     "tiles.parquet",
     "cost.geojson",
     "cost.fgb",
     MANIFEST_NAME,
 )
-"""Files of a run. ``class.tif.aux.xml`` belongs to class.tif and holds GDAL's category names."""
+"""Files of a run."""
+NAMED_RASTERS = ("class.tif", "barred.tif", "obstacle.tif")
+"""Rasters beside which GDAL writes the names of their values, to ``class.tif.aux.xml`` and so on."""
 
 _log = logging.getLogger(__name__)
 
@@ -152,9 +163,11 @@ def _layers(
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
+            ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
             ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
+            ("barred.tif",): partial(write_barred, table, folder / "barred.tif", tags),
         },
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, provenance),

@@ -1,17 +1,43 @@
-"""Write the raster layers: roughness.tif, class.tif, cost.tif, heightmap.tif."""
+"""Write the raster layers: roughness.tif, class.tif, cost.tif, barred.tif, heightmap.tif, obstacle.tif."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BANDS, CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
-from bumpymap.layers._cog import BandSpec, RasterSpec, write_cog
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    CANOPY,
+    CLASS_NAMES,
+    FREE,
+    NO_CLASS,
+    OBJECT_NAMES,
+    OBSTACLE,
+    REASON_TEXT,
+    UNSEEN,
+    Barred,
+    CostTable,
+    Reason,
+)
+from bumpymap.layers._cog import write_cog
+from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
 
-__all__ = ["CLASS_COLOURS", "write_classes", "write_cost", "write_heightmap", "write_roughness"]
+__all__ = [
+    "BARRED_COLOURS",
+    "CLASS_COLOURS",
+    "OBJECT_COLOURS",
+    "write_barred",
+    "write_classes",
+    "write_cost",
+    "write_heightmap",
+    "write_obstacles",
+    "write_roughness",
+]
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (44, 123, 182, 255),
@@ -21,6 +47,25 @@ CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each class, from blue (smooth) to red (very rough); safe for colour-blind readers."""
+BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    Barred.NO: (166, 217, 106, 255),
+    Barred.UNKNOWN: (150, 150, 150, 255),
+    Barred.OBSTACLE: (84, 48, 5, 255),
+    Barred.SLOPE: (128, 115, 172, 255),
+    Barred.FAILS: (215, 25, 28, 255),
+    Barred.STEP: (230, 97, 1, 255),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
+_UNKNOWN_OBJECT = 3
+OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    FREE: (255, 255, 255, 0),
+    OBSTACLE: (84, 48, 5, 255),
+    CANOPY: (127, 191, 123, 255),
+    _UNKNOWN_OBJECT: (190, 190, 190, 255),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
 
 _TILE_BLOCK = 128
 _HEIGHT_BLOCK = 512
@@ -28,6 +73,10 @@ _TILE_WINDOW = 16 * BLOCK_TILES
 """Side of a window, tiles: whole blocks, so that none is read twice."""
 _WINDOW_PIXELS = 1024
 """Side of a window of heightmap.tif, pixels; rounded down to whole blocks, at least one."""
+
+_SPARSE = 0.1
+"""Below this share of tiles with points in its extent a survey is sparse: then heightmap.tif and obstacle.tif have
+smaller blocks, and those without values are not made."""
 
 
 def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -116,13 +165,37 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
     def paint(window: RasterWindow) -> NDArray[np.float32] | None:
         if not table.tiles.holds(window.tiles):
             return None
-        found = table.tiles.read(PASSABLE_COLUMNS, window.tiles)
+        found = table.tiles.read(("c_r", "p_fail", "barred"), window.tiles)
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
         canvas = np.full((1, window.tiles.rows, window.tiles.cols), np.nan, dtype=np.float32)
-        canvas[0][window.pixel_indices(found)] = np.where(rule.passable(found), cost, np.nan)
+        canvas[0][window.pixel_indices(found)] = np.where(found["barred"] == 0, cost, np.nan)
         return canvas
 
     write_cog(path, place, spec, paint, _TILE_WINDOW)
+
+
+def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write barred.tif: a uint8 COG, why a tile is not passable, a `Barred`; ``NO_CLASS`` (nodata) without points.
+
+    Category names are in ``barred.tif.aux.xml``. For parameters and errors see `write_roughness`.
+    """
+    place = Placement.of(table)
+    spec = RasterSpec(
+        bands=[
+            BandSpec(
+                "barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT[code] for code in Barred)
+            )
+        ],
+        dtype="uint8",
+        nodata=NO_CLASS,
+        pixels=1,
+        crs=place.horizontal_crs,
+        overviews="MODE",
+        block=_TILE_BLOCK,
+        colours=BARRED_COLOURS,
+        tags=_tags(table, "why tiles are not passable", about),
+    )
+    write_cog(path, place, spec, _painter(table.tiles, {"barred": NO_CLASS}, "uint8"), _TILE_WINDOW)
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -144,18 +217,65 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
         # On 56 million pixels, level 6 took twice the time of level 1 and saved 4 % of the bytes.
         level=1,
     )
+    _write_pixels(table, path, spec, ("heights",), lambda found: found["heights"])
 
-    def paint(window: RasterWindow) -> NDArray[np.float32] | None:
+
+def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write obstacle.tif: a uint8 COG with the pixels of heightmap.tif: free, obstacle, canopy or unknown.
+
+    Pixels are unknown where no ground is known, and where objects are part of the relief because all points were
+    measured as ground. For parameters and errors see `write_roughness`.
+    """
+    place = Placement.of(table)
+    pixels = place.grid.pixels
+    spec = RasterSpec(
+        bands=[BandSpec("obstacle", text="what stands on the ground", categories=OBJECT_NAMES)],
+        dtype="uint8",
+        nodata=NO_CLASS,
+        pixels=pixels,
+        crs=place.horizontal_crs,
+        overviews="MODE",
+        block=_HEIGHT_BLOCK,
+        colours=OBJECT_COLOURS,
+        tags=_tags(table, "obstacles", about),
+        level=1,
+        worst=(OBSTACLE, _UNKNOWN_OBJECT, CANOPY, FREE),
+    )
+
+    def states(found: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
+        objects = found["objects"]
+        hidden = (objects == UNSEEN) | ((objects == FREE) & np.isnan(found["obstacle"])[:, None, None])
+        return np.where(hidden, np.uint8(_UNKNOWN_OBJECT), objects)
+
+    _write_pixels(table, path, spec, ("objects", "obstacle"), states)
+
+
+def _write_pixels(
+    table: CostTable,
+    path: Path,
+    spec: RasterSpec,
+    names: tuple[str, ...],
+    values: Callable[[dict[str, NDArray[Any]]], NDArray[Any]],
+) -> None:
+    """Write a raster with pixels in each tile; ``values`` makes them, (n, pixels, pixels), of the columns ``names``."""
+    place, pixels = Placement.of(table), spec.pixels
+
+    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+        found = table.tiles.read(names, window.tiles)
+        return *window.pixel_indices(found), values(found)
+
+    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
         if not table.tiles.holds(window.tiles):
             return None
-        found = table.tiles.read(("heights",), window.tiles)
-        line, column = window.pixel_indices(found)
+        line, column, stack = pieces(window)
         lines, columns = window.tiles.rows, window.tiles.cols
-        canvas = np.full((lines, pixels, columns, pixels), np.nan, dtype=np.float32)
-        canvas[line, :, column, :] = found["heights"]
+        canvas = np.full((lines, pixels, columns, pixels), spec.nodata, dtype=spec.dtype)
+        canvas[line, :, column, :] = stack
         return canvas.reshape(1, lines * pixels, columns * pixels)
 
-    write_cog(path, place, spec, paint, max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES)
+    sparse = table.tiles.tiles < _SPARSE * place.window.cols * place.window.rows
+    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
+    write_cog(path, place, spec, paint, side, pieces if sparse else None)
 
 
 def _painter(

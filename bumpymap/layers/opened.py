@@ -11,7 +11,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bumpymap.core import BANDS, CLASS_NAMES, REASON_TEXT, BadInputError, Band, UsageError, read_record
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    CLASS_NAMES,
+    OBJECT_NAMES,
+    REASON_TEXT,
+    BadInputError,
+    Band,
+    UsageError,
+    read_record,
+)
 from bumpymap.layers.manifest import MANIFEST_FORMAT, MANIFEST_NAME
 
 if TYPE_CHECKING:
@@ -23,8 +33,15 @@ __all__ = ["Layers", "open_layers"]
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
 _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
+_BARRED = Band("barred", "", "why the tile is not passable")
 _HEIGHT = Band("height", "m", "mean height of the points in the pixel")
-_FLAGS = {"class": CLASS_NAMES, "reason": tuple(REASON_TEXT.values())}
+_OBSTACLE = Band("objects", "", "what stands on the ground")
+_FLAGS = {
+    "class": CLASS_NAMES,
+    "reason": tuple(REASON_TEXT.values()),
+    "barred": tuple(BARRED_TEXT.values()),
+    "objects": OBJECT_NAMES,
+}
 
 
 class Layers:
@@ -59,15 +76,16 @@ class Layers:
         return self._manifest
 
     def dataset(self) -> "xarray.Dataset":
-        """Open roughness.tif, class.tif and cost.tif as one dataset on the grid of tiles.
+        """Open roughness.tif, class.tif, cost.tif and barred.tif as one dataset on the grid of tiles.
 
         Returns
         -------
         xarray.Dataset
             Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
-            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown) and ``reason``
-            are uint8. Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``.
-            Values are read from the files when they are used; those of a run in memory are loaded already.
+            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown), ``reason`` and
+            ``barred`` (0 where passable) are uint8. Each has the attributes ``units`` and ``long_name``; CRS and
+            transform are in ``spatial_ref``. Values are read from the files when they are used; those of a run in
+            memory are loaded already.
 
         Raises
         ------
@@ -80,6 +98,7 @@ class Layers:
             *self._variables("roughness.tif", BANDS),
             *self._variables("class.tif", (_CLASSES, _REASONS)),
             *self._variables("cost.tif", (_COST,)),
+            *self._variables("barred.tif", (_BARRED,)),
         ]
         dataset = _import("xarray").Dataset({variable.name: variable for variable in found})
         vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
@@ -102,6 +121,23 @@ class Layers:
             heightmap.tif is missing or damaged.
         """
         return next(self._variables("heightmap.tif", (_HEIGHT,)))
+
+    def obstacles(self) -> "xarray.DataArray":
+        """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions ``y`` (north first) and ``x``, the pixels of `heights`. Values are read when they are used.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            obstacle.tif is missing or damaged.
+        """
+        return next(self._variables("obstacle.tif", (_OBSTACLE,)))
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.

@@ -25,7 +25,7 @@ MAX_PIXELS = 25_000_000_000
 def check_extent(grid: Grid, window: TileWindow) -> None:
     """Refuse a window that is too large for a raster, as for two sites far apart or an outlying point.
 
-    Gaps take almost no disk space or memory, but GDAL visits every pixel of a raster, empty or not.
+    Gaps take almost no disk space or memory, but GDAL visits every pixel of most rasters, empty or not.
 
     Raises
     ------

@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
+from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers._label import add_up, label
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
@@ -151,8 +151,8 @@ def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
     """Return the keys (rows, cols) of a window, north row first; 0 where there is no tile."""
     keys = np.zeros((window.tiles.rows, window.tiles.cols), dtype=np.uint8)
     for strip in table.tiles.strips(_STRIP, window.tiles):
-        found = table.tiles.read((*PASSABLE_COLUMNS, "reason"), strip)
-        known = found["class_id"] + 1 + np.where(table.rule.passable(found), 0, _IMPASSABLE)
+        found = table.tiles.read(("class_id", "barred", "reason"), strip)
+        known = found["class_id"] + 1 + np.where(found["barred"] == 0, 0, _IMPASSABLE)
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
         keys[window.pixel_indices(found)] = key
     return keys

@@ -8,11 +8,16 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, PASSABLE_COLUMNS, REASON_TEXT, CostTable, Reason
+from bumpymap.core import BARRED_TEXT, CLASS_NAMES, NO_CLASS, REASON_TEXT, THIN_POINTS, Barred, CostTable, Reason
 
 __all__ = ["MapSummary", "summarise"]
 
 STRIP = 65_536
+_OBJECT_STRIP = 4_096
+"""Most tiles to read at a time with their heights."""
+_OBJECTS = ("judged", "layered", "tall")
+_OBJECT_HEIGHT = 0.5
+"""m: what is lower may be rough ground or grass."""
 _BINS = 1 << 16
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 """Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
@@ -34,14 +39,20 @@ class MapSummary:
     """(4,) tiles of each class."""
     by_reason: tuple[int, ...]
     """(6,) tiles without a class, for each ``Reason``."""
-    passable: int
-    """Passable tiles."""
+    by_bar: tuple[int, ...]
+    """(6,) tiles for each `Barred`, the passable ones first."""
     median_c_r: tuple[float, ...]
     """(5,) rad/m, for each class, then for tiles without a class; NaN if there is no value."""
     median_slope: tuple[float, ...]
     """(5,) degrees, likewise."""
     median_count: float
     """Points per tile."""
+    judged: int = 0
+    """Tiles with at least 15 points, for the next two."""
+    layered: int = 0
+    """Those in which the heights inside a pixel have a standard deviation above 0.5 m: layers above one another."""
+    tall: int = 0
+    """Those whose points are more than 0.5 m from the RANSAC plane, on average."""
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
@@ -50,21 +61,35 @@ class MapSummary:
             name: tuple(math.nan if value is None else value for value in counts.get(name, [None] * 5))
             for name in ("median_c_r", "median_slope")
         }
-        count = counts.get("median_count")
+        count, objects = counts.get("median_count"), counts.get("objects", {})
         return cls(
             tiles=counts["tiles"],
             points=counts["points"],
             by_class=tuple(counts["by_class"][name] for name in CLASS_NAMES),
             by_reason=tuple(counts["by_reason"].get(REASON_TEXT[code], 0) for code in Reason),
-            passable=counts["passable"],
+            by_bar=(counts["passable"], *(counts["barred"].get(BARRED_TEXT[code], 0) for code in Barred if code)),
             median_count=math.nan if count is None else count,
-            **medians,
+            median_c_r=medians["median_c_r"],
+            median_slope=medians["median_slope"],
+            judged=objects.get("judged", 0),
+            layered=objects.get("layered", 0),
+            tall=objects.get("tall", 0),
         )
 
     @property
     def unknown(self) -> int:
         """Tiles without a class."""
         return self.tiles - sum(self.by_class)
+
+    @property
+    def passable(self) -> int:
+        """Passable tiles."""
+        return self.by_bar[Barred.NO]
+
+    @property
+    def bars(self) -> dict[str, int]:
+        """Tiles that are not passable, by the description of what bars them; only those that occur."""
+        return {BARRED_TEXT[code]: self.by_bar[code] for code in Barred if code and self.by_bar[code]}
 
     @property
     def classes(self) -> dict[str, int]:
@@ -84,10 +109,11 @@ def summarise(table: CostTable) -> MapSummary:
     counts = np.zeros((1, _BINS), dtype=np.int64)
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
-    points = passable = 0
+    barred = np.zeros(len(Barred), dtype=np.int64)
+    points = 0
     for strip in table.tiles.strips(STRIP):
-        found = table.tiles.read((*PASSABLE_COLUMNS, "reason", "count", *_STEPS), strip)
-        passable += int(table.rule.passable(found).sum())
+        found = table.tiles.read(("class_id", "barred", "reason", "count", *_STEPS), strip)
+        barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
@@ -101,11 +127,34 @@ def summarise(table: CostTable) -> MapSummary:
         points=points,
         by_class=tuple(classes[:-1].tolist()),
         by_reason=tuple(reasons.tolist()),
-        passable=passable,
+        by_bar=tuple(barred.tolist()),
         median_c_r=c_r,
         median_slope=slope,
         median_count=_median(counts[0]),
+        **_count_objects(table),
     )
+
+
+def _count_objects(table: CostTable) -> dict[str, int]:
+    """Count the tiles in which something seems to stand on the ground, see `MapSummary`.
+
+    The variance of z inside pixels is that over the points less that of the pixels' means.
+    """
+    totals = np.zeros(len(_OBJECTS), dtype=np.int64)
+    for strip in table.tiles.strips(_OBJECT_STRIP):
+        if (table.tiles.read(("count",), strip)["count"] < THIN_POINTS).all():
+            continue
+        found = table.tiles.read(("count", "z_variance", "ransac_residual", "heights"), strip)
+        judged = found["count"] >= THIN_POINTS
+        heights = found["heights"][judged].reshape(int(judged.sum()), -1).astype(np.float64)
+        known = np.isfinite(heights)
+        pixels = np.maximum(known.sum(axis=1), 1)
+        mean = np.where(known, heights, 0.0).sum(axis=1) / pixels
+        between = (np.where(known, heights - mean[:, None], 0.0) ** 2).sum(axis=1) / pixels
+        layered = found["z_variance"][judged] - between > _OBJECT_HEIGHT**2
+        tall = found["ransac_residual"][judged] > _OBJECT_HEIGHT
+        totals += [judged.sum(), layered.sum(), tall.sum()]
+    return dict(zip(_OBJECTS, totals.tolist(), strict=True))
 
 
 def _count(histogram: NDArray[np.int64], group: NDArray[np.int64], value: NDArray[np.floating]) -> None:

@@ -11,7 +11,19 @@ import pyarrow.parquet as pq
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostTable, Reason, atomic, tile_columns
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    NO_CLASS,
+    REASON_TEXT,
+    SIDES,
+    TEXTURES,
+    Barred,
+    CostTable,
+    Reason,
+    atomic,
+    tile_columns,
+)
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
@@ -19,7 +31,7 @@ __all__ = ["write_tiles"]
 
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
-_NUMBERS = ("count", "reason", "z_min", "z_max", "relief")
+_NUMBERS = ("count", "reason", "z_min", "z_max", "relief", *(f"step_{side}" for side in SIDES))
 
 
 def write_tiles(table: CostTable, path: Path) -> None:
@@ -43,7 +55,7 @@ def write_tiles(table: CostTable, path: Path) -> None:
             temporary,
             schema,
             compression="zstd",
-            use_dictionary=["texture", "reason_text"],
+            use_dictionary=["texture", "reason_text", "barred"],
             # Measured 17 % smaller than the default encoding, and faster to compress.
             column_encoding={"heights.list.element": "BYTE_STREAM_SPLIT"},
         ) as writer,
@@ -73,11 +85,14 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
 
 def _schema(place: Placement) -> pa.Schema:
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
+    kinds["passable"] = pa.bool_()
     fields = [
         _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
         _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
         _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
         *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
+        *(_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
+        _field("barred", pa.string(), "why it is not passable"),
         _field("count", pa.int64(), "points that were measured", nullable=False),
         _field("z_min", pa.float64(), "lowest point", "m"),
         _field("z_max", pa.float64(), "highest point", "m"),
@@ -125,10 +140,12 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
         "texture": _texture(chance),
         "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
+        "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],
         "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
         "heights": pa.FixedSizeListArray.from_arrays(heights, place.grid.pixels**2),
     }
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
+    columns["passable"] = found["passable"] > 0
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
 

@@ -8,3 +8,12 @@ from .ground.cloth import (
     mark_ground as mark_ground,
     require_filter as require_filter,
 )
+from .objects import (
+    find_objects as find_objects,
+)
+from .standing import (
+    take_off_standing as take_off_standing,
+)
+from .thin import (
+    measure_thin as measure_thin,
+)

@@ -10,7 +10,7 @@ from bumpymap.core import FeatureSettings, PatchStack, Reason
 from bumpymap.patches import kernels
 from bumpytiles import TilePoints
 
-__all__ = ["join_stacks", "measure"]
+__all__ = ["join_stacks", "measure", "points_by_tile"]
 
 _SCALARS = 9
 
@@ -33,12 +33,8 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         One row a tile, in the order of ``points``.
     """
     grid = points.grid
-    starts = points.starts
-    easting, northing, upward = points.easting, points.northing, points.upward
-    if ground_only:
-        easting, northing, upward = easting[points.flag], northing[points.flag], upward[points.flag]
-        starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
-    count = np.diff(starts)
+    measured = points_by_tile(points, ground_only=ground_only)
+    count = np.diff(measured.starts)
     tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
     maps = [np.empty((tiles, px, px), np.float32) for _ in range(3)]
     out = kernels.TileMeasures(
@@ -51,7 +47,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         depth=max(1, round(settings.max_hole / grid.pixel_size)),
     )
     kernels.measure_tiles(
-        kernels.PointsByTile(starts, easting, northing, upward, points.col, points.row),
+        measured,
         thresholds,
         out,
         kernels.measure_scratch(most, px, settings.stray_points),
@@ -80,6 +76,15 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         relief=np.where(reason == Reason.OK, relief, np.nan),
         reason=reason,
     )
+
+
+def points_by_tile(points: TilePoints, *, ground_only: bool) -> kernels.PointsByTile:
+    """Return the points that are measured: all, or the flagged ones alone."""
+    starts, place = points.starts, (points.easting, points.northing, points.upward)
+    if ground_only:
+        starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
+        place = (place[0][points.flag], place[1][points.flag], place[2][points.flag])
+    return kernels.PointsByTile(starts, *place, points.col, points.row)
 
 
 def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: FeatureSettings) -> NDArray[np.uint8]:

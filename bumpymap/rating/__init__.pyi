@@ -9,6 +9,10 @@ from .cost import (
     rate as rate,
     rate_as_paper as rate_as_paper,
 )
+from .passable import (
+    find_passable as find_passable,
+    settle_objects as settle_objects,
+)
 from .ride.correction import (
     Correction as Correction,
     Prediction as Prediction,
@@ -32,6 +36,33 @@ from .ride.operator import (
 )
 from .ride.rate import (
     RideModel as RideModel,
+)
+from .ride.thin import (
+    THIN_COLUMNS as THIN_COLUMNS,
+    thin_columns as thin_columns,
+)
+from .ride.thin_fit import (
+    ThinSurveys as ThinSurveys,
+    fit_thin as fit_thin,
+)
+from .ride.thin_noise import (
+    pool_noise as pool_noise,
+)
+from .ride.thin_rate import (
+    BlockRating as BlockRating,
+    dense_share as dense_share,
+    is_rateable as is_rateable,
+    rate_thin as rate_thin,
+)
+from .step_effect import (
+    STEP_COLUMNS as STEP_COLUMNS,
+    apply_steps as apply_steps,
+    crossing_fails as crossing_fails,
+    edge_usable as edge_usable,
+)
+from .steps import (
+    TileSteps as TileSteps,
+    find_steps as find_steps,
 )
 from .texture_network import (
     TextureModel as TextureModel,

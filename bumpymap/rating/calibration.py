@@ -3,19 +3,26 @@
 import hashlib
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import wraps
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, parse_json
+from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, VehicleBody, parse_json
+from bumpymap.rating.vehicle.body import body_of, body_table
 
-__all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "shipped_calibrations"]
+__all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
+
+T = TypeVar("T")
 
 _DRIVE_S = 10.0
 """Measured seconds of a drive, if the calibration does not give them."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
+_OPTIONAL = ("steps", "thin")
+"""Fields that older files do not have."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
 """Keys of a vehicle profile that do not affect the simulated drives."""
 DEFAULT_FAIL_WEIGHT = 300.0
@@ -85,9 +92,13 @@ class Calibration:
     """Mean C_r of the driven terrains of each class, rad/m."""
     ride: dict[str, Any] | None = None
     """Coefficients of the ride model, fitted to drives over the terrain library; None if none was fitted."""
+    thin: dict[str, Any] | None = None
+    """Coefficients of the model of thin surveys; None if none was fitted."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Everything needed to repeat the calibration: seed, command, versions, integrator settings, rule of the class
     limits. ``library`` holds the results of the drives over the terrain library, to fit a ride model again."""
+    steps: dict[str, Any] | None = None
+    """What steps do to the vehicle, see ``bumpymap.rating.step_effect``; None: made without."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -102,8 +113,9 @@ class Calibration:
             raise ValueError("z_range must be positive and increasing")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
             raise ValueError("class_limits must be positive and increasing")
-        if not isinstance(self.ride, dict | None):
-            raise ValueError(f"ride is {self.ride!r}; it must be an object or null")  # noqa: TRY004 (of a file)
+        for name in ("ride", *_OPTIONAL):
+            if not isinstance(getattr(self, name), dict | None):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object or null")  # noqa: TRY004
         self._hashed_text()  # raises ValueError if a number is not finite
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
@@ -125,21 +137,33 @@ class Calibration:
             slope_limit_deg=float(self.vehicle["slope_limit_deg"]),
         )
 
+    @property
+    def body(self) -> VehicleBody:
+        """Outline of the vehicle; defaults where the profile has none."""
+        return body_of(self.vehicle)
+
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
+            name = str(self.vehicle["name"])
+            vehicle = name if name in shipped_calibrations() else "PROFILE.toml"
             raise UsageError(
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
-                f"map has {tile_size:g} m with {pixels}. Use the calibration's tile size, or calibrate for yours: "
-                f"bumpymap calibrate --tile-size {tile_size:g} --pixels {pixels}"
+                f"map has {tile_size:g} m with {pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
+                f"or make a calibration that drives over patches of your size: bumpymap calibrate --vehicle {vehicle} "
+                f"--tile-size {tile_size:g} --pixels {pixels} --out my.json; then pass `calibration='my.json'`"
             )
 
     def _hashed_text(self) -> str:
-        return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
+        return json.dumps(self._record(), sort_keys=True, allow_nan=False)
+
+    def _record(self) -> dict[str, Any]:
+        """Return the fields; optional ones that are None are left out, so that older files keep their ``id``."""
+        return {key: value for key, value in asdict(self).items() if key not in _OPTIONAL or value is not None}
 
     def to_json(self) -> str:
         """Return the text of the calibration file."""
-        return json.dumps({"format": _FORMAT, "version": _VERSION, "id": self.id, **asdict(self)}, indent=1) + "\n"
+        return json.dumps({"format": _FORMAT, "version": _VERSION, "id": self.id, **self._record()}, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str, origin: str) -> "Calibration":
@@ -169,7 +193,7 @@ class Calibration:
                     f"{origin} is a calibration of version {record.get('version')}; "
                     f"this bumpymap reads version {_VERSION}. {hint}"
                 )
-            known = {f.name: record[f.name] for f in fields(cls)}
+            known = {f.name: record[f.name] for f in fields(cls) if f.name not in _OPTIONAL or f.name in record}
             return cls(**{key: _tuples(value) for key, value in known.items()})
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
@@ -212,9 +236,9 @@ class Calibration:
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
-        """Return this calibration with the name, description and weights of a vehicle profile.
+        """Return this calibration with the name, description, weights and outline (``[body]``) of a vehicle profile.
 
-        Weights change the cost layer, so a changed preference changes the ``id``.
+        They change the layers, so a changed preference changes the ``id``.
 
         Parameters
         ----------
@@ -229,12 +253,15 @@ class Calibration:
             Any other key differs, so the profile is of another vehicle.
         """
         driven, given = _flat(self.vehicle), _flat(profile)
-        differ = [key for key in {**driven, **given} if key not in _PREFERENCES and driven.get(key) != given.get(key)]
+        kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith("body.")]
+        differ = [key for key in kept if driven.get(key) != given.get(key)]
         if differ:
             named = "; ".join(f"{key} is {given.get(key)}, was {driven.get(key)}" for key in differ)
             raise BadInputError(f"{origin} was made for another vehicle: {named}")
         own = self.preferences
         changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
+        if (body := body_table(profile)) != body_table(self.vehicle):
+            changed["body"] = body
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
 
@@ -258,7 +285,7 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers = [number for table in tables for line in table for number in line]
     numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
-    numbers += [calibration.tile_size, calibration.pixels]
+    numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values()]
     if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
     if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
@@ -267,6 +294,22 @@ def _check_numbers(calibration: Calibration) -> None:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def remembered(function: Callable[[Calibration], T]) -> Callable[[Calibration], T]:
+    """Keep what a function made of the calibration that it was last called with: a run calls it for every block."""
+    last: list[tuple[Calibration, T]] = []
+
+    @wraps(function)
+    def ask(calibration: Calibration) -> T:
+        for known, made in tuple(last):
+            if known is calibration:
+                return made
+        made = function(calibration)
+        last[:] = [(calibration, made)]
+        return made
+
+    return ask
 
 
 def shipped_calibrations() -> list[str]:

@@ -1,3 +1,7 @@
+from ._line_kernel import (
+    CELL as CELL,
+    QUANTA as QUANTA,
+)
 from .decoder import (
     close_decoder as close_decoder,
 )
@@ -21,6 +25,11 @@ from .frames.read import (
     Robot as Robot,
     read_scan as read_scan,
     scene_points as scene_points,
+)
+from .line_sums import (
+    LineCorrection as LineCorrection,
+    LineSums as LineSums,
+    cell_indices as cell_indices,
 )
 from .point_stats import (
     PointStats as PointStats,

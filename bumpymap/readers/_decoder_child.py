@@ -74,6 +74,7 @@ def _fields() -> Any:
         | lazrs.SELECTIVE_DECOMPRESS_Z
         | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
         | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+        | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
     )
 
 

@@ -38,6 +38,7 @@ _FINITE = float(np.finfo(np.float64).max)
 Floats = Annotated[NDArray[np.float64], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
 Flags = Annotated[NDArray[np.bool_], 1]
+Lines = Annotated[NDArray[np.uint16], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Records = Annotated[NDArray[np.uint8], 2]
 
@@ -52,6 +53,8 @@ class FilePoints(NamedTuple):
     class_id: Bytes
     """LAS classes; 7 and 18 are noise, 2 is ground."""
     withheld: Flags
+    line: Lines
+    """Flight lines."""
 
 
 class WatchRules(NamedTuple):
@@ -73,6 +76,7 @@ class CountedPoints(NamedTuple):
     y: Floats
     z: Floats
     ground: Flags
+    line: Lines
 
 
 class WatchCounts(NamedTuple):
@@ -90,7 +94,8 @@ class RecordNumbers(NamedTuple):
     place: Floats
     """(9,) scales, offsets and metres per unit of x, y and z."""
     layout: Counts
-    """(4,) byte and mask of the class, byte and mask of the withheld flag."""
+    """(6,) byte and mask of the class, byte and mask of the withheld flag; first byte of the flight line, and the line
+    of points where that is 0."""
 
 
 @helper
@@ -137,6 +142,7 @@ def _filter_point(
             counts[1] += 1
             continue
         out.x[to], out.y[to], out.z[to], out.ground[to] = e, n, u, code == 2
+        out.line[to] = points.line[i]
         to += 1
     counts[KEPT] = to
     extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
@@ -191,4 +197,6 @@ def convert_records(
         for i in range(count):
             strip.class_id[i] = records[first + i, layout[0]] & layout[1]
             strip.withheld[i] = (records[first + i, layout[2]] & layout[3]) != 0
+            line = np.int64(records[first + i, layout[4]]) | np.int64(records[first + i, layout[4] + 1]) << 8
+            strip.line[i] = line if line != 0 else layout[5]
         _filter_point(strip, count, rules.start + first, rules, out, watched)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bumpymap.core import PointCloud, UsageError
+from bumpymap.readers.line_sums import LineSums
 from bumpymap.readers.point_stats import PointStats, verify
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyInfo
 
@@ -16,7 +17,7 @@ class SurveyBase(ABC):
 
     def __init__(self, info: SurveyInfo) -> None:
         self._info = info
-        self._dropped = PointStats().dropped
+        self._dropped, self._line_sums = PointStats().dropped, LineSums()
 
     @property
     def info(self) -> SurveyInfo:
@@ -27,6 +28,11 @@ class SurveyBase(ABC):
     def dropped(self) -> dict[str, int]:
         """Number of points dropped so far, by reason."""
         return dict(self._dropped)
+
+    @property
+    def lines(self) -> LineSums:
+        """Sums of flight lines so far; see ``SurveyReader.lines``."""
+        return self._line_sums
 
     @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
@@ -48,11 +54,12 @@ class SurveyBase(ABC):
         """Yield the points of the file; see ``SurveyReader.clouds``."""
         if points < 1:
             raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
-        stats = PointStats()
+        stats, self._line_sums = PointStats(), LineSums()
         for chunk in self.chunks(points):
             converted = self.convert(chunk, self.fetch(chunk))
             stats = stats.merge(converted.stats)
             self._dropped = stats.dropped
+            self._line_sums = self._line_sums.merge(converted.lines)
             if not stats.bad:
                 yield from _split(converted.cloud, points)
         self.verify(stats)

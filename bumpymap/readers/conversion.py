@@ -17,6 +17,8 @@ from bumpymap.readers._kernel import (
     convert_records,
     filter_points,
 )
+from bumpymap.readers._line_kernel import LinedPoints
+from bumpymap.readers.line_sums import LineRules, LineSums
 from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds
@@ -49,6 +51,10 @@ class RecordLayout:
     class_mask: int
     withheld_byte: int
     withheld_mask: int
+    line_byte: int
+    """First of two bytes of the point source id."""
+    line: int
+    """Flight line of points whose point source id is 0: the id of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +69,11 @@ class PointChecks:
 
 
 def convert_las_points(
-    records: NDArray[np.uint8], layout: RecordLayout, place: Georeference, checks: PointChecks
+    records: NDArray[np.uint8],
+    layout: RecordLayout,
+    place: Georeference,
+    checks: PointChecks,
+    lines: LineRules | None = None,
 ) -> ChunkPoints:
     """Convert LAS point records.
 
@@ -74,25 +84,37 @@ def convert_las_points(
     place : Georeference
         Its units are used.
     checks : PointChecks
+    lines : LineRules, optional
     """
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
     numbers = np.array([*layout.scales, *layout.offsets, *units])
-    places = np.array([layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask])
+    places = np.array(
+        [
+            layout.class_byte,
+            layout.class_mask,
+            layout.withheld_byte,
+            layout.withheld_mask,
+            layout.line_byte,
+            layout.line,
+        ]
+    )
     x, y, z = np.empty((3, STRIP))
-    strip = FilePoints(x, y, z, np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_))
+    strip = FilePoints(x, y, z, np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_), np.empty(STRIP, np.uint16))
     size = len(records)
-    out = CountedPoints(np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_))
+    out = CountedPoints(
+        np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_), np.empty(size, np.uint16)
+    )
     seen_stats = _empty_stats()
     convert_records(records, RecordNumbers(numbers, places), _rules(checks), strip, out, seen_stats)
-    return _chunk_points(out, size, seen_stats)
+    return _chunk_points(out, size, seen_stats, lines)
 
 
 def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
     """Convert rows of a table; the coordinate arrays of ``raw`` are overwritten."""
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
-    points = FilePoints(*axes, _codes(raw), np.zeros(size, np.bool_))
-    out = CountedPoints(*axes, np.empty(size, np.bool_))
+    points = FilePoints(*axes, _codes(raw), np.zeros(size, np.bool_), np.zeros(size, np.uint16))
+    out = CountedPoints(*axes, np.empty(size, np.bool_), np.empty(size, np.uint16))
     seen_stats = _empty_stats()
     filter_points(points, _rules(checks), out, seen_stats)
     return _chunk_points(out, size, seen_stats)
@@ -122,14 +144,18 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     return codes
 
 
-def _chunk_points(out: CountedPoints, seen: int, seen_stats: WatchCounts) -> ChunkPoints:
+def _chunk_points(
+    out: CountedPoints, seen: int, seen_stats: WatchCounts, lines: LineRules | None = None
+) -> ChunkPoints:
     counts = seen_stats.counts
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # Points outside their octree node are counted by `count_points_outside_node`.
     stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *seen_stats.extremes.tolist())
     kept = 0 if stats.bad else int(counts[KEPT])
+    points = LinedPoints(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept], out.line[:kept])
+    sums = LineSums() if lines is None else lines.apply(points)
     cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept])
     if kept < seen // 2:
         # A view would keep the memory of the dropped points.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return ChunkPoints(cloud, stats)
+    return ChunkPoints(cloud, stats, sums)

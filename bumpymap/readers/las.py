@@ -16,6 +16,7 @@ from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, read_raw_header
 from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
 from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
+from bumpymap.readers.line_sums import LineRules
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, open_source
 from bumpytiles import Bounds
@@ -42,6 +43,7 @@ class LasSurvey(SurveyBase):
                 refuse_header_bounds(path, bounds)
             self._source = _source(stream, path, raw, None if bounds is None else place.metres_per_unit)
         self._layout = _layout(raw)
+        self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
@@ -61,7 +63,8 @@ class LasSurvey(SurveyBase):
     def convert(self, chunk: Chunk, fetched: Records) -> ChunkPoints:
         """Convert the records of a chunk to points in metres."""
         info = self.info
-        converted = convert_las_points(fetched, self._layout, info.georeference, PointChecks(chunk.first, info.bounds))
+        checks = PointChecks(chunk.first, info.bounds)
+        converted = convert_las_points(fetched, self._layout, info.georeference, checks, self._lines)
         nodes = self._source.nodes(chunk)
         if nodes is None or info.bounds is None:
             return converted
@@ -92,10 +95,21 @@ def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: f
 
 
 def _layout(raw: RawHeader) -> RecordLayout:
-    """Return where class and flags are: LAS 1.4 R15, tables 7 and 10; formats 6 and up have a separate class byte."""
-    if raw.point_format < 6:
-        return RecordLayout(raw.scales, raw.offsets, class_byte=15, class_mask=31, withheld_byte=15, withheld_mask=128)
-    return RecordLayout(raw.scales, raw.offsets, class_byte=16, class_mask=255, withheld_byte=15, withheld_mask=4)
+    """Return where the fields are: LAS 1.4 R15, tables 7 and 10; formats 6 and up have a separate class byte.
+
+    A point source id of 0 stands for that of the file.
+    """
+    layered = raw.point_format >= 6
+    return RecordLayout(
+        raw.scales,
+        raw.offsets,
+        class_byte=16 if layered else 15,
+        class_mask=255 if layered else 31,
+        withheld_byte=15,
+        withheld_mask=4 if layered else 128,
+        line_byte=20 if layered else 18,
+        line=raw.source_id,
+    )
 
 
 def _refuse_scales(path: Location, raw: RawHeader) -> None:

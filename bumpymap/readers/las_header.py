@@ -17,8 +17,9 @@ from bumpymap.readers.source import Location
 __all__ = ["LAYERED", "RawHeader", "read_raw_header"]
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
-_FIELDS = struct.Struct("<6xH16xBB68xHIIBHI")
-"""Encoding; version; header size, offset to the points, number of records; point format, point size, point count."""
+_FIELDS = struct.Struct("<4xHH16xBB68xHIIBHI")
+"""File source id, encoding; version; header size, offset to the points, number of records; point format, point size,
+point count."""
 _FIELDS_1_4 = struct.Struct("<QIQ")
 """Offset to the extended records, their number; point count."""
 _RECORD, _EXTENDED_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
@@ -58,6 +59,8 @@ class RawHeader:
     """Extent of the points as declared in the header."""
     records: dict[tuple[bytes, int], bytes]
     """By user id and record id: those of the projection (extended ones too), of LASzip and of COPC."""
+    source_id: int = 0
+    """The flight line of the file, if it holds one; 0: none is given."""
 
     @property
     def extra_bytes(self) -> int:
@@ -72,7 +75,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     head = stream.read(_HEADER_1_4)
     if len(head) < _HEADER_1_0:
         raise BadInputError(f"{path} ends after {len(head)} bytes, inside the LAS header. {_AGAIN}")
-    encoding, major, minor, header_size, offset, records, kind, point_size, count = _FIELDS.unpack_from(head)
+    source_id, encoding, major, minor, header_size, offset, records, kind, point_size, count = _FIELDS.unpack_from(head)
     if major != 1 or minor > 5 or (minor >= 4 and len(head) < _HEADER_1_4):
         raise BadInputError(
             f"{path} is LAS {major}.{minor} with {len(head)} header bytes; bumpymap reads LAS 1.0 to 1.5. {_AGAIN}"
@@ -98,7 +101,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         size, f"{major}.{minor}", point_format, compressed, point_size, count, offset, bool(encoding & 0x10), is_copc,
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
-        {(user, number): data for user, number, data in reversed(plain + far) if user in _NEEDED},
+        {(user, number): data for user, number, data in reversed(plain + far) if user in _NEEDED}, source_id,
     )  # fmt: skip
 
 

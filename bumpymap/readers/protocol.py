@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from bumpymap.core import Georeference, PointCloud, ZUnit
+from bumpymap.readers.line_sums import LineCorrection, LineSums
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.source import Location, Version
 from bumpytiles import Bounds
@@ -27,6 +28,10 @@ class ReadOptions:
     """Ignore the extent in the header and use that of the points."""
     memory: int = 1 << 30
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
+    lines: bool = False
+    """Whether sums are made to compare the heights of flight lines."""
+    corrections: tuple[LineCorrection, ...] = ()
+    """What is subtracted from the heights of flight lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +81,8 @@ class ChunkPoints:
     """Points in metres, without dropped ones; empty if ``stats.bad``."""
     stats: PointStats
     """Statistics of all points of the chunk, dropped ones included."""
+    lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
+    """Sums to compare flight lines, if `ReadOptions.lines` asks for them and the file names lines."""
 
 
 class SurveyReader(Protocol):
@@ -88,6 +95,10 @@ class SurveyReader(Protocol):
     @property
     def dropped(self) -> dict[str, int]:
         """Number of dropped points, by reason; complete when ``clouds`` is exhausted."""
+
+    @property
+    def lines(self) -> LineSums:
+        """Sums to compare flight lines; complete when ``clouds`` is exhausted."""
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file into chunks of about ``points`` points; the result is the same on every machine.

@@ -11,19 +11,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FeatureSettings, PointCloud, Reason
+from bumpymap.core import THIN_POINTS, FeatureSettings, PointCloud, Reason
+from bumpymap.readers.line_sums import LineSums
+from bumpymap.readers.pixel_sample import PixelSample, Rule, dense_rule, thin_rule
 from bumpymap.readers.protocol import SurveyReader
 from bumpytiles import Bounds, Grid
 
 __all__ = ["PointSummary", "PointSummaryBuilder"]
 
 MERGE_AT = 4_000_000
-MOST_PIXELS = 500_000
-"""Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
-GROUP_PIXELS = 4_000_000
-_INDEX_MASK = (1 << 23) - 1
-"""Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
-_MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +45,7 @@ class PointSummary:
     ground_tiles: int
     """Tiles that hold a point of class 2."""
     unknown: dict[Reason, float]
-    """Number of tiles that cannot be rated from all points, by reason; too many holes is estimated from a sample."""
+    """Number of tiles that cannot be rated from all points, by reason; those with holes are estimated from a sample."""
     ground_unknown: dict[Reason, float]
     """The same if only points of class 2 are measured."""
 
@@ -61,14 +57,18 @@ class PointSummaryBuilder:
     ----------
     grid : Grid
     settings : FeatureSettings
-        Decides when a tile cannot be rated.
+        Decides when a heightmap cannot be rated.
+    thin : bool
+        Thin tiles are rated from their points, as with ``rating = "ride"`` and a calibration that has ``thin``.
     """
 
-    def __init__(self, grid: Grid, settings: FeatureSettings) -> None:
-        self._grid, self._settings = grid, settings
+    def __init__(self, grid: Grid, settings: FeatureSettings, *, thin: bool = True) -> None:
+        self._grid, self._settings, self._thin = grid, settings, thin
         self.all_points, self.ground = _Counts(), _Counts()
-        self.all_pixels, self.ground_pixels = _PixelSample(grid), _PixelSample(grid)
+        self.all_pixels, self.ground_pixels = PixelSample(grid), PixelSample(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self.lines = LineSums()
+        """Sums to compare flight lines, if the readers make them."""
 
     def read(self, reader: SurveyReader, advance: Callable[[int], None] = lambda _: None) -> Self:
         """Count all points of a file; ``advance`` is called after each chunk with its number of points.
@@ -89,6 +89,7 @@ class PointSummaryBuilder:
             if ground.any():
                 self.ground_pixels.add_points(keys[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
+        self.lines = self.lines.merge(reader.lines)
         return self
 
     def merge(self, other: "PointSummaryBuilder") -> None:
@@ -98,6 +99,7 @@ class PointSummaryBuilder:
         for sample, its in ((self.all_pixels, other.all_pixels), (self.ground_pixels, other.ground_pixels)):
             sample.merge(its)
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        self.lines = self.lines.merge(other.lines)
 
     def summary(self) -> PointSummary | None:
         """Return the summary; None if there are no points."""
@@ -123,16 +125,18 @@ class PointSummaryBuilder:
             | self._unknown(ground_keys, ground_counts, self.ground_pixels),
         )
 
-    def _unknown(
-        self, keys: NDArray[np.int64], counts: NDArray[np.int64], pixels: "_PixelSample"
-    ) -> dict[Reason, float]:
-        """Count tiles with too few points; estimate how many of the others have too many holes."""
-        enough = counts >= self._settings.min_points
-        share = pixels.share_with_holes(keys[enough], self._settings)
-        return {
-            Reason.TOO_FEW_POINTS: float((~enough).sum()),
-            Reason.TOO_MANY_HOLES: share * float(enough.sum()),
-        }
+    def _unknown(self, keys: NDArray[np.int64], counts: NDArray[np.int64], pixels: PixelSample) -> dict[Reason, float]:
+        """Count tiles with too few points; estimate from the sample how many others have holes."""
+        dense_enough = counts >= self._settings.min_points
+        thin_enough = (counts >= THIN_POINTS) & self._thin
+        dense = dense_rule(self._settings, self._grid.pixel_size)
+
+        def estimate(tiles: NDArray[np.bool_], *rules: Rule) -> float:
+            return pixels.share_unknown(keys[tiles], *rules) * float(tiles.sum()) if tiles.any() else 0.0
+
+        few = float((~dense_enough & ~thin_enough).sum()) + estimate(~dense_enough & thin_enough, thin_rule)
+        holes = estimate(dense_enough & ~thin_enough, dense) + estimate(dense_enough & thin_enough, dense, thin_rule)
+        return {Reason.TOO_FEW_POINTS: few, Reason.TOO_MANY_HOLES: holes}
 
 
 class _Counts:
@@ -165,97 +169,7 @@ class _Counts:
             self._waiting = 0
 
 
-class _PixelSample:
-    """The pixels that hold a point, in one of ``step`` tiles; ``step`` is a power of two that grows with the survey."""
-
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
-        self._parts: list[NDArray[np.int64]] = []
-        """Codes of pixels: column and row of the tile in 23 bits each, then the pixel index in 16 bits."""
-        self._waiting = 0
-        self.step = 1
-
-    def add_points(self, keys: NDArray[np.int64], easting: NDArray[np.float64], northing: NDArray[np.float64]) -> None:
-        """Add points by the keys of their tiles and their coordinates [m]."""
-        codes = _codes(keys)
-        chosen = _sampled(codes, self.step)
-        pixel = self._pixel(easting[chosen]) * self._grid.pixels + self._pixel(northing[chosen])
-        self._add(_distinct((codes[chosen] << 16) | pixel))
-
-    def merge(self, other: "_PixelSample") -> None:
-        self.step = max(self.step, other.step)
-        self._add(other.merged())
-
-    def _add(self, places: NDArray[np.int64]) -> None:
-        self._parts.append(places)
-        self._waiting += places.size
-        if self._waiting > 3 * MOST_PIXELS:
-            self._parts, self._waiting = [self.merged()], 0
-
-    def merged(self) -> NDArray[np.int64]:
-        """Merge the parts, and reduce the sample until it has few enough pixels."""
-        places = _distinct(np.concatenate([np.zeros(0, np.int64), *self._parts]))
-        places = places[_sampled(places >> 16, self.step)]
-        while places.size > MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
-            self.step *= 2
-            places = places[_sampled(places >> 16, self.step)]
-        return places
-
-    def _pixel(self, axis: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the column or row of the pixel within its tile."""
-        offset = (axis / self._grid.tile_size - self._grid.index(axis)) * self._grid.pixels
-        return np.clip(offset.astype(np.int64), 0, self._grid.pixels - 1)
-
-    def share_with_holes(self, keys: NDArray[np.int64], settings: FeatureSettings) -> float:
-        """Return the share of these tiles, of those in the sample, with too little coverage or too wide a hole."""
-        px, size = self._grid.pixels, self._grid.pixels**2
-        places = self.merged()
-        tiles = np.intersect1d(_distinct(places >> 16), _codes(keys), assume_unique=True)
-        depth = max(1, round(settings.max_hole / self._grid.pixel_size))
-        bad, group = 0, max(1, GROUP_PIXELS // size)
-        for first in range(0, tiles.size, group):
-            part = tiles[first : first + group]
-            mine = places[np.isin(places >> 16, part)]
-            known = np.zeros((part.size, size), np.bool_)
-            known[np.searchsorted(part, mine >> 16), mine & 0xFFFF] = True
-            covered = known.mean(axis=1) >= settings.min_coverage
-            bad += int((~covered | ~_filled(known.reshape(-1, px, px), depth)).sum())
-        return bad / tiles.size if tiles.size else 0.0
-
-
-def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
-    """Return in which tiles (n, pixels, pixels) each pixel has a known one within ``depth`` pixels (Chebyshev)."""
-    for axis in (1, 2):
-        lines = np.moveaxis(known, axis, 1)
-        near = lines.copy()
-        for step in range(1, min(depth, lines.shape[1] - 1) + 1):
-            near[:, step:] |= lines[:, :-step]
-            near[:, :-step] |= lines[:, step:]
-        known = np.moveaxis(near, 1, axis)
-    return np.asarray(known.all(axis=(1, 2)))
-
-
 def _keys(cloud: PointCloud, grid: Grid) -> NDArray[np.int64]:
     """Return tile keys: column and row in 32 bits each, enough for all allowed coordinates and tiles from 1.5 m."""
     keys: NDArray[np.int64] = (grid.index(cloud.easting) << 32) + grid.index(cloud.northing)
     return keys
-
-
-def _codes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 46-bit codes of tile keys: column and row in 23 bits each."""
-    rows = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
-    codes: NDArray[np.int64] = (((keys - rows) >> 32 & _INDEX_MASK) << 23) | (rows & _INDEX_MASK)
-    return codes
-
-
-def _distinct(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted unique values; ``np.unique`` hashes, which is ten times slower if most values differ."""
-    ordered = np.sort(values)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
-
-
-def _sampled(codes: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
-    """Return which tiles are in a sample of one in ``step``, by a hash of their codes."""
-    mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
-    chosen: NDArray[np.bool_] = (mixed & np.uint64(step - 1)) == 0
-    return chosen

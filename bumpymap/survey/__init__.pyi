@@ -1,5 +1,4 @@
 from .advice import (
-    Measured as Measured,
     Outcome as Outcome,
     advise as advise,
     enough_points as enough_points,
@@ -8,6 +7,12 @@ from .advice import (
 )
 from .api import (
     map_survey as map_survey,
+)
+from .end_of_run import (
+    ground_line as ground_line,
+    outcome_of_run as outcome_of_run,
+    require_known as require_known,
+    unknown_line as unknown_line,
 )
 from .engine.block_work import (
     BlockWork as BlockWork,
@@ -22,6 +27,12 @@ from .engine.pool import (
 from .engine.resource_estimate import (
     Estimate as Estimate,
     estimate as estimate,
+)
+from .flight_lines import (
+    FlightLines as FlightLines,
+    compare_lines as compare_lines,
+    describe_lines as describe_lines,
+    describe_pairs as describe_pairs,
 )
 from .pipeline import (
     map_surveys as map_surveys,

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bumpymap.core import REASON_TEXT, FeatureSettings, Reason
+from bumpymap.core import REASON_TEXT, THIN_PARTS, THIN_POINTS, FeatureSettings, Reason
 from bumpytiles import Grid
 
 __all__ = ["Measured", "Outcome", "advise", "enough_points", "models_for", "size_options"]
@@ -15,9 +15,12 @@ _FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 _LARGEST_TILE = 20
 """Largest tile that advice suggests, m: larger ones say little about what a wheel meets."""
-_WITHOUT_HOLES = 1.5
-"""With this many times the points of `enough_points` few tiles have holes: of 4,000 tiles with random points, 49 % had
-too many holes with 65 points, 2.4 % with 72, none with 90."""
+_ALMOST_ALL = 1.5
+"""With this many times the points of `enough_points` almost all tiles are known. Dense rule: of 4,000 tiles with random
+points, 49 % had too many holes with 65 points, 2.4 % with 72, none with 90. Thin rule: where tiles hold 22 points on
+average, 5 % hold fewer than 15."""
+_LEAST_HELD = 2
+"""Points of the median tile from which larger ones are suggested: with fewer, most tiles may hold no point at all."""
 _MOSTLY_EDGE = 16
 """Up to this number of tiles, 4 x 4, most are at the edge."""
 
@@ -36,6 +39,8 @@ class Outcome:
     """Median number of measured points per tile."""
     all_points_per_tile: float
     """Mean number of points per tile, of all classes."""
+    thin: bool
+    """Thin tiles are rated from their points, as with ``rating = "ride"`` and a calibration that has ``thin``."""
 
     @property
     def share(self) -> float:
@@ -43,14 +48,23 @@ class Outcome:
         return sum(self.unknown.values()) / self.tiles if self.tiles else 0.0
 
 
-def enough_points(grid: Grid, settings: FeatureSettings) -> int:
+def enough_points(grid: Grid, settings: FeatureSettings, *, thin: bool) -> int:
     """Return the number of points with which a tile can probably be classified.
 
-    Points scattered at random over ``m`` pixels leave a pixel empty with probability ``exp(-n / m)``, so ``n`` points
-    cover the share ``1 - exp(-n / m)``.
+    Parameters
+    ----------
+    grid : Grid
+        Grid of the tiles.
+    settings : FeatureSettings
+        Limits of the dense rule. Points scattered at random over ``m`` pixels leave a pixel empty with probability
+        ``exp(-n / m)``, so ``n`` points cover the share ``1 - exp(-n / m)``.
+    thin : bool
+        The rule of thin tiles holds as well. Points at random that are enough for it nearly always span the tile: 15
+        leave a hole in one of 1,500 tiles.
     """
     for_coverage = -math.log1p(-min(settings.min_coverage, 0.999)) * grid.pixels**2
-    return max(settings.min_points, math.ceil(for_coverage))
+    dense = max(settings.min_points, math.ceil(for_coverage))
+    return min(dense, THIN_POINTS) if thin else dense
 
 
 def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_run: bool) -> str:
@@ -62,7 +76,7 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
     grid : Grid
         Grid of the tiles.
     settings : FeatureSettings
-        Limits that make a tile unknown.
+        Limits of the dense rule.
     before_run : bool
         Whether the run is still to come.
     """
@@ -79,12 +93,11 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
 
 
 def models_for(grid: Grid) -> str:
-    """Return the commands that make the calibration and the network for tiles of another size."""
+    """Return the commands that make and use the calibration for tiles of another size."""
     size = size_options(grid)
     return (
-        "a calibration and a texture network made for them: "
-        f"bumpymap calibrate {size} --out my.json; bumpymap train {size} --out my.onnx; "
-        f"then bumpymap map {size} --calibration my.json --model my.onnx"
+        "a calibration that drives patches of that size: "
+        f"bumpymap calibrate {size} --out my.json; then bumpymap map {size} --calibration my.json"
     )
 
 
@@ -96,12 +109,16 @@ def size_options(grid: Grid) -> str:
 
 
 def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str, str]:
-    enough = enough_points(grid, settings)
-    why = (
-        f"{outcome.points_per_tile:.0f} {outcome.measured} per tile (median); at least {settings.min_points} are "
-        f"needed, and about {enough} to leave few holes"
-    )
+    enough = enough_points(grid, settings, thin=outcome.thin)
+    held = f"{outcome.points_per_tile:.0f} {outcome.measured}"
+    held = held.replace("points", "point", 1) if held.startswith("1 ") else held
+    why = f"{held} per tile (median); {_needed(enough, outcome.thin, settings)}"
     if outcome.measured == "points":
+        if outcome.points_per_tile >= _ALMOST_ALL * enough:
+            return (
+                why,
+                "Most tiles hold enough: more points would help at the edge of the survey, and where it is sparse",
+            )
         return why, _larger_tiles(outcome, grid, enough)
     mean_points = f"{outcome.all_points_per_tile:.0f} per tile on average"
     if outcome.all_points_per_tile < enough:
@@ -112,6 +129,13 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
     return why, _all_points(outcome, mean_points)
 
 
+def _needed(enough: int, thin: bool, settings: FeatureSettings) -> str:
+    if thin:
+        return f"at least {enough} are needed, in most parts of the tile"
+    few_holes = f", and about {enough} to leave few holes" if enough > settings.min_points else ""
+    return f"at least {settings.min_points} are needed{few_holes}"
+
+
 def _all_points(outcome: Outcome, mean_points: str) -> str:
     text = f"--ground all measures every point, {mean_points}, vegetation too"
     if outcome.measured == "ground points (class 2)":
@@ -120,10 +144,14 @@ def _all_points(outcome: Outcome, mean_points: str) -> str:
 
 
 def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
-    """Suggest larger tiles with the same number of pixels, which hold more points each."""
+    """Suggest larger tiles with the same number of pixels, which hold more points each.
+
+    With the thin rule the number of points alone decides, so the median tile must hold more than enough.
+    """
     held = outcome.points_per_tile if outcome.measured == "points" else outcome.all_points_per_tile
-    size = math.ceil(grid.tile_size * math.sqrt(enough / max(held, 1.0)))
-    if size > _LARGEST_TILE:
+    wanted = max(enough, _ALMOST_ALL * THIN_POINTS) if outcome.thin else enough
+    size = math.ceil(grid.tile_size * math.sqrt(wanted / max(held, 1.0)))
+    if size > _LARGEST_TILE or held < _LEAST_HELD:
         return "The survey is too sparse for this purpose: a denser one is needed"
     larger = Grid(max(size, math.floor(grid.tile_size) + 1), grid.pixels)
     option = size_options(larger) + ("" if outcome.measured == "points" else " --ground all")
@@ -134,18 +162,25 @@ def _larger_tiles(outcome: Outcome, grid: Grid, enough: float) -> str:
 
 
 def _holes(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str, str]:
-    why = (
+    enough = enough_points(grid, settings, thin=outcome.thin)
+    why = _what_is_a_hole(outcome, grid, settings)
+    if outcome.tiles <= _MOSTLY_EDGE:
+        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them at its edge"
+    if outcome.measured != "points" and outcome.all_points_per_tile >= enough:
+        return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} per tile on average")
+    if outcome.points_per_tile < _ALMOST_ALL * enough:
+        return why, _larger_tiles(outcome, grid, _ALMOST_ALL * enough)
+    return why, "Points from more directions would help, or a larger max_hole in [features] of --config"
+
+
+def _what_is_a_hole(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> str:
+    if outcome.thin:
+        side = grid.tile_size * (THIN_PARTS - 1) / THIN_PARTS
+        return f"no point in a square of {side:.2g} m, or in most of the tile"
+    return (
         f"ground more than {settings.max_hole:g} m from every pixel with a point, or less than "
         f"{settings.min_coverage:.0%} of the pixels with one"
     )
-    if outcome.tiles <= _MOSTLY_EDGE:
-        return why, f"The survey has {outcome.tiles} tiles of {grid.tile_size:g} m, most of them at its edge"
-    if outcome.measured != "points" and outcome.all_points_per_tile >= enough_points(grid, settings):
-        return why, _all_points(outcome, f"{outcome.all_points_per_tile:.0f} per tile on average")
-    without_holes = _WITHOUT_HOLES * enough_points(grid, settings)
-    if outcome.points_per_tile < without_holes:
-        return why, _larger_tiles(outcome, grid, without_holes)
-    return why, "Points from more directions would help, or a larger max_hole in [features] of --config"
 
 
 def _outliers(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[str, str]:  # noqa: ARG001

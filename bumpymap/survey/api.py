@@ -9,6 +9,7 @@ from typing import Any, TypeAlias, TypedDict, Unpack
 
 from bumpymap.core import (
     CLASHES,
+    Align,
     Compat,
     CsfSettings,
     FeatureSettings,
@@ -22,6 +23,7 @@ from bumpymap.core import (
     settings_of_call,
 )
 from bumpymap.layers import Layers, temporary_folder
+from bumpymap.survey.end_of_run import require_known
 from bumpymap.survey.pipeline import map_surveys
 
 __all__ = ["MapSettings", "map_survey"]
@@ -35,6 +37,7 @@ class MapSettings(TypedDict, total=False):
     tile_size: float
     pixels: int
     ground: Ground
+    align: Align
     rating: Rating
     compat: Compat
     vehicle: PathLike
@@ -45,6 +48,7 @@ class MapSettings(TypedDict, total=False):
     local: bool
     trust_points: bool
     skip_bad: bool
+    max_unknown: float | None
     overwrite: bool
     resume: bool
     threads: int
@@ -69,10 +73,10 @@ def map_survey(
     out : path, optional
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
-        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``rating``,
+        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
-        ``skip_bad``, ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``, ``workers``, ``scheduler``,
-        ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``skip_bad``, ``max_unknown``, ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``, ``workers``,
+        ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
 
     Returns
     -------
@@ -82,6 +86,8 @@ def map_survey(
     ------
     BumpymapError
         Bad inputs or settings, or a full disk; no file is left half-written.
+    TooUnknownError
+        More tiles are unknown than ``max_unknown`` allows; the layers in ``out`` are complete.
     TypeError
         There is no setting of this name.
 
@@ -99,11 +105,11 @@ def map_survey(
     places = _places(surveys)
     if out is not None:
         folder = _place("out", out)
-        map_surveys(MapConfig(surveys=places, out=Path(folder), **own))
+        _map(MapConfig(surveys=places, out=Path(folder), **own))
         return Layers(folder)
     folder = temporary_folder()
     try:
-        map_surveys(MapConfig(surveys=places, out=Path(folder), **own))
+        _map(MapConfig(surveys=places, out=Path(folder), **own))
         return Layers(folder, in_memory=True)
     except BaseException as end:
         shutil.rmtree(folder, ignore_errors=True)
@@ -111,6 +117,10 @@ def map_survey(
             note for note in getattr(end, "__notes__", []) if "`resume=True`" not in note
         ]  # the temporary folder is deleted, so there is nothing to resume
         raise
+
+
+def _map(config: MapConfig) -> None:
+    require_known(map_surveys(config), config)
 
 
 def _refuse_unknown(settings: Mapping[str, Any]) -> None:

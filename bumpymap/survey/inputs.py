@@ -20,7 +20,8 @@ _NAMED = 5
 
 def read_options(config: MapConfig) -> ReadOptions:
     """Return the settings that the readers need."""
-    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory))
+    lines = config.align != "off"
+    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory), lines)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,13 @@ from bumpymap.core import (
     Stopwatch,
     check_interrupted,
     locked,
+    rated_columns,
     remove_empty_on_error,
-    tile_columns,
 )
 from bumpymap.layers import check_folder, is_complete, write_products
 from bumpymap.patches import close_filter
+from bumpymap.readers import ReadOptions
+from bumpymap.survey.align import AlignedInputs
 from bumpymap.survey.engine import (
     ADVICE,
     BlockWork,
@@ -25,12 +27,15 @@ from bumpymap.survey.engine import (
     WorkerPool,
     Workspace,
     connect,
+    engine_errors,
     memory_bytes,
     run_engine,
 )
-from bumpymap.survey.inputs import SurveyInputs, read_options
+from bumpymap.survey.inputs import SurveyInputs
+from bumpymap.survey.neighbour_rating import NeighbourRating
 from bumpymap.survey.result import MapResult
 from bumpymap.survey.run_record import describe_run, earlier_result, run_manifest, versions
+from bumpymap.survey.second_pass import add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import Grid
 
@@ -61,23 +66,30 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         models = RatingModels.load(config)
         inputs = SurveyInputs.open(config)
         run_spec = describe_run(config, inputs, models, budget)
+        neighbours = NeighbourRating.of(config, models)
     if is_done:
-        return earlier_result(config, run_spec)
+        return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
     grid = Grid(config.tile_size, config.pixels)
     rating = TileRating.of(config, models, inputs.georeference)
-    work = BlockWork(grid, tile_columns(grid.pixels), rating, config.ground)
+    work = BlockWork(grid, rated_columns(grid.pixels), rating, config.ground)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler, config.workers, config.threads, config.tls_config) as pool,
         Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=_advice(config)) as space,
     ):
-        executor = _executor(config, work, space, budget, progress, pool)
-        measured = run_engine(inputs, work, space, budget, executor, progress, clock)
-        table = CostTable(inputs.georeference, models.calibration.cost_rule, measured.table)
-        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds)
+        aligned = AlignedInputs.of(config, inputs, progress, clock)
+        executor = _executor(config, work, space, budget, progress, pool, aligned.options)
+        measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
+        with clock.stage("neighbours"), engine_errors(budget):
+            tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
+        table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles)
+        lines = aligned.outcome(measured.lines)
+        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines)
         with clock.stage("write"):
             files, summary = write_products(table, config.out, local=config.local, manifest=manifest, progress=progress)
-    return MapResult(tuple(files), summary, measured.points, measured.ground_only, inputs.skipped, clock.seconds)
+    points, only = measured.points, measured.ground_only
+    thin = neighbours.rates_thin
+    return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin)
 
 
 def _check_out(config: MapConfig) -> bool:
@@ -97,9 +109,15 @@ def _advice(config: MapConfig) -> str:
 
 
 def _executor(
-    config: MapConfig, work: BlockWork, space: Workspace, budget: Budget, progress: Progress, pool: WorkerPool | None
+    config: MapConfig,
+    work: BlockWork,
+    space: Workspace,
+    budget: Budget,
+    progress: Progress,
+    pool: WorkerPool | None,
+    options: ReadOptions,
 ) -> Executor:
     """Return the executor on the workers of ``pool``, or on this process if there are none."""
     if pool is None:
         return LocalExecutor(work, space, budget, progress)
-    return ClusterExecutor(work, space, budget, progress, pool, read_options(config), partial(versions, config.ground))
+    return ClusterExecutor(work, space, budget, progress, pool, options, partial(versions, config.ground))

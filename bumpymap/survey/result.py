@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bumpymap.layers import MapSummary
+from bumpymap.survey.flight_lines import FlightLines
 
 __all__ = ["MapResult"]
 
@@ -24,5 +25,9 @@ class MapResult:
     """Inputs that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]
     """Wall time by stage."""
+    lines: FlightLines
+    """Steps between flight lines, and what was taken off."""
+    rates_thin: bool
+    """Thin tiles were rated from their points."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""

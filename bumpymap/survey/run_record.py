@@ -16,6 +16,7 @@ from bumpymap.layers import (
 from bumpymap.patches import filter_version
 from bumpymap.readers import SurveyReader, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
+from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.result import MapResult
 from bumpymap.survey.tile_rating import RatingModels
@@ -25,6 +26,7 @@ __all__ = ["describe_run", "earlier_result", "run_manifest", "versions"]
 _WITHOUT_EFFECT = {
     "surveys",
     "out",
+    "max_unknown",
     "resume",
     "overwrite",
     "threads",
@@ -50,12 +52,12 @@ def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, 
             for path in inputs.paths
         },
         "settings": flat_settings(config, _WITHOUT_EFFECT),
-        "made with": versions(config.ground) | {"model": models.texture.id, "calibration": models.calibration.id},
+        "made with": versions(config.ground) | {"model": models.texture_id, "calibration": models.calibration.id},
         "cut": {"chunk_points": budget.chunk_points},
     }
 
 
-def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
+def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin: bool) -> MapResult:
     """Return the recorded result of the complete run in ``config.out``.
 
     Raises
@@ -72,10 +74,11 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
         )
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
+        lines = FlightLines.from_record(record["flight_lines"])
     now = {**run_spec, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
     files = tuple(config.out / name for name in PRODUCT_NAMES)
-    return MapResult(files, summary, points, ground_only, skipped, seconds, already_done=True)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, already_done=True)
 
 
 def run_manifest(
@@ -85,6 +88,7 @@ def run_manifest(
     measured: MeasuredTiles,
     models: RatingModels,
     seconds: Mapping[str, float],
+    lines: FlightLines,
 ) -> dict[str, Any]:
     """Return what ``run.json`` says beside the statistics of the tiles."""
     read = zip(inputs.readers, measured.dropped, strict=True)
@@ -97,7 +101,8 @@ def run_manifest(
         "versions": versions(config.ground),
         "ground_only": measured.ground_only,
         "points": measured.points,
-        "model": models.texture.id,
+        "flight_lines": lines.to_record(),
+        "model": models.texture_id,
         "calibration": {
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],

@@ -1,43 +1,56 @@
 """Points of tiles in, rated tiles out: the steps that a run applies to every block."""
 
-import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Compat, CsfSettings, FeatureSettings, Georeference, MapConfig
-from bumpymap.patches import mark_ground, measure, require_filter
-from bumpymap.rating import Calibration, RideModel, TextureModel, classify, find_calibration, rate, rate_as_paper
+from bumpymap.core import (
+    Compat,
+    CsfSettings,
+    FeatureSettings,
+    Georeference,
+    MapConfig,
+    ObjectStack,
+    PatchStack,
+    TextureMap,
+)
+from bumpymap.patches import find_objects, mark_ground, measure, measure_thin, require_filter, take_off_standing
+from bumpymap.rating import (
+    Calibration,
+    RideModel,
+    TextureModel,
+    classify,
+    find_calibration,
+    rate,
+    rate_as_paper,
+    thin_columns,
+)
 from bumpytiles import Grid, TilePoints
 
 __all__ = ["RatingModels", "TileRating", "require_cloth"]
 
-_log = logging.getLogger(__name__)
-
 
 def require_cloth(config: MapConfig) -> None:
-    """Check that the cloth filter is installed if the settings ask for it, and warn of what it removes."""
-    if config.ground != "csf":
-        return
-    require_filter(config.csf, Grid(config.tile_size, config.pixels))
-    _log.warning(
-        "`ground='csf'` removes everything that stands more than %g m above the ground, boulders and posts as "
-        "well as trees. The layers show how rough the ground is, not whether it is free of obstacles",
-        config.csf.class_threshold,
-    )
+    """Check that the cloth filter is installed if the settings ask for it."""
+    if config.ground == "csf":
+        require_filter(config.csf, Grid(config.tile_size, config.pixels))
 
 
 @dataclass(frozen=True, slots=True)
 class RatingModels:
     """The texture network and the vehicle's calibration."""
 
-    texture: TextureModel
+    texture: TextureModel | None
+    """None: the columns of the texture stay empty."""
     calibration: Calibration
 
     @classmethod
     def load(cls, config: MapConfig) -> "RatingModels":
         """Load both, and check that they were made for the tiles of the run.
+
+        The ride model does not need the texture, so tiles for which there is no network are rated without.
 
         Raises
         ------
@@ -45,10 +58,18 @@ class RatingModels:
             A file cannot be read, or is for tiles of another size.
         """
         calibration = find_calibration(config.vehicle, config.calibration)
-        texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()
-        texture.require_grid(config.tile_size, config.pixels)
         calibration.require_grid(config.tile_size, config.pixels)
+        texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()
+        fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
+        if not fits and config.model is None and _by_ride(config):
+            return cls(None, calibration)
+        texture.require_grid(config.tile_size, config.pixels)
         return cls(texture, calibration)
+
+    @property
+    def texture_id(self) -> str | None:
+        """The ``id`` of the texture network; None without one."""
+        return None if self.texture is None else self.texture.id
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +89,39 @@ class TileRating:
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
         csf = config.csf if config.ground == "csf" else None
-        ride = RideModel(models.calibration) if config.rating == "ride" and config.compat == "none" else None
+        ride = RideModel(models.calibration) if _by_ride(config) else None
         return cls(config.features, csf, config.compat, models, ride, georeference)
 
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
-        """Find the ground, measure, classify and rate; return the columns of `tile_columns`."""
+        """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`."""
         if self.csf is not None:
             points = replace(points, flag=mark_ground(points, self.csf))
         patches = measure(points, self.features, ground_only=ground_only)
-        textures = classify(patches, self.models.texture)
+        network = self.models.texture
+        textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(patches, network)
+        calibration = self.models.calibration
         if self.ride is not None:
-            return self.ride.rate(patches, textures, self.georeference).columns()
-        rating = rate_as_paper if self.compat == "paper" else rate
-        return rating(patches, textures, self.models.calibration, self.georeference).columns()
+            rated = self.ride.rate(patches, textures, self.georeference)
+        else:
+            rating = rate_as_paper if self.compat == "paper" else rate
+            rated = rating(patches, textures, calibration, self.georeference)
+        objects = self._objects(points, patches) if ground_only else None
+        return replace(rated, objects=objects, thin=self._thin(points, patches, ground_only)).columns()
+
+    def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
+        """Find what stands on the ground; the cloth takes low things for ground."""
+        body = self.models.calibration.body
+        apart = (points, patches) if self.csf is None else take_off_standing(points, patches, body)
+        return find_objects(*apart, body, self.features)
+
+    def _thin(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> NDArray[np.float32] | None:
+        """Return what the second pass needs to rate thin tiles; None if they are not rated."""
+        if self.ride is None or self.models.calibration.thin is None:
+            return None
+        thin = measure_thin(points, patches, self.features, ground_only=ground_only)
+        return thin_columns(thin.pairs, thin.relief_map, patches.count, self.ride.operator)
+
+
+def _by_ride(config: MapConfig) -> bool:
+    """Return whether tiles are rated by the ride model."""
+    return config.rating == "ride" and config.compat == "none"

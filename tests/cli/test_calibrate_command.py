@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.lab import KINDS
-from bumpymap.lab.simulate import calibrate as calibrate_module, ride_fit
+from bumpymap.lab.simulate import calibrate as calibrate_module, ride_fit, steps, thin_surveys
 from bumpymap.lab.simulate.checks import CheckResult
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob
@@ -38,7 +38,11 @@ def fake_drives(monkeypatch):
         )
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
+    monkeypatch.setattr(steps, "add_steps", lambda made, *_, **__: replace(made, steps={"seed": made.settings["seed"]}))
     monkeypatch.setattr(ride_fit, "fit_ride", lambda _profile, _terrains, driven: {"terrains": len(driven)})
+    monkeypatch.setattr(
+        thin_surveys, "fit_thin_surveys", lambda _profile, terrains, _ride, _limit: {"n": len(terrains)}
+    )
 
 
 def calibrate(*words):
@@ -56,6 +60,8 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
         "--terrains 1 --terrain-starts 2 --tile-size 3 --pixels 15 --quick"
     )
     assert calibration.ride == {"terrains": 17}
+    assert calibration.steps == {"seed": 9}
+    assert calibration.thin == {"n": 17}
     assert "72 drives over textures, 12 failed" in result.output
     assert "34 drives over 17 terrains of the library, 1 failed" in result.output
     assert "class 3 very rough" in result.output

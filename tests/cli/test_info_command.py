@@ -59,7 +59,7 @@ def test_a_good_survey(info, tmp_path):
 
 
 def test_what_is_missing_is_said(info, tmp_path):
-    path = write(tmp_path / "a.las", dense()[::20])
+    path = write(tmp_path / "a.las", dense()[::70])
     result = info(path)
     assert result.exit_code == 0
     assert "no CRS: pass --crs EPSG:CODE, or --local" in result.output
@@ -149,11 +149,12 @@ def test_the_command_has_the_options_that_were_given(info, tmp_path):
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
 
 
-def test_tiles_of_another_size_want_a_calibration_and_a_network(info, tmp_path):
+def test_tiles_of_another_size_want_a_calibration(info, tmp_path):
     said = info(write(tmp_path / "a.laz", dense(), "EPSG:32614"), "--tile-size", "1.5", "--pixels", "30").output
     assert "ready" not in said
-    assert "need a calibration and a texture network made for them" in said
-    assert "bumpymap train --tile-size 1.5 --pixels 30 --out my.onnx" in said
+    assert "need a calibration that drives patches of that size" in said
+    assert "bumpymap map --tile-size 1.5 --pixels 30 --calibration my.json" in said
+    assert "bumpymap train" not in said
 
 
 def test_several_files_are_told_together(info, tmp_path):
@@ -165,6 +166,6 @@ def test_several_files_are_told_together(info, tmp_path):
 
 
 def test_a_header_alone_says_whether_it_promises_enough(info, tmp_path):
-    said = info(write(tmp_path / "a.laz", dense()[::20], "EPSG:32614"), "--quick").output
-    assert re.search(r"according to the header there are \d+ points per 3 m tile, and about 65 are needed", said)
+    said = info(write(tmp_path / "a.laz", dense()[::70], "EPSG:32614"), "--quick").output
+    assert re.search(r"according to the header there are \d+ points per 3 m tile, and about 15 are needed", said)
     assert "ready" not in said

@@ -172,6 +172,7 @@ def test_a_map_counts_what_it_says(tmp_path, memory):
     assert [stage for stage, _, _ in progress.stages] == [
         "reading points",
         "measuring blocks of tiles",
+        "comparing neighbours",
         "writing layers",
     ]
     for stage, total, steps in progress.stages:
@@ -212,6 +213,7 @@ def test_a_run_in_events(tmp_path):
     found = events(result.stderr)
     assert [event["event"] for event in found if event["event"] != "info"] == [
         "start",
+        "stage",
         "stage",
         "stage",
         "stage",

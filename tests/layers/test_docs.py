@@ -6,8 +6,16 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from bumpymap.core.types import BANDS, CLASS_NAMES, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import CLASS_COLOURS, MAX_PIXELS, MAX_TILES, PRODUCT_NAMES, write_products
+from bumpymap.core.types import BANDS, BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Reason
+from bumpymap.layers import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    MAX_PIXELS,
+    MAX_TILES,
+    OBJECT_COLOURS,
+    PRODUCT_NAMES,
+    write_products,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -58,6 +66,10 @@ def test_tables_say_what_the_code_writes(page):
         assert f"| {value} | {name} | `{colour}` |" in page
     for reason in Reason:
         assert f"| {reason.value} | {REASON_TEXT[reason]} |" in page
+    for code, text in BARRED_TEXT.items():
+        assert f"| {code.value} | {text} |" in page
+    for value, text in enumerate(OBJECT_NAMES):
+        assert f"| {value} | {text} |" in page
     assert f"{MAX_TILES:,} tiles" in page
     assert f"{MAX_PIXELS:,} heightmap pixels" in page
 
@@ -79,6 +91,15 @@ def test_styles_have_the_colours_and_names_of_the_classes():
     assert {value: label for value, (label, _, _) in entries("reason.qml").items()} == {
         reason.value: text for reason, text in REASON_TEXT.items()
     }
+    for name, names, colours in (
+        ("barred.qml", tuple(BARRED_TEXT.values()), BARRED_COLOURS),
+        ("obstacle.qml", OBJECT_NAMES, OBJECT_COLOURS),
+    ):
+        expected = {
+            value: (text, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3])
+            for value, text in enumerate(names)
+        }
+        assert entries(name) == expected
     root = read_style("cost.qml")
     assert {"class_name", "passable"} <= set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr")))
     assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown", "not passable"]

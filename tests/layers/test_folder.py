@@ -12,7 +12,7 @@ from bumpymap.core.types import NO_CLASS, CostTable, Georeference
 from bumpymap.layers import PRODUCT_NAMES, check_folder, write_products
 from bumpytiles import Grid
 
-SIDE = "class.tif.aux.xml"
+SIDES = tuple(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
 
 
@@ -45,7 +45,7 @@ def test_all_files_of_a_run(tmp_path, cost_map):
     paths, summary = write(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
     assert [path.name for path in paths] == list(PRODUCT_NAMES)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, SIDE])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *SIDES])
     record = json.loads((tmp_path / "run.json").read_text())
     found = hashes(tmp_path)
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
@@ -174,7 +174,7 @@ def test_overwriting_forgets_statistics_that_a_viewer_left(tmp_path, cost_map):
     (tmp_path / "roughness.tif.aux.xml").write_text("<PAMDataset/>")
     write(cost_map, tmp_path)
     assert not (tmp_path / "roughness.tif.aux.xml").exists()
-    assert (tmp_path / SIDE).exists()
+    assert all((tmp_path / name).exists() for name in SIDES)
 
 
 class Steps:

@@ -8,8 +8,28 @@ from pyproj import CRS
 from rio_cogeo import cog_validate
 
 from bumpymap.core.errors import OutputError
-from bumpymap.core.types import BANDS, CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference
-from bumpymap.layers import CLASS_COLOURS, write_classes, write_cost, write_heightmap, write_roughness
+from bumpymap.core.types import (
+    BANDS,
+    CANOPY,
+    CLASS_NAMES,
+    FREE,
+    NO_CLASS,
+    OBSTACLE,
+    REASON_TEXT,
+    UNSEEN,
+    CostTable,
+    Georeference,
+    ObjectStack,
+)
+from bumpymap.layers import (
+    CLASS_COLOURS,
+    write_barred,
+    write_classes,
+    write_cost,
+    write_heightmap,
+    write_obstacles,
+    write_roughness,
+)
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
 from bumpytiles import Grid
 
@@ -17,6 +37,8 @@ WRITERS = {
     "roughness": lambda cost_map, *rest: write_roughness(CostTable.of(cost_map), *rest),
     "class": lambda cost_map, *rest: write_classes(CostTable.of(cost_map), *rest),
     "cost": lambda cost_map, *rest: write_cost(CostTable.of(cost_map), *rest),
+    "barred": lambda cost_map, *rest: write_barred(CostTable.of(cost_map), *rest),
+    "obstacle": lambda cost_map, *rest: write_obstacles(CostTable.of(cost_map), *rest),
     "heightmap": lambda cost_map, *rest: write_heightmap(CostTable.of(cost_map), *rest),
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
@@ -50,7 +72,7 @@ def test_is_a_strictly_valid_cog_in_the_right_place(rasters, cost_map, name):
             (patches.col.max() + 1) * 3.0,
             (patches.row.max() + 1) * 3.0,
         )
-        assert file.res == ((0.2, 0.2) if name == "heightmap" else (3.0, 3.0))
+        assert file.res == ((0.2, 0.2) if name in {"heightmap", "obstacle"} else (3.0, 3.0))
         assert file.transform.b == file.transform.d == 0.0
         assert file.transform.e < 0.0
         assert file.tags()["vehicle"] == "warthog"
@@ -66,7 +88,7 @@ def test_roughness_at_a_tile_centre_is_the_tiles_value(rasters, cost_map):
         sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
         everything = file.read()
     for number, band in enumerate(BANDS):
-        expected = cost_map.band(band.name).astype(np.float32)
+        expected = cost_map.lone_columns()[band.name].astype(np.float32)
         np.testing.assert_array_equal(sampled[:, number], expected)
         assert np.isfinite(everything[number]).sum() == np.isfinite(expected).sum()
 
@@ -75,9 +97,12 @@ def test_statistics_are_those_of_the_tiles(rasters, cost_map):
     with rasterio.open(rasters["roughness"]) as file:
         tags = [file.tags(number) for number in file.indexes]
     for band, found in zip(BANDS, tags, strict=True):
-        values = cost_map.band(band.name).astype(np.float64)
+        values = cost_map.lone_columns()[band.name].astype(np.float64)
         values = values[np.isfinite(values)]
         assert found["long_name"] == band.description
+        if not len(values):  # nothing was separated from the ground
+            assert band.name in {"obstacle", "obstacle_height", "clearance", "canopy", "edge_step"}
+            continue
         for key, expected in {"MINIMUM": values.min(), "MAXIMUM": values.max(), "MEAN": values.mean()}.items():
             assert float(found[f"STATISTICS_{key}"]) == pytest.approx(expected, rel=1e-6)
         assert float(found["STATISTICS_STDDEV"]) == pytest.approx(values.std(), rel=1e-5)
@@ -119,6 +144,34 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     np.testing.assert_allclose(sampled[passable], expected[passable], rtol=1e-6)
     assert np.isnan(sampled[~passable]).all()
     assert np.isfinite(everything).sum() == passable.sum()
+
+
+def test_barred_says_why_there_is_no_cost(rasters, cost_map):
+    with rasterio.open(rasters["barred"]) as file, rasterio.open(rasters["cost"]) as priced:
+        barred, cost = file.read(1), priced.read(1)
+        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
+        assert (file.nodata, file.colorinterp[0].name) == (NO_CLASS, "palette")
+    np.testing.assert_array_equal(sampled, cost_map.rule.barred(cost_map.columns()))
+    np.testing.assert_array_equal(np.isfinite(cost), barred == 0)
+    assert len(set(sampled)) >= 3
+
+
+def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
+    tiles, px = len(cost_map.class_id), cost_map.patches.grid.pixels
+    rng = np.random.default_rng(3)
+    objects = rng.choice(np.array([FREE, OBSTACLE, CANOPY, UNSEEN], np.uint8), (tiles, px, px))
+    share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
+    share[5] = np.nan  # its free pixels are not known to be free
+    stack = ObjectStack(objects, share, share, share, share)
+    write_obstacles(CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    with rasterio.open(tmp_path / "obstacle.tif") as file:
+        pixels, index = file.read(1), file.index
+        assert file.nodata == NO_CLASS
+    expected = np.where(objects == UNSEEN, 3, objects)
+    expected[5] = np.where(objects[5] == FREE, 3, expected[5])
+    for tile, (x, y) in enumerate(zip(*centres(cost_map), strict=True)):
+        line, column = (int(n) - px // 2 for n in index(x, y))
+        np.testing.assert_array_equal(pixels[line : line + px, column : column + px], expected[tile])
 
 
 def test_category_names_are_beside_the_class_raster(rasters, tmp_path):

@@ -8,12 +8,23 @@ import pytest
 import shapely
 from pyproj import CRS
 
-from bumpymap.core.types import BANDS, NO_CLASS, REASON_TEXT, TEXTURES, CostTable, Georeference, Reason
+from bumpymap.core.types import (
+    BANDS,
+    BARRED_TEXT,
+    NO_CLASS,
+    REASON_TEXT,
+    SIDES,
+    TEXTURES,
+    CostTable,
+    Georeference,
+    Reason,
+)
 from bumpymap.layers import write_tiles
 from bumpytiles import Grid, TileTable
 
 COLUMNS = [
-    "col", "row", "geometry", *(band.name for band in BANDS), "count", "z_min", "z_max", "relief", "texture",
+    "col", "row", "geometry", *(band.name for band in BANDS),
+    *(f"step_{side}" for side in SIDES), "barred", "count", "z_min", "z_max", "relief", "texture",
     *(f"p_{texture}" for texture in TEXTURES), "class", "reason", "reason_text", "heights",
 ]  # fmt: skip
 
@@ -49,7 +60,7 @@ def test_geopandas_reads_every_value_back(written, cost_map):
     assert frame.crs.equals(CRS.from_epsg(32614))
     order, patches = canonical(cost_map), cost_map.patches
     for band in BANDS:
-        np.testing.assert_array_equal(frame[band.name].to_numpy(float), cost_map.band(band.name)[order])
+        np.testing.assert_array_equal(frame[band.name].to_numpy(float), cost_map.lone_columns()[band.name][order])
     for name in ("col", "row", "count", "z_min", "z_max", "relief", "reason"):
         np.testing.assert_array_equal(frame[name], getattr(patches, name)[order])
     class_id = np.where(cost_map.class_id == NO_CLASS, np.nan, cost_map.class_id)
@@ -57,6 +68,9 @@ def test_geopandas_reads_every_value_back(written, cost_map):
     for number, texture in enumerate(TEXTURES):
         np.testing.assert_array_equal(frame[f"p_{texture}"], cost_map.textures.probability[order, number])
     np.testing.assert_array_equal(np.stack(frame["heights"]).reshape(-1, 15, 15), patches.heights[order])
+    barred = [BARRED_TEXT[code] if code else None for code in cost_map.lone_columns()["barred"][order]]
+    assert frame["barred"].astype(object).where(frame["barred"].notna(), None).tolist() == barred
+    assert frame["passable"].tolist() == [text is None for text in barred]
     assert frame["reason_text"].tolist() == [REASON_TEXT[Reason(code)] for code in patches.reason[order]]
 
 
@@ -140,7 +154,7 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
         assert strip[piece == 0]["col"].max() < strip[piece == 1]["col"].min() or piece.max() == 0
         for _, part in strip.groupby(piece):
             assert part.sort_values(["row", "col"], ascending=[False, True]).index.equals(part.index)
-    columns = cost_map.columns()
+    columns = cost_map.lone_columns()
     east = columns["col"] // 16 > 40
     packs = []
     for chosen in (east, ~east):

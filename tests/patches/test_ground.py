@@ -184,20 +184,23 @@ def test_a_filter_that_died_is_told_and_replaced(wood):
 
 
 @needs_filter
-def test_a_boulder_goes_as_a_tree_does_and_the_user_is_told(tmp_path):
+def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
     rng = np.random.default_rng(2)
     x, y = rng.uniform(0.01, 47.99, (2, 150_000))
     far = np.hypot(x - 22.5, y - 22.5) / 0.5
     points = np.column_stack([x, y, 2.0 * np.sqrt(np.maximum(0, 1 - far**2)) + 0.004 * rng.normal(size=len(x))])
     survey = write(tmp_path / "boulder.las", np.round(points * 1024) / 1024)
-    class_id = {}
+    class_id, names = {}, ("obstacle", "obstacle_height")
     for ground in ("all", "csf"):
         result = run("map", survey, "--ground", ground, "--out", tmp_path / ground)
         assert result.exit_code == 0
-        assert ("boulders and posts as well as trees" in result.output) == (ground == "csf")
         class_id[ground] = ratings(tmp_path / ground)[0][8, 7]
     assert class_id["all"] == 3
     assert class_id["csf"] <= 1
+    with rasterio.open(tmp_path / "csf" / "roughness.tif") as raster:
+        obstacle, height = (raster.read(raster.descriptions.index(name) + 1)[8, 7] for name in names)
+    assert 0.03 < obstacle < np.pi * 0.5**2 / 9  # the side: the top is higher than the vehicle
+    assert height == pytest.approx(1.38, abs=0.1)  # up to that of the vehicle
 
 
 @needs_filter

@@ -34,6 +34,16 @@ def test_a_file_without_the_ride_key_is_damaged(record):
         Calibration.from_json(json.dumps(record), "c.json")
 
 
+def test_a_file_without_steps_keeps_its_id(record):
+    """Files of earlier versions have no such key."""
+    del record["steps"]
+    bare = Calibration.from_json(json.dumps(record), "c.json")
+    assert bare.steps is None
+    assert "steps" not in json.loads(bare.to_json())
+    assert bare.id != record["id"]
+    assert Calibration.from_json(bare.to_json(), "c.json").id == bare.id
+
+
 def test_a_driven_terrain_counts_its_drives():
     terrain = DrivenTerrain("kerb", 2, 0.1, 0.01, completed=5, stuck=2, rolled=1)
     assert (terrain.failed, terrain.drives, terrain.p_fail) == (3, 8, 3 / 8)
@@ -49,6 +59,8 @@ def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
     assert sum(map(sum, shipped.drives)) + drives >= 2478
     assert shipped.ride is not None
     assert shipped.ride["origin"]["drives"] == drives
+    assert shipped.steps is not None
+    assert len(shipped.steps["crossing"]["fail_up"]) == len(shipped.steps["crossing"]["height"])
     assert 0 < shipped.class_c_r[0] < shipped.class_limits[0] < shipped.class_c_r[1] < shipped.class_limits[1]
     assert shipped.class_limits[1] < shipped.class_c_r[2] < shipped.class_limits[2] < shipped.class_c_r[3]
 

@@ -47,6 +47,16 @@ def test_preferences_are_those_of_the_profile(mine):
     assert found.id != car.id
 
 
+def test_the_outline_is_a_preference_too(mine):
+    car = Calibration.shipped("car")
+    assert "body" not in car.vehicle
+    assert (car.body.height_m, car.body.lowest_obstacle_m) == (1.84, 0.24)
+    change(mine, "height_m = 1.84", "height_m = 2.1")
+    found = find_calibration(mine)
+    assert (found.body.height_m, found.body.width_m) == (2.1, 1.84)
+    assert (found.ride, found.id != car.id) == (car.ride, True)
+
+
 def test_another_vehicle_is_refused_with_what_differs(mine):
     change(mine, "wheelbase_m = 2.7", "wheelbase_m = 2.8")
     change(mine, "clearance_m = 0.24", "clearance_m = 0.2")

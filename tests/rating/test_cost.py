@@ -19,7 +19,8 @@ HERE = Georeference(None)
 def calibration(**changes):
     """C_r proportional to z range, by a factor of the texture's own."""
     fields = {
-        "vehicle": {"name": "cart", "ride_weight": 5.0, "slope_limit_deg": 25.0, "speed_mps": 1.0},
+        "vehicle": {"name": "cart", "ride_weight": 5.0, "slope_limit_deg": 25.0, "speed_mps": 1.0, "track_m": 0.8}
+        | {"belly": {"width_m": 0.5, "clearance_m": 0.2}, "wheel": {"radius_m": 0.2, "width_m": 0.1}},
         "tile_size": 3.0,
         "pixels": 15,
         "textures": TEXTURES,

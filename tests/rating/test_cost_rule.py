@@ -12,7 +12,7 @@ from skimage.graph import MCP_Geometric
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.types import NO_CLASS, CostRule
+from bumpymap.core.types import NO_CLASS, Barred, CostRule
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
@@ -46,23 +46,23 @@ def test_cost_of_a_certain_failure_is_its_weight():
 
 
 @pytest.mark.parametrize(
-    ("tile", "passable"),
+    ("tile", "barred"),
     [
-        ({}, True),
-        ({"p_fail": 0.49}, True),
-        ({"p_fail": 0.5}, False),
-        ({"p_fail": 1.0}, False),
-        ({"slope": 30.0}, True),
-        ({"slope": 30.1}, False),
-        ({"slope": np.nan}, False),
-        ({"class_id": NO_CLASS}, False),
-        ({"c_r": np.nan}, False),
-        ({"p_fail": np.nan, "class_id": 2}, True),
-        ({"p_fail": np.nan, "class_id": 3}, False),
+        ({}, Barred.NO),
+        ({"p_fail": 0.49}, Barred.NO),
+        ({"p_fail": 0.5}, Barred.FAILS),
+        ({"p_fail": 1.0}, Barred.FAILS),
+        ({"slope": 30.0}, Barred.NO),
+        ({"slope": 30.1, "p_fail": 1.0}, Barred.SLOPE),
+        ({"slope": np.nan}, Barred.SLOPE),
+        ({"class_id": NO_CLASS}, Barred.UNKNOWN),
+        ({"c_r": np.nan}, Barred.UNKNOWN),
+        ({"p_fail": np.nan, "class_id": 2}, Barred.NO),
+        ({"p_fail": np.nan, "class_id": 3}, Barred.FAILS),
     ],
 )
-def test_passable(tile, passable):
-    assert RULE.passable(columns(**tile)).tolist() == [passable]
+def test_what_bars_a_tile(tile, barred):
+    assert RULE.barred(columns(**tile)).tolist() == [barred]
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())
@@ -98,7 +98,10 @@ def test_no_least_cost_path_of_the_sample_leads_over_ground_that_fails(tmp_path,
     never = (bands["p_fail"] >= 0.5) | (bands["slope"] > 30) | (class_id == NO_CLASS)
     assert (bands["p_fail"] >= 0.5).any()
     assert np.isnan(cost[never]).all()
-    assert (cost[~never & (class_id < 3)] >= 1).all()
+    passable = bands["passable"] == 1
+    assert not (never & passable).any()
+    np.testing.assert_array_equal(np.isfinite(cost), passable)
+    assert (cost[passable] >= 1).all()
     open_ground = np.argwhere(np.isfinite(cost))
     search = MCP_Geometric(np.where(np.isfinite(cost), cost, -1))
     start = open_ground[0]

@@ -178,7 +178,7 @@ def test_coordinates_have_the_bits_that_numpy_gives(integers, scale, offset, uni
     words = np.array(integers, "<i4")
     records = np.zeros((len(words), 30), np.uint8)
     records[:, :12] = words.view(np.uint8)
-    layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4)
+    layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4, 20, 0)
     batch = convert_las_points(records, layout, Georeference(None, unit, unit), PointChecks(0, None))
     expected = np.round(words * np.float64(scale) + offset, 8) * unit
     cloud = batch.cloud

@@ -15,6 +15,7 @@ import pytest
 from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.processes import Child
+from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.readers import decoder, open_survey
 from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
 
@@ -25,7 +26,8 @@ CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
 
 @pytest.fixture
 def child(monkeypatch):
-    """A decoder of this test alone."""
+    """A decoder of this test alone, and memory without arrays of tests before this one."""
+    monkeypatch.setattr(processes, "MEMORY", SharedMemory())
     made = Decoder()
     monkeypatch.setattr(decoder, "current", made)
     yield made

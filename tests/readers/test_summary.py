@@ -1,16 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from bumpymap.core import THIN_SEEN
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
-from bumpymap.readers import PointSummaryBuilder, open_survey, summary as module
-from bumpytiles import Grid
+from bumpymap.patches import measure, measure_thin
+from bumpymap.readers import PointSummaryBuilder, open_survey, pixel_sample, summary as module
+from bumpymap.readers.pixel_sample import thin_rule
+from bumpytiles import Grid, TileBuckets
 
 THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
 
 
-def stats(path, settings=THREE, grid=None):
-    return PointSummaryBuilder(grid or Grid(), settings).read(open_survey(path))
+def stats(path, settings=THREE, grid=None, *, thin=False):
+    return PointSummaryBuilder(grid or Grid(), settings, thin=thin).read(open_survey(path))
 
 
 def test_hand_counted_tiles(las):
@@ -48,11 +53,11 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     whole = stats(path, FeatureSettings(min_points=4)).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "MERGE_AT", 10)
-    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
+    monkeypatch.setattr(pixel_sample, "GROUP_PIXELS", 1000)
     reader = open_survey(path)
     clouds = reader.clouds
     monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
-    assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4)).read(reader).summary() == whole
+    assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4), thin=False).read(reader).summary() == whole
 
 
 def test_two_files_are_summed_up_as_one(las):
@@ -70,7 +75,7 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
     settings = FeatureSettings(min_points=10)
     whole = stats(path, settings).summary()
-    monkeypatch.setattr(module, "MOST_PIXELS", 5000)
+    monkeypatch.setattr(pixel_sample, "MOST_PIXELS", 5000)
     sampled = stats(path, settings)
     summary = sampled.summary()
     assert sampled.all_pixels.step >= 8
@@ -83,3 +88,39 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
 def test_no_point_that_counts(las):
     path = las.write(classes=np.full(7, 18, np.uint8))
     assert stats(path).summary() is None
+
+
+def test_thin_tiles_are_known_if_their_points_span_them(las):
+    # Tiles of 9 pixels; their points: 14; 15 in all nine parts; 15 in five around a corner; 40 in the western three.
+    x, y = np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5])
+    nine = np.column_stack([x.ravel(), y.ravel()])
+    chosen = ((nine, 14), (nine, 15), (nine[[0, 1, 2, 3, 6]], 15), (nine[::3], 40))
+    parts = [np.resize(places, (count, 2)) for places, count in chosen]
+    ground = np.vstack([part + np.array([3 * tile, 0]) for tile, part in enumerate(parts)])
+    path = las.write(points=np.column_stack([ground, np.zeros(len(ground))]), offset=(0, 0, 0))
+    few, holes = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
+    grid = Grid(3.0, 9)
+    known_by_pixels = FeatureSettings(min_coverage=0.01, max_hole=5.0)
+    assert stats(path, FeatureSettings(), grid, thin=True).summary().unknown == {few: 2, holes: 1}
+    assert stats(path, FeatureSettings(), grid).summary().unknown == {few: 3, holes: 1}
+    assert stats(path, known_by_pixels, grid, thin=True).summary().unknown == {few: 2, holes: 0}
+    assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
+
+
+def test_pixels_tell_what_the_measure_of_points_tells():
+    rng = np.random.default_rng(8)
+    tile = np.repeat(np.arange(256), rng.integers(4, 25, 256))
+    # Points in one to three spots of a tile, so that many of its parts are empty.
+    spot = rng.uniform(0, 3, (256, 3, 2))[tile, rng.integers(0, 3, tile.size)]
+    x, y = np.clip(spot + rng.normal(0, 0.4, spot.shape), 0.001, 2.999).T
+    col, row = tile % 16, tile // 16
+    buckets = TileBuckets(Grid())
+    buckets.add(x + 3.0 * col, y + 3.0 * row, rng.normal(0, 0.05, tile.size), np.zeros(tile.size, np.bool_))
+    (points,) = buckets.blocks()
+    settings = FeatureSettings()
+    seen = measure_thin(points, measure(points, settings, ground_only=False), settings, ground_only=False).pairs[:, 1]
+    pixels = np.zeros((256, 15, 15), np.bool_)
+    pixels[tile, (y / 0.2).astype(int), (x / 0.2).astype(int)] = True
+    spanned = thin_rule(pixels)[points.row * 16 + points.col]
+    assert 50 < spanned.sum() < 200
+    assert (spanned == (seen >= THIN_SEEN)).all()

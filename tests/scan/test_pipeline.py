@@ -84,12 +84,16 @@ def test_a_run_writes_every_product_and_nothing_else(mapped):
     out, result, _ = mapped
     frames = [f"frames/{number}.{ending}" for number in (0, 1) for ending in ("json", "ply", "png")]
     layers = [
+        "barred.tif",
+        "barred.tif.aux.xml",
         "class.tif",
         "class.tif.aux.xml",
         "cost.fgb",
         "cost.geojson",
         "cost.tif",
         "heightmap.tif",
+        "obstacle.tif",
+        "obstacle.tif.aux.xml",
         "roughness.tif",
         "run.json",
     ]

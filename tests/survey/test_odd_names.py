@@ -18,6 +18,7 @@ from bumpymap.layers import PRODUCT_NAMES
 
 pytestmark = pytest.mark.slow
 
+NAMES = tuple(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))
 NAME = os.fsdecode(b"caf\xe9")
 LOCALES = {
     "UTF-8": {"LANG": "C.UTF-8", "LC_ALL": "C.UTF-8"},
@@ -85,8 +86,8 @@ def test_map(folder, tmp_path, locale):
     assert os.fsencode(entry["path"]) == os.fsencode(survey)
     plain = tmp_path / "plain"
     ended(run("map", survey, "--out", plain), 0)
-    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, "class.tif.aux.xml"])
-    for name in (*PRODUCT_NAMES, "class.tif.aux.xml"):
+    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, *NAMES])
+    for name in (*PRODUCT_NAMES, *NAMES):
         assert name == "run.json" or (out / name).read_bytes() == (plain / name).read_bytes()
 
 

@@ -50,7 +50,9 @@ def mapped(files, out, *options):
     words = ["map", *map(str, files), "--out", str(out), *map(str, options)]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
-    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, "class.tif.aux.xml"])
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        [*PRODUCT_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
+    )
     content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
     run = json.loads((out / "run.json").read_text())
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}

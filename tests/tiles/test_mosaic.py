@@ -36,6 +36,57 @@ def test_a_pack_gives_back_what_was_written(pack):
     assert pack.read((0, 0), ["row"], 1, 2)["row"].tolist() == [4]
 
 
+def test_blocks_read_together_are_those_read_one_by_one(tmp_path, monkeypatch):
+    rng = np.random.default_rng(1)
+    sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2]
+    blocks = {
+        (number // 4 - 1, number % 4 - 2): columns_of(rng.integers(0, 99, (n, 2))) for number, n in enumerate(sizes)
+    }
+    pack = write(tmp_path / "a.pack", blocks)
+    assert pack.counts() == [pack.rows(key) for key in pack.keys]
+    keys = [list(blocks)[number] for number in rng.permutation(len(blocks))]
+    monkeypatch.setattr("bumpytiles.pack._SMALL", 500)  # some blocks are large,
+    monkeypatch.setattr("bumpytiles.pack._SPAN", 64)  # and some pieces end between blocks
+    for names in (["row", "value"], ["col"]):
+        found = pack.read_blocks(keys, names)
+        assert list(found) == names
+        for name in names:
+            np.testing.assert_array_equal(found[name], np.concatenate([pack.read(key, names)[name] for key in keys]))
+    with pytest.raises(KeyError):
+        pack.read_blocks([keys[0], (7, 7)], ["row"])
+
+
+def test_columns_kept_in_memory_are_those_of_the_packs(tmp_path, monkeypatch):
+    rng = np.random.default_rng(2)
+    place = rng.permutation(60 * 60)[:500]
+    tiles = columns_of(np.stack([place % 60 - 30, place // 60 - 30], axis=1))
+    by_block = {}
+    for n, key in enumerate(zip(tiles["row"] // BLOCK_TILES, tiles["col"] // BLOCK_TILES, strict=True)):
+        by_block.setdefault(key, []).append(n)
+    table = TileTable(
+        Grid(), [write(tmp_path / "a.pack", {k: {m: a[n] for m, a in tiles.items()} for k, n in by_block.items()})]
+    )
+    for window in (None, TileWindow(-7, -20, 30, 21), TileWindow(90, 90, 3, 3)):
+        kept = table.read(("row", "value"), window)
+        with monkeypatch.context() as patch:
+            patch.setattr("bumpytiles.tile_table._KEPT_TILES", 0)
+            read = table.read(("row", "value"), window)
+        for name in ("col", "row", "value"):
+            np.testing.assert_array_equal(kept[name], read[name])
+        np.testing.assert_array_equal(kept["value"], np.stack([kept["col"], kept["row"]], axis=1))
+
+
+def test_blocks_written_together_make_the_same_file(tmp_path):
+    blocks = {(0, 3): columns_of([(1, 2), (3, 4)]), (0, 4): columns_of([]), (5, -1): columns_of([(5, 6)])}
+    apart = write(tmp_path / "a.pack", blocks)
+    joined = {name: np.concatenate([block[name] for block in blocks.values()]) for name in ("col", "row", "value")}
+    with PackWriter(tmp_path / "b.pack", COLUMNS, {}) as writer:
+        writer.add_blocks(list(blocks), [2, 0, 1], joined)
+    assert (tmp_path / "b.pack").read_bytes() == apart.path.read_bytes()
+    with pytest.raises(ValueError, match="has shape"), PackWriter(tmp_path / "c", COLUMNS, {}) as writer:
+        writer.add_blocks(list(blocks), [2, 0, 2], joined)
+
+
 def test_a_pack_appears_whole_or_not_at_all(tmp_path):
     with pytest.raises(ValueError, match="rows need"), PackWriter(tmp_path / "a", COLUMNS, {}) as writer:
         writer.add((0, 0), 5, {name: [array] for name, array in columns_of([(1, 2)]).items()})

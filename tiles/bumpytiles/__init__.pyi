@@ -28,6 +28,7 @@ from .native import (
 from .pack import (
     BlockKey as BlockKey,
     Column as Column,
+    JoinedPack as JoinedPack,
     Pack as Pack,
     PackError as PackError,
     PackWriter as PackWriter,
@@ -42,6 +43,7 @@ from .split import (
     GroupedPoints as GroupedPoints,
     TilePoints as TilePoints,
     group_points as group_points,
+    join_tiles as join_tiles,
 )
 from .tile_table import (
     TileTable as TileTable,

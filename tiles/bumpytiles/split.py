@@ -32,7 +32,16 @@ from bumpytiles._kernels import (
 from bumpytiles.grid import Grid
 from bumpytiles.pack import BlockKey, Column
 
-__all__ = ["BLOCK_TILES", "POINT_COLUMNS", "GroupedPoints", "PointColumns", "TilePoints", "group_points", "sort_block"]
+__all__ = [
+    "BLOCK_TILES",
+    "POINT_COLUMNS",
+    "GroupedPoints",
+    "PointColumns",
+    "TilePoints",
+    "group_points",
+    "join_tiles",
+    "sort_block",
+]
 
 POINT_COLUMNS = (
     Column("easting", "<f8"),
@@ -66,6 +75,17 @@ class TilePoints:
     """(points,) m."""
     flag: NDArray[np.bool_]
     """(points,) the mark that was passed with each point."""
+
+
+def join_tiles(parts: Sequence[TilePoints]) -> TilePoints:
+    """Return the tiles of several parts, of one grid, in one; at least one part. Tiles and points keep their order."""
+    whole = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("col", "row", "easting", "northing", "upward", "flag")
+    }
+    counts = np.concatenate([np.diff(part.starts) for part in parts])
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return TilePoints(grid=parts[0].grid, starts=starts, **whole)
 
 
 @dataclass(frozen=True, slots=True)

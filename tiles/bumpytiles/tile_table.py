@@ -7,10 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles.grid import Grid, TileWindow
-from bumpytiles.pack import BlockKey, MemoryPack, Pack
+from bumpytiles.pack import BlockKey, JoinedPack, MemoryPack, Pack, read_joined
 from bumpytiles.split import BLOCK_TILES
 
 __all__ = ["TileTable"]
+
+_KEPT_TILES = 1 << 16
+"""Up to this number of tiles, columns of numbers stay in memory once they are read: some 10 MB."""
+_KEPT_BYTES = 8
+"""Most bytes per tile of such a column."""
 
 
 class TileTable:
@@ -21,20 +26,27 @@ class TileTable:
     Parameters
     ----------
     grid : Grid
-    packs : sequence of Pack or MemoryPack
+    packs : sequence of Pack, MemoryPack or JoinedPack
         At least one block with at least one tile.
     """
 
-    def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack]) -> None:
+    def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack | JoinedPack]) -> None:
         self.grid = grid
-        self.pack_of: dict[BlockKey, Pack | MemoryPack] = {
-            key: pack for pack in packs for key in pack.keys if pack.rows(key)
-        }
-        self.tiles = sum(pack.rows(key) for key, pack in self.pack_of.items())
+        self.pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack] = {}
+        tiles: dict[BlockKey, int] = {}
+        for pack in packs:
+            held = {key: rows for key, rows in zip(pack.keys, pack.counts(), strict=True) if rows}
+            self.pack_of |= dict.fromkeys(held, pack)
+            tiles |= held
+        self.tiles = sum(tiles.values())
         """Number of tiles."""
         if not self.tiles:
             raise ValueError("a table needs at least one tile")
-        self._rows, self._cols = np.ascontiguousarray(np.array(sorted(self.pack_of), dtype=np.int64).T)
+        keys = sorted(tiles)
+        self._rows, self._cols = np.ascontiguousarray(np.array(keys, dtype=np.int64).T)
+        self._counts = np.array([tiles[key] for key in keys], dtype=np.int64)
+        self._ends = np.cumsum(self._counts)
+        self._kept: dict[str, NDArray[Any]] = {}
         self.window = self._tight_window()
         """The smallest window that contains every tile."""
 
@@ -66,12 +78,13 @@ class TileTable:
         """
         window = window or self.window
         wanted = tuple(dict.fromkeys(("col", "row", *names)))
-        parts = [self._part(key, wanted, window) for run in self._runs(window) for key in run]
-        if not parts:
+        runs = list(self._runs(window))
+        if runs:
+            part = _inside(self._joined(runs, wanted), window)
+        else:
             some = (int(self._rows[0]), int(self._cols[0]))
-            parts = [self.pack_of[some].read(some, wanted, 0, 0)]
-        # Each part is released as soon as it is joined: the parts take most of the memory.
-        col, row = (np.concatenate([part.pop(name) for part in parts]) for name in ("col", "row"))
+            part = self.pack_of[some].read(some, wanted, 0, 0)
+        col, row = part.pop("col"), part.pop("row")
         # One number per tile that increases in that order: sorting it takes a third of the time of sorting two columns.
         place = (window.row + window.rows - row) * window.cols + (col - window.col)
         order = np.argsort(place, kind="stable")
@@ -79,7 +92,7 @@ class TileTable:
             raise ValueError("two rows of the table are the same tile")
         found = {"col": col[order], "row": row[order]}
         for name in wanted[2:]:
-            found[name] = np.concatenate([part.pop(name) for part in parts])[order]
+            found[name] = part.pop(name)[order]
         return found
 
     def strips(self, most: int, window: TileWindow | None = None) -> Iterator[TileWindow]:
@@ -90,31 +103,42 @@ class TileTable:
         """
         window = window or self.window
         for run in self._runs(window):
-            start, held = run[0], 0
-            for key in run:
-                tiles = self.pack_of[key].rows(key)
+            keys = self._keys(run)
+            start, held = keys[0], 0
+            for key, tiles in zip(keys, self._counts[run].tolist(), strict=True):
                 if held and held + tiles > most:
                     yield _strip(start, key[1], window)
                     start, held = key, 0
                 held += tiles
-            yield _strip(start, run[-1][1] + 1, window)
+            yield _strip(start, keys[-1][1] + 1, window)
 
-    def _part(self, key: BlockKey, wanted: Sequence[str], window: TileWindow) -> dict[str, NDArray[Any]]:
-        """Read columns of the tiles of a block that are in a window."""
-        part = self.pack_of[key].read(key, wanted)
-        west, south = key[1] * BLOCK_TILES, key[0] * BLOCK_TILES
-        if _strip(key, key[1] + 1, window) == TileWindow(west, south, BLOCK_TILES, BLOCK_TILES):
-            return part
-        inside = (
-            (part["col"] >= window.col)
-            & (part["col"] < window.col + window.cols)
-            & (part["row"] >= window.row)
-            & (part["row"] < window.row + window.rows)
-        )
-        return {name: array[inside] for name, array in part.items()}
+    def read_blocks(self, keys: Sequence[BlockKey], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Read columns of at least one block, joined in the order of ``keys``, the tiles of each in stored order."""
+        return read_joined(self.pack_of, keys, names)
 
-    def _runs(self, window: TileWindow) -> Iterator[list[BlockKey]]:
-        """Yield the blocks that overlap a window, one list per row, north row first; each from west to east."""
+    def _joined(self, runs: Sequence[slice], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Read columns of runs of blocks."""
+        kept = self._keep(names) if self.tiles <= _KEPT_TILES else {}
+        others = [name for name in names if name not in kept]
+        keys = [key for run in runs for key in self._keys(run)]
+        found = read_joined(self.pack_of, keys, others) if others else {}
+        parts = [slice(self._ends[run.start] - self._counts[run.start], self._ends[run.stop - 1]) for run in runs]
+        return found | {name: np.concatenate([array[part] for part in parts]) for name, array in kept.items()}
+
+    def _keep(self, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Return those of some columns that stay in memory, (tiles,) each, by block."""
+        first = (int(self._rows[0]), int(self._cols[0]))
+        sizes = self.pack_of[first].read(first, [name for name in names if name not in self._kept], 0, 0)
+        new = [name for name, array in sizes.items() if array.ndim == 1 and array.itemsize <= _KEPT_BYTES]
+        if new:
+            self._kept |= read_joined(self.pack_of, self._keys(slice(0, len(self._rows))), new)
+        return {name: self._kept[name] for name in names if name in self._kept}
+
+    def _keys(self, run: slice) -> list[BlockKey]:
+        return list(zip(self._rows[run].tolist(), self._cols[run].tolist(), strict=True))
+
+    def _runs(self, window: TileWindow) -> Iterator[slice]:
+        """Yield the blocks that overlap a window as places in ``_rows``, one slice per row, north row first."""
         west, south = window.col // BLOCK_TILES, window.row // BLOCK_TILES
         east = (window.col + window.cols - 1) // BLOCK_TILES
         north = (window.row + window.rows - 1) // BLOCK_TILES
@@ -122,17 +146,15 @@ class TileTable:
             first, stop = np.searchsorted(self._rows, [row, row + 1])
             start, end = first + np.searchsorted(self._cols[first:stop], [west, east + 1])
             if start < end:
-                yield [(row, col) for col in self._cols[start:end].tolist()]
+                yield slice(int(start), int(end))
 
     def _tight_window(self) -> TileWindow:
         """Return the smallest window around all tiles, from those of the outermost blocks."""
         row, col = self._rows, self._cols
         edge = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
-        keys = zip(row[edge].tolist(), col[edge].tolist(), strict=True)
-        found = [self.pack_of[key].read(key, ("col", "row")) for key in keys]
-        return TileWindow.around(
-            np.concatenate([part["col"] for part in found]), np.concatenate([part["row"] for part in found])
-        )
+        keys = list(zip(row[edge].tolist(), col[edge].tolist(), strict=True))
+        found = read_joined(self.pack_of, keys, ("col", "row"))
+        return TileWindow.around(found["col"], found["row"])
 
 
 def _strip(start: BlockKey, stop: int, window: TileWindow) -> TileWindow:
@@ -141,3 +163,14 @@ def _strip(start: BlockKey, stop: int, window: TileWindow) -> TileWindow:
     west, east = max(col * BLOCK_TILES, window.col), min(stop * BLOCK_TILES, window.col + window.cols)
     south, north = max(row * BLOCK_TILES, window.row), min((row + 1) * BLOCK_TILES, window.row + window.rows)
     return TileWindow(west, south, east - west, north - south)
+
+
+def _inside(part: dict[str, NDArray[Any]], window: TileWindow) -> dict[str, NDArray[Any]]:
+    """Return the rows of tiles that are in a window."""
+    inside = (
+        (part["col"] >= window.col)
+        & (part["col"] < window.col + window.cols)
+        & (part["row"] >= window.row)
+        & (part["row"] < window.row + window.rows)
+    )
+    return part if inside.all() else {name: part.pop(name)[inside] for name in list(part)}

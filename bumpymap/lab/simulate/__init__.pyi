@@ -17,6 +17,9 @@ from .ride_fit import (
     relief_and_slope as relief_and_slope,
     survey_terrains as survey_terrains,
 )
+from .thin_surveys import (
+    fit_thin_surveys as fit_thin_surveys,
+)
 from .validate import (
     DriveConditions as DriveConditions,
     drive_patches as drive_patches,

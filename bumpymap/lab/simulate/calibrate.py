@@ -3,7 +3,7 @@
 from functools import partial
 
 from bumpymap.lab.simulate.journal import Journal
-from bumpymap.lab.simulate.library import FitRide
+from bumpymap.lab.simulate.library import FitRide, FitThin
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.plan import CalibrationSettings, run_job
 from bumpymap.lab.simulate.pool import Progress, drive_jobs
@@ -22,6 +22,7 @@ def calibrate_vehicle(
     discard_other: bool = False,
     command: str = "",
     fit: FitRide | None = None,
+    fit_thin: FitThin | None = None,
 ) -> Calibration:
     """Drive a vehicle over synthetic terrain and summarise the ride cost of each kind of ground.
 
@@ -40,6 +41,8 @@ def calibrate_vehicle(
         Command line that makes the file again; stored in the calibration.
     fit : callable, optional
         Fits the ride model to the drives over the terrain library; without it the calibration has no ride model.
+    fit_thin : callable, optional
+        Fits the model of thin surveys to the ride model; without it the calibration has none.
 
     Returns
     -------
@@ -54,4 +57,4 @@ def calibrate_vehicle(
         journal=journal,
         discard_other=discard_other,
     )
-    return summarise(settings, results, command, fit)
+    return summarise(settings, results, command, fit, fit_thin)

@@ -15,7 +15,15 @@ from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
 from bumpymap.lab.worlds import KINDS, Terrain
 from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
-__all__ = ["FitRide", "driven_library", "library_ground", "library_record", "library_terrains", "read_library"]
+__all__ = [
+    "FitRide",
+    "FitThin",
+    "driven_library",
+    "library_ground",
+    "library_record",
+    "library_terrains",
+    "read_library",
+]
 
 _COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
 
@@ -41,6 +49,15 @@ class FitRide(Protocol):
         dict
             Plain JSON for the calibration's ``ride`` entry.
         """
+
+
+class FitThin(Protocol):
+    """Fits a model of thin surveys to a ride model."""
+
+    def __call__(
+        self, profile: Vehicle, terrains: Sequence[Terrain], ride: dict[str, Any], first_limit: float
+    ) -> dict[str, Any]:
+        """Fit; see `bumpymap.lab.simulate.thin_surveys.fit_thin_surveys`."""
 
 
 def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:

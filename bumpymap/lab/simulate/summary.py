@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
 from bumpymap.lab.simulate.journal import Key
-from bumpymap.lab.simulate.library import FitRide, driven_library, library_ground, library_record
+from bumpymap.lab.simulate.library import FitRide, FitThin, driven_library, library_ground, library_record
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain
@@ -32,7 +32,11 @@ _RULE = (
 
 
 def summarise(
-    settings: CalibrationSettings, results: Mapping[Key, PatchDrives], command: str = "", fit: FitRide | None = None
+    settings: CalibrationSettings,
+    results: Mapping[Key, PatchDrives],
+    command: str = "",
+    fit: FitRide | None = None,
+    fit_thin: FitThin | None = None,
 ) -> Calibration:
     """Compute a calibration from the drives of all jobs.
 
@@ -45,6 +49,8 @@ def summarise(
         Stored in the calibration.
     fit : callable, optional
         Fits the ride model to the drives over the terrain library.
+    fit_thin : callable, optional
+        Fits the model of thin surveys to the ride model.
     """
     table = [
         [
@@ -59,6 +65,8 @@ def summarise(
     limits = class_limits(driven)
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
     record["library"] = library_record(driven)
+    ground = library_ground(settings, driven) if fit else []
+    ride = fit(settings.profile, ground, driven) if fit else None
     return Calibration(
         vehicle=record.pop("vehicle"),
         tile_size=settings.tile_size,
@@ -71,7 +79,8 @@ def summarise(
         drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
         class_limits=limits,
         class_c_r=_class_means(driven, limits),
-        ride=fit(settings.profile, library_ground(settings, driven), driven) if fit else None,
+        ride=ride,
+        thin=fit_thin(settings.profile, ground, ride, limits[0]) if fit_thin and ride else None,
         settings=record,
     )
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 from rasterio.errors import RasterioError
 
 from bumpymap.core import OutputError, remove_path
-from bumpymap.layers.folder import PRODUCT_NAMES, check_folder
+from bumpymap.layers.folder import NAMED_RASTERS, PRODUCT_NAMES, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
 __all__ = [
@@ -32,7 +32,7 @@ SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
     "map",
 )
 _NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
-_SIDE = ("class.tif.aux.xml",)
+_SIDE = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:

@@ -5,3 +5,15 @@ from .measure import (
     measure_scratch as measure_scratch,
     measure_tiles as measure_tiles,
 )
+from .objects import (
+    ObjectLimits as ObjectLimits,
+    TileObjects as TileObjects,
+    find_in_tiles as find_in_tiles,
+    object_scratch as object_scratch,
+)
+from .pairs import (
+    PAIR_MEASURES as PAIR_MEASURES,
+    PairSettings as PairSettings,
+    measure_pairs as measure_pairs,
+    pair_scratch as pair_scratch,
+)

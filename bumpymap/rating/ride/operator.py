@@ -3,7 +3,7 @@
 Strategy. A patch goes on forever, mirrored at its edges, and a wheel's centre rolls on the envelope of that ground
 (grey dilation with the wheel's shape). Everything after that is linear in the envelope: the pitch of a side is the
 height of its front axle less that of its rear axle over the wheelbase, the chassis takes the mean of both sides,
-follows it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre of way.
+follows it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre driven.
 So each *sample*, a place and a heading, is one row of a sparse matrix over the nodes of the envelope, the same for
 every patch, and the geometric C_r of a patch is the mean absolute value of matrix times envelope. The samples are
 spread evenly over the patch and all headings and are closed under the symmetries of the square: a patch that is turned

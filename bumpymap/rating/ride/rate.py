@@ -11,7 +11,7 @@ from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
 
-__all__ = ["RideModel"]
+__all__ = ["RideModel", "judge"]
 
 Floats = NDArray[np.float64]
 
@@ -70,12 +70,7 @@ class RideModel:
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
         found = self.predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
-        too_steep = patches.slope > float(calibration.vehicle["slope_limit_deg"])
-        p_fail = np.where(too_steep, 1.0, found.p_fail)
-        class_id, chance = _classes(found, calibration.class_limits)
-        last = len(calibration.class_limits)
-        lost = p_fail >= FAIL_SHARE
-        class_id, chance = np.where(lost, last, class_id), np.where(lost, np.maximum(p_fail, chance), chance)
+        class_id, chance, p_fail = judge(found, patches.slope, calibration)
         return CostMap(
             georeference=georeference,
             patches=patches,
@@ -91,7 +86,22 @@ class RideModel:
         )
 
 
-def _classes(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
+def judge(
+    found: Prediction, slope: NDArray[np.floating], calibration: Calibration
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return class, its probability, and p_fail of n predictions.
+
+    Ground steeper than the vehicle's limit (``slope``, (n,) degrees) fails for certain; where at least ``FAIL_SHARE``
+    of the drives fail, the class is the roughest.
+    """
+    p_fail = np.where(slope > float(calibration.vehicle["slope_limit_deg"]), 1.0, found.p_fail)
+    class_id, chance = _class_chance(found, calibration.class_limits)
+    lost = p_fail >= FAIL_SHARE
+    last = len(calibration.class_limits)
+    return np.where(lost, last, class_id), np.where(lost, np.maximum(p_fail, chance), chance), p_fail
+
+
+def _class_chance(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
     """Class of the median of each tile, and its probability under the two-sided distribution."""
     log_limits = np.log(np.array(limits))
     class_id = np.searchsorted(log_limits, found.log_c_r, side="right")

@@ -91,7 +91,7 @@ class ProfileKey:
     """Name with its table, such as ``chassis.mass_kg``."""
     quantity: Quantity
     default: float | None
-    """Default of an optional key; None if the key is required."""
+    """Default of an optional key, NaN if it follows from other keys; None if the key is required."""
 
     @property
     def table(self) -> str:

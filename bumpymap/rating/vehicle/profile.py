@@ -1,13 +1,14 @@
 """Vehicle profiles: dimensions, masses and preferences of a vehicle, read from a TOML file and checked."""
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
 
 from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, short_repr
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
+from bumpymap.rating.vehicle.body import Body, body_table
 from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
 __all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
@@ -107,6 +108,8 @@ class Vehicle:
     belly: Belly
     rocker: Rocker
     wheel: Wheel
+    body: Body = field(default=Body(), kw_only=True)
+    """Does not affect the drives; what the profile leaves out follows from the other keys."""
 
     @property
     def mass_kg(self) -> float:
@@ -164,6 +167,7 @@ class Vehicle:
         arguments, faults = parse_record(record, cls, Path(), complete=True)
         if not faults:
             profile = cls(**arguments)
+            profile = replace(profile, body=Body(**body_table(profile.to_dict())))
             faults = _contradictions(profile)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}")
         return profile
@@ -214,6 +218,7 @@ def _plain(value: Any) -> Any:
 def _contradictions(profile: Vehicle) -> list[str]:
     """Return messages about values that contradict each other, in a profile whose values are each valid."""
     found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
+    found += [_height(profile), _width(profile)]
     found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
     return [fault for fault in found if fault]
 
@@ -253,6 +258,22 @@ def _belly_length(profile: Vehicle) -> str:
         f"belly.length_m is {length:g} and wheelbase_m {wheelbase:g}; a belly has at most {_LONGEST_BELLY:g} times "
         "the wheelbase"
     )
+
+
+def _height(profile: Vehicle) -> str:
+    body, least = profile.body, max(2 * profile.wheel.radius_m, profile.belly.clearance_m)
+    if body.height_m >= least and body.height_m > body.brush_stem_m:
+        return ""
+    if body.height_m < least:
+        return f"body.height_m is {body.height_m:g}, and wheels and belly reach up to {least:g}; it must not be lower"
+    return f"body.height_m is {body.height_m:g} and body.brush_stem_m {body.brush_stem_m:g}; it must be higher"
+
+
+def _width(profile: Vehicle) -> str:
+    least = max(profile.belly.width_m, profile.track_m + profile.wheel.width_m)
+    if profile.body.width_m >= round(least, 2) - 0.005:  # the default is rounded
+        return ""
+    return f"body.width_m is {profile.body.width_m:g}, and belly and wheels are {least:.3g} wide; it must not be less"
 
 
 def _com(profile: Vehicle) -> str:

@@ -1,6 +1,7 @@
 """Write a template of a vehicle profile: every key with its description, unit and allowed values."""
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any, TextIO
@@ -72,8 +73,15 @@ def profile_template(name: str, like: str | None) -> str:
             table = key.table
             lines += ["", f"[{table}]"]
         what = key.quantity.what.replace("`", "")
-        lines += [f"# {what[0].upper()}{what[1:]} ({key.quantity.allowed}).", f"{key.short} = {_value(key, model)}"]
+        lines += [f"# {what[0].upper()}{what[1:]} ({key.quantity.allowed}).", _line(key, model)]
     return "\n".join(lines) + "\n"
+
+
+def _line(key: ProfileKey, model: dict[str, Any]) -> str:
+    """Return the line of a key, as a comment if its default follows from the others."""
+    if not model and key.default is not None and math.isnan(key.default):
+        return f"# {key.short} =   (if left out, it follows from the keys above)"
+    return f"{key.short} = {_value(key, model)}"
 
 
 def _value(key: ProfileKey, model: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 from .block_work import (
     BlockWork as BlockWork,
     MeasuredTiles as MeasuredTiles,
+    engine_errors as engine_errors,
 )
 from .budget import (
     Budget as Budget,
@@ -23,6 +24,9 @@ from .resource_estimate import (
 from .run import (
     Executor as Executor,
     run_engine as run_engine,
+)
+from .sink import (
+    TileSink as TileSink,
 )
 from .workspace import (
     ADVICE as ADVICE,

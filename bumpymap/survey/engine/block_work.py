@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Ground, OutputError, UsageError
+from bumpymap.readers import LineSums
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.sink import TileSink
 from bumpymap.survey.engine.workspace import Workspace
@@ -23,12 +24,15 @@ from bumpytiles import (
     TilePoints,
     TileTable,
     TooManyPointsError,
+    join_tiles,
     run_blocks,
 )
 
 __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "engine_errors"]
 
 TileColumns = dict[str, NDArray[Any]]
+_GROUP_POINTS = 4096
+"""Most points in a group of blocks that are rated together; a denser block is rated by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +56,43 @@ class BlockWork:
     ) -> Iterator[tuple[BlockKey, TileColumns]]:
         """Rate blocks; yield their columns in the given order."""
 
-        def finish(key: BlockKey) -> tuple[BlockKey, TileColumns]:
-            shares = [self.rate(points, ground_only) for points in self._points(buckets, key)]
+        def finish(group: Sequence[BlockKey]) -> list[tuple[BlockKey, TileColumns]]:
+            if len(group) > 1:
+                return self._rate_together(buckets, group, ground_only=ground_only)
+            shares = [self.rate(points, ground_only) for points in self._points(buckets, group[0])]
             joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
-            return key, joined
+            return [(group[0], joined)]
 
-        return run_blocks(finish, keys, threads)
+        for finished in run_blocks(finish, self._groups(buckets, keys), threads):
+            yield from finished
+
+    def _groups(self, buckets: TileBuckets, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
+        """Yield the blocks, those with few points in groups: the fixed time of a block then counts once for many.
+
+        The cloth filter needs each block by itself.
+        """
+        most = min(_GROUP_POINTS, buckets.limits.block_points if buckets.limits else _GROUP_POINTS)
+        group: list[BlockKey] = []
+        held = 0
+        for key in keys:
+            points = buckets.points(key)
+            if group and (held + points > most or self.ground == "csf"):
+                yield group
+                group, held = [], 0
+            group.append(key)
+            held += points
+        if group:
+            yield group
+
+    def _rate_together(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], *, ground_only: bool
+    ) -> list[tuple[BlockKey, TileColumns]]:
+        """Rate small blocks in one call; a tile's results do not depend on the tiles beside it."""
+        parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
+        columns = self.rate(join_tiles(parts), ground_only)
+        ends = np.cumsum([len(part.col) for part in parts])
+        pieces = {name: np.split(values, ends[:-1]) for name, values in columns.items()}
+        return [(key, {name: split[number] for name, split in pieces.items()}) for number, key in enumerate(keys)]
 
     def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
         """Yield the points of a block: in one piece for the cloth filter, which would find other ground in a part."""
@@ -92,13 +127,16 @@ class MeasuredTiles:
     """For each input the number of dropped points by reason; None if it was skipped."""
     points: int
     """Number of points used; duplicates are included."""
+    lines: LineSums
+    """Sums to compare the flight lines of these points."""
 
     @classmethod
     def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
         """Return what a run has finished, from the record in its workspace."""
         kind = "ground" if record["ground_only"] else "all"
         packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
-        return cls(TileTable(work.grid, packs), record["ground_only"], record["dropped"], record["points"])
+        lines = LineSums.from_record(record["lines"])
+        return cls(TileTable(work.grid, packs), record["ground_only"], record["dropped"], record["points"], lines)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core import atomic, parse_json
-from bumpymap.readers import PointStats
+from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.results import ReadResult
 from bumpymap.survey.engine.workspace import Workspace
 from bumpytiles import Pack
@@ -62,6 +62,7 @@ class Checkpoints:
                 "spans": result.spans,
                 "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
                 "flagged": result.flagged,
+                "lines": result.lines.to_record(),
                 "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
                 "early": early,
                 "seen": result.seen,
@@ -117,6 +118,7 @@ class Checkpoints:
             tuple((file, first, stop) for file, first, stop in record["spans"]),
             {int(file): PointStats.from_record(stats) for file, stats in record["stats"].items()},
             record["flagged"],
+            LineSums.from_record(record["lines"]),
             tuple((self._points(path), np.array(blocks, np.int64)) for path, blocks in record["packs"]),
             seen=None if record["seen"] is None else (record["seen"][0], record["seen"][1]),
         )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core import BadInputError
-from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
+from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.plan import ChunkRange
 from bumpytiles import Grid, GroupedPoints, group_points
 
@@ -46,6 +46,7 @@ class ReadChunk:
     stats: PointStats
     flagged: bool
     """Whether any point is ground."""
+    lines: LineSums
 
     @property
     def is_last(self) -> bool:
@@ -123,7 +124,7 @@ class ChunkStream:
         batch = source.reader.convert(chunk, fetched)
         cloud = batch.cloud
         points = group_points(self._grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground)
-        return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()))
+        return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()), batch.lines)
 
     def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:
         """Yield grouped chunks in order until at most ``most`` are pending."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bumpymap.core import BadInputError
-from bumpymap.readers import PointStats, SurveyReader, Version, file_changed
+from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.catalogue import BlockCatalogue
 from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
@@ -62,6 +62,8 @@ class ResultCollector:
         """For each file, once it is read completely and found good."""
         self.flagged = False
         """Whether any point used is ground."""
+        self.lines = LineSums()
+        """Sums to compare the flight lines of the points used."""
         self.skipped: set[int] = set()
         self._results: dict[int, list[_FileResult]] = {file: [] for file in range(len(readers))}
         self._held: list[ReadResult] = []
@@ -172,6 +174,7 @@ class ResultCollector:
 
     def _count(self, result: ReadResult) -> None:
         self.flagged |= result.flagged
+        self.lines = self.lines.merge(result.lines)
         for path, blocks in result.packs:
             self.catalogue.add(path, blocks)
         if result.in_memory is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Progress
-from bumpymap.readers import PointStats, SurveyReader
+from bumpymap.readers import LineSums, PointStats, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.chunk_stream import BadFile, ChunkStream, OpenRange, ReadChunk
 from bumpymap.survey.engine.completion import BlockCompletion
@@ -56,6 +56,7 @@ class _PendingChunk:
     span: Span
     stats: PointStats
     flagged: bool
+    lines: LineSums
 
 
 class RangeReader:
@@ -126,7 +127,7 @@ class RangeReader:
         if read.chunk.index == source.range.first:
             self._stats = PointStats()
         span = (source.range.file, read.chunk.index, read.chunk.index + 1)
-        self._pending.append(_PendingChunk(self._next, span, read.stats, read.flagged))
+        self._pending.append(_PendingChunk(self._next, span, read.stats, read.flagged, read.lines))
         self._store.add_chunk(read.points, self._next)
         self._next += 1
         self._stats = self._stats.merge(read.stats)
@@ -172,7 +173,7 @@ class RangeReader:
         """Return the result for the pending chunks up to number ``last``."""
         spans: list[Span] = []
         stats: dict[int, PointStats] = {}
-        flagged = False
+        flagged, lines = False, LineSums()
         while self._pending and self._pending[0].number <= last:
             taken = self._pending.popleft()
             file, first, stop = taken.span
@@ -182,7 +183,8 @@ class RangeReader:
                 spans.append(taken.span)
             stats[file] = stats.get(file, PointStats()).merge(taken.stats)
             flagged |= taken.flagged
-        return ReadResult(tuple(spans), stats, flagged)
+            lines = lines.merge(taken.lines)
+        return ReadResult(tuple(spans), stats, flagged, lines)
 
     def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
         """Drop the points of a bad file and yield its error; earlier results of the file become void."""

@@ -7,7 +7,7 @@ EPYC server, on synthetic surveys of 1 to 20 million points and on real ones.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bumpymap.core import tile_columns
+from bumpymap.core import neighbour_columns, rated_columns
 from bumpymap.readers import SurveyInfo
 from bumpymap.survey.engine.budget import POINT_BYTES, Budget
 from bumpytiles import BLOCK_TILES, Bounds, Grid
@@ -23,8 +23,9 @@ _STRIP_COPIES = 2
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
-_LAYER_HEIGHTS, _LAYER_NUMBERS = 8, 300
-"""Layers before compression: bytes per pixel of a heightmap (stored twice), and other bytes per tile."""
+_LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 300
+"""Layers before compression: bytes per pixel of a heightmap (stored twice) and of obstacle.tif, and other bytes per
+tile."""
 
 _START_S = 1.6
 """Time for imports, checks and the files that every run writes, s."""
@@ -76,7 +77,8 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     scratch = _scratch(points, blocks if blocks is not None else most, len(infos), budget)
     cols = max((_sides(box, grid)[0] for box in _around(boxes)), default=0)
     strip = _STRIP_COPIES * BLOCK_TILES * grid.pixels**2 * 4 * min(cols, points)
-    tile_bytes = 2 * sum(column.row_bytes for column in tile_columns(grid.pixels))  # measured both ways, at worst
+    tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
+    tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
     return Estimate(
         points=points,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers import PointStats, Version
+from bumpymap.readers import LineSums, PointStats, Version
 
 __all__ = ["FinishedTiles", "ReadResult", "Span"]
 
@@ -24,6 +24,8 @@ class ReadResult:
     """Statistics by file."""
     flagged: bool = False
     """Whether any point is ground."""
+    lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
+    """Sums to compare flight lines."""
     packs: tuple[tuple[Path, NDArray[np.int64]], ...] = ()
     """Packs of waiting points, each with the row, column and number of points of its blocks, (n, 3)."""
     tiles: tuple[tuple[Path, ...], ...] = ()

@@ -98,7 +98,8 @@ def _read_and_measure(
         _finish(collector, space, executor, progress, ground_only=ground_only)
     counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
     dropped = [None if n in collector.skipped else stats.dropped for n, stats in enumerate(collector.stats)]
-    return {"ground_only": ground_only, "dropped": dropped, "points": counted}
+    lines = collector.lines.to_record()
+    return {"ground_only": ground_only, "dropped": dropped, "points": counted, "lines": lines}
 
 
 def _read(

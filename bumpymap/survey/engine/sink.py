@@ -1,9 +1,10 @@
 """Collecting finished blocks into packs of some megabytes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles import BlockKey, Column, PackWriter
@@ -11,7 +12,10 @@ from bumpytiles import BlockKey, Column, PackWriter
 __all__ = ["TileSink"]
 
 _PACK_TILES = 16_384
-"""Tiles in a pack: 17 MB at 15 x 15 pixels. A killed run loses no more than that."""
+"""Tiles in a pack: 22 MB at 15 x 15 pixels. A killed run loses no more than that."""
+
+_GROUP_TILES = 1024
+"""Most tiles that are written at once: 2 MB."""
 
 
 class TileSink:
@@ -46,11 +50,30 @@ class TileSink:
             return
         path = self._folder / f"tiles-{self._kind}-{self._number:06d}.pack"
         with PackWriter(path, self._columns, {"kind": self._kind, "marks": self._marks}) as writer:
-            for key, columns in self._held.items():
-                writer.add(key, len(columns["col"]), {name: [array] for name, array in columns.items()})
+            for keys in self._groups():
+                parts = [self._held[key] for key in keys]
+                if len(keys) == 1:
+                    writer.add(keys[0], len(parts[0]["col"]), {name: [array] for name, array in parts[0].items()})
+                    continue
+                joined = {
+                    column.name: np.concatenate([part[column.name] for part in parts]) for column in self._columns
+                }
+                writer.add_blocks(keys, [len(part["col"]) for part in parts], joined)
         self._written.append(path)
         self._number += 1
         self._held, self._tiles, self._marks = {}, 0, [0, 0]
+
+    def _groups(self) -> Iterator[list[BlockKey]]:
+        """Yield the held blocks, those with few tiles in groups: the fixed time of a write counts once for many."""
+        group: list[BlockKey] = []
+        tiles = 0
+        for key, columns in self._held.items():
+            if group and tiles + len(columns["col"]) > _GROUP_TILES:
+                yield group
+                group, tiles = [], 0
+            group.append(key)
+            tiles += len(columns["col"])
+        yield group
 
     def new_packs(self) -> list[Path]:
         """Return the packs that were written since the last call."""

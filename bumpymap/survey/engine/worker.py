@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Progress
-from bumpymap.readers import PointStats
+from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
@@ -123,11 +123,12 @@ class Worker:
 
 def _joined(results: Sequence[ReadResult], task: ReadTask) -> ReadResult:
     file = task.range.file
-    stats = PointStats()
+    stats, lines = PointStats(), LineSums()
     for result in results:
         stats = stats.merge(result.stats.get(file, PointStats()))
+        lines = lines.merge(result.lines)
     flagged = any(result.flagged for result in results)
-    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged)
+    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged, lines)
 
 
 def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:

@@ -96,6 +96,10 @@ def test_file_with_a_path_is_read(tmp_path):
         ),
         ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
         ("belly.length_m", 13, ["belly.length_m is 13", "4 times"]),
+        ("body.height_m", 1380, ["body.height_m is 1380", "between 0.02 and 15 metres; 1380 mm would be 1.38"]),
+        ("body.height_m", 0.5, ["body.height_m is 0.5", "reach up to 0.6"]),
+        ("body.width_m", 1.2, ["body.width_m is 1.2", "1.37 wide"]),
+        ("body.brush_stem_m", 1.4, ["body.height_m is 1.38 and body.brush_stem_m 1.4"]),
     ],
 )
 def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(warthog, key, value, words):
@@ -115,6 +119,7 @@ def test_borders_of_ranges_are_allowed(warthog):
 
 def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
     warthog["belly"].update(width_m=1.4, clearance_m=0.6)
+    del warthog["body"]
     assert Vehicle.from_dict(warthog, "x").belly.width_m == 1.4
 
 
@@ -173,6 +178,14 @@ def test_fail_weight_may_be_left_out(warthog):
     del warthog["fail_weight"]
     assert Vehicle.from_dict(warthog, "x") == load_profile("warthog")
     assert Vehicle.from_dict(warthog | {"fail_weight": 40}, "x").fail_weight == 40.0
+
+
+def test_an_outline_that_is_left_out_follows_from_wheels_and_belly(warthog):
+    del warthog["body"]
+    body = Vehicle.from_dict(warthog, "x").body
+    assert (body.height_m, body.width_m, body.brush_stem_m) == (1.38, 1.37, 0.25)  # 2 * 0.3 + 0.7 * 1.12; 1.12 + 0.25
+    given = Vehicle.from_dict(warthog | {"body": {"brush_stem_m": 0.6}}, "x").body
+    assert (given.height_m, given.width_m, given.brush_stem_m) == (1.38, 1.37, 0.6)
 
 
 def test_unknown_name_lists_the_shipped_profiles():

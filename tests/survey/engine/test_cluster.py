@@ -20,6 +20,7 @@ from bumpymap.cli import main
 from bumpymap.core import processes
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child
+from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
 from bumpymap.survey import BlockWork, WorkerPool
@@ -330,6 +331,7 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
 def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
     """It has read, or opened a file that is another than the client's."""
+    monkeypatch.setattr(processes, "MEMORY", SharedMemory())  # without arrays of tests before this one
     started = []
     monkeypatch.setattr(decoder, "current", None)
     monkeypatch.setattr(decoder, "Child", lambda *arguments: started.append(Child(*arguments)) or started[-1])

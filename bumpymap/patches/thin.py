@@ -1,0 +1,114 @@
+"""What the points of thinly surveyed tiles tell beyond their pixels; see ``docs/pages/thin-surveys.md``."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import DENSE_COVERAGE, HOLE_POINTS, HOLE_SHARE, FeatureSettings, PatchStack, Reason
+from bumpymap.patches import kernels
+from bumpymap.patches.features import points_by_tile
+from bumpytiles import TilePoints
+
+__all__ = ["ThinPatches", "measure_thin"]
+
+_SEEN = 1
+"""Column of the share of a tile's nine parts that hold a point."""
+_MOST_POINTS = 128
+_NOISE_POINTS = 32
+"""Points of a dense tile whose pairs are measured: they only help to tell the noise."""
+_REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
+"""Upper ends of the groups of distances, px."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThinPatches:
+    """Measures of the points of n tiles."""
+
+    pairs: NDArray[np.float64]
+    """(n, 15) of `bumpymap.patches.kernels.pairs.measure_pairs`; NaN where the points span no plane."""
+    relief_map: NDArray[np.float32]
+    """(n, pixels, pixels) plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for
+    tiles that are not thin."""
+
+
+def measure_thin(
+    points: TilePoints, patches: PatchStack, settings: FeatureSettings, *, ground_only: bool
+) -> ThinPatches:
+    """Measure the pairs of points of all tiles, and the filled heightmaps of thin ones.
+
+    Parameters
+    ----------
+    points : TilePoints
+        n tiles.
+    patches : PatchStack
+        The same tiles, measured by `measure`.
+    settings, ground_only
+        As for `measure`.
+    """
+    grid = points.grid
+    tiles = points_by_tile(points, ground_only=ground_only)
+    thin = (patches.coverage > 0) & (patches.coverage < DENSE_COVERAGE)
+    limit = np.where(thin, _MOST_POINTS, _NOISE_POINTS)
+    pairs = np.empty((len(points.col), kernels.PAIR_MEASURES))
+    kernels.measure_pairs(
+        tiles,
+        kernels.PairSettings(grid.tile_size, settings.stray_gap, limit, (np.array(_REACH_PX) * grid.pixel_size) ** 2),
+        pairs,
+        kernels.pair_scratch(_MOST_POINTS, settings.stray_points),
+    )
+    pairs[_has_real_holes(patches) | _is_refused(patches, settings), _SEEN] = 0.0
+    relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
+    if thin.any():
+        relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)
+    return ThinPatches(pairs, relief_map)
+
+
+def _has_real_holes(patches: PatchStack) -> NDArray[np.bool_]:
+    """Return in which tiles there is no ground to see, such as a pond: many points, and yet too many holes.
+
+    Points at random leave a pixel of m empty with probability ``exp(-n / m)``.
+    """
+    at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
+    clustered = patches.coverage < HOLE_SHARE * at_random
+    return np.asarray((patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered)
+
+
+def _is_refused(patches: PatchStack, settings: FeatureSettings) -> NDArray[np.bool_]:
+    """Return which tiles hold too few points by a limit that was raised: it holds for thin tiles too."""
+    raised = settings.min_points > FeatureSettings().min_points
+    return np.asarray(raised & (patches.count < settings.min_points))
+
+
+def _take(tiles: kernels.PointsByTile, wanted: NDArray[np.bool_]) -> kernels.PointsByTile:
+    """Select tiles and their points."""
+    count = np.diff(tiles.starts)
+    kept = np.repeat(wanted, count)
+    starts = np.concatenate(([0], np.cumsum(count[wanted])))
+    return kernels.PointsByTile(
+        starts,
+        tiles.easting[kept],
+        tiles.northing[kept],
+        tiles.upward[kept],
+        tiles.col[wanted],
+        tiles.row[wanted],
+    )
+
+
+def _filled(
+    tiles: kernels.PointsByTile, settings: FeatureSettings, tile_size: float, pixels: int
+) -> NDArray[np.float32]:
+    """Return relief maps with holes of any width filled, (n, pixels, pixels) m; NaN where the points span no plane."""
+    shape = (len(tiles.col), pixels, pixels)
+    relief = np.empty(shape, np.float32)
+    out = kernels.TileMeasures(
+        np.empty((len(tiles.col), 9)),
+        np.empty(shape, np.float32),
+        np.empty(shape, np.float32),
+        relief,
+        np.empty(shape, np.int32),
+    )
+    thresholds = kernels.MeasureSettings(tile_size, settings.ransac_threshold, settings.stray_gap, depth=pixels)
+    most = int(np.diff(tiles.starts).max())
+    kernels.measure_tiles(tiles, thresholds, out, kernels.measure_scratch(most, pixels, settings.stray_points))
+    return relief

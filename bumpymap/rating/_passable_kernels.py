@@ -1,0 +1,155 @@
+"""Compiled kernels: pixels of a mosaic of tiles in; grown obstacles, and the ways through each tile, out."""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN, squared_distances
+from bumpytiles import helper, kernel
+
+__all__ = ["GrowScratch", "InnerTiles", "Mosaic", "find_ways", "settle"]
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int32]
+Booleans = NDArray[np.bool_]
+
+_NORTH, _EAST, _SOUTH, _WEST = 1, 2, 4, 8
+
+
+class Mosaic(NamedTuple):
+    """Tiles of a block with a ring of one tile around them."""
+
+    objects: Annotated[Bytes, 2]
+    """(tiles * pixels, tiles * pixels) states of `bumpymap.core.ObjectStack`, settled."""
+    pixels: int
+    """Along a side of a tile."""
+    radius: float
+    """Distance from obstacles that the middle of the vehicle keeps, px."""
+
+
+class InnerTiles(NamedTuple):
+    """What is known, and filled, for the tiles within the ring."""
+
+    edges: Annotated[Booleans, 3]
+    """(tiles - 2, tiles - 2, 4) which edges can be crossed: north, east, south, west."""
+    passable: Annotated[Booleans, 2]
+    """(tiles - 2, tiles - 2) filled: whether there is a way through the tile."""
+    blocked: Annotated[Booleans, 2]
+    """The same shape, filled: whether there would be none if every edge could be crossed."""
+    near_obstacle: Annotated[Booleans, 2]
+    """The same shape, filled: whether it is blocked, and an obstacle lies in it or within the radius of it."""
+
+
+class GrowScratch(NamedTuple):
+    """Scratch of the size of the mosaic's pixels, and a stack of the pixels of a tile."""
+
+    mask: Annotated[Bytes, 2]
+    near: Annotated[Floats, 2]
+    far: Annotated[Floats, 2]
+    stack: Annotated[Integers, 1]
+
+
+@helper
+def _has_company(objects: Bytes, pixels: int, r: int, c: int) -> bool:
+    """Whether a pixel of another tile among the eight around one holds points of an obstacle."""
+    for row in range(max(0, r - 1), min(objects.shape[0], r + 2)):
+        for col in range(max(0, c - 1), min(objects.shape[1], c + 2)):
+            other = row // pixels != r // pixels or col // pixels != c // pixels
+            if other and (objects[row, col] == OBSTACLE or objects[row, col] == UNDECIDED):
+                return True
+    return False
+
+
+@kernel
+def settle(objects: Annotated[Bytes, 2], pixels: int, out: Annotated[Bytes, 2]) -> None:
+    """Copy the states; undecided pixels become obstacles where the neighbouring tile has company for them."""
+    for r in range(objects.shape[0]):
+        for c in range(objects.shape[1]):
+            state = objects[r, c]
+            if state == UNDECIDED:
+                state = np.uint8(OBSTACLE) if _has_company(objects, pixels, r, c) else np.uint8(FREE)
+            out[r, c] = state
+
+
+@helper
+def _grow(mosaic: Mosaic, scratch: GrowScratch) -> None:
+    """Mark in ``scratch.mask`` where the middle of the vehicle cannot be."""
+    rows, cols = mosaic.objects.shape
+    for r in range(rows):
+        for c in range(cols):
+            scratch.mask[r, c] = mosaic.objects[r, c] == OBSTACLE or mosaic.objects[r, c] == UNSEEN
+    squared_distances(scratch.mask, math.ceil(mosaic.radius), scratch.near, scratch.far)
+    for r in range(rows):
+        for c in range(cols):
+            scratch.mask[r, c] = scratch.far[r, c] < mosaic.radius * mosaic.radius
+
+
+@helper
+def _sides_reached(mask: Bytes, start: int, stack: Integers) -> int:
+    """Walk over the free pixels that hang together with one, marking them; returns the sides that they touch."""
+    size, sides, depth = mask.shape[0], 0, 1
+    stack[0] = start
+    mask[start // size, start % size] = 2
+    while depth > 0:
+        depth -= 1
+        r, c = stack[depth] // size, stack[depth] % size
+        sides |= (_NORTH if r == 0 else 0) | (_SOUTH if r == size - 1 else 0)
+        sides |= (_WEST if c == 0 else 0) | (_EAST if c == size - 1 else 0)
+        for k in range(4):
+            row, col = r + (k == 2) - (k == 0), c + (k == 1) - (k == 3)
+            if 0 <= row < size and 0 <= col < size and mask[row, col] == 0:
+                mask[row, col] = 2
+                stack[depth] = row * size + col
+                depth += 1
+    return sides
+
+
+@helper
+def _count(sides: int) -> int:
+    """Return the number of sides in a set."""
+    return (sides & 1) + ((sides >> 1) & 1) + ((sides >> 2) & 1) + ((sides >> 3) & 1)
+
+
+@helper
+def _near_obstacle(mosaic: Mosaic, top: int, left: int) -> bool:
+    """Whether an obstacle lies in a tile, or within the radius of one of its pixels."""
+    rows, cols = mosaic.objects.shape
+    reach, last = math.ceil(mosaic.radius), mosaic.pixels - 1
+    for r in range(max(0, top - reach), min(rows, top + last + reach + 1)):
+        down = max(0, top - r, r - top - last)
+        for c in range(max(0, left - reach), min(cols, left + last + reach + 1)):
+            right = max(0, left - c, c - left - last)
+            if mosaic.objects[r, c] == OBSTACLE and down * down + right * right < mosaic.radius * mosaic.radius:
+                return True
+    return False
+
+
+@kernel
+def find_ways(mosaic: Mosaic, tiles: InnerTiles, scratch: GrowScratch) -> None:
+    """Fill ``passable``, ``blocked`` and ``near_obstacle`` of the inner tiles."""
+    pixels = mosaic.pixels
+    _grow(mosaic, scratch)
+    for row in range(tiles.passable.shape[0]):
+        for col in range(tiles.passable.shape[1]):
+            top, left = (row + 1) * pixels, (col + 1) * pixels
+            mask = scratch.mask[top : top + pixels, left : left + pixels]
+            own = mosaic.objects[top : top + pixels, left : left + pixels]
+            usable, empty, least = 0, True, 2
+            for k in range(4):
+                usable |= (1 << k) if tiles.edges[row, col, k] else 0
+            for r in range(pixels):
+                for c in range(pixels):
+                    empty = empty and own[r, c] != OBSTACLE and own[r, c] != UNSEEN
+            if empty:
+                least = 1
+            passable, blocked = False, True
+            for start in range(pixels * pixels):
+                if mask[start // pixels, start % pixels] == 0:
+                    sides = _sides_reached(mask, start, scratch.stack)
+                    passable = passable or _count(sides & usable) >= least
+                    blocked = blocked and _count(sides) < least
+            tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
+            tiles.near_obstacle[row, col] = blocked and _near_obstacle(mosaic, top, left)

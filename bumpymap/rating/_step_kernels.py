@@ -1,0 +1,237 @@
+"""Compiled kernels: heights of a mosaic of tiles in; gradients, and steps from west to east, out; see ``steps``.
+
+Each works on rows of the mosaic, a whole row at a time, which a processor does for several pixels at once. Steps from
+north to south come from the transposed mosaic. Nothing here allocates: scratch arrays come from the caller.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles import helper, kernel
+
+__all__ = [
+    "REACH",
+    "RUN",
+    "RawSteps",
+    "RowScratch",
+    "StepMosaic",
+    "find_highest",
+    "find_quantiles",
+    "find_raw_steps",
+    "row_scratch",
+]
+
+Floats = NDArray[np.float64]
+
+RUN = 4
+"""Pixels before and after the middle one of a run."""
+REACH = 4
+"""Pixels on each side of a step that are looked at."""
+_RAMP = 0.4
+_RUN_LENGTH = 2 * RUN + 1
+
+
+class StepMosaic(NamedTuple):
+    """Heights of tiles side by side."""
+
+    heights: Annotated[Floats, 2]
+    """(rows + 2 * RUN, cols) m; NaN in unknown pixels, and in the ``RUN`` rows before the first tile and after the last
+    one."""
+    pixels: int
+    """Along a side of a tile."""
+    east: Annotated[Floats, 2]
+    """(tiles, cols) gradient of the tile from one pixel to its eastern neighbour, m."""
+    south: Annotated[Floats, 2]
+    """The same to its southern neighbour."""
+
+
+class RawSteps(NamedTuple):
+    """What `find_raw_steps` fills."""
+
+    least: Annotated[Floats, 2]
+    """(rows, cols) the least step anywhere in the pixel, m; NaN where a side is unknown."""
+    inside: Annotated[Floats, 3]
+    """(tiles, tiles, (pixels - 2 * RUN) * (pixels - 2 * REACH)) size of the steps in the middle of the pixels whose
+    support lies in the tile, m."""
+
+
+class RowScratch(NamedTuple):
+    """Scratch for a row of the mosaic, see `row_scratch`."""
+
+    stack: Annotated[Floats, 2]
+    """(9, cols) heights of a run of pixels."""
+    padding: Annotated[Floats, 1]
+    """(cols,) signs of what stands for an unknown pixel."""
+    runs: Annotated[Floats, 1]
+    """(cols + 2 * REACH,) medians of runs; NaN at both ends."""
+    plain: Annotated[Floats, 1]
+    """(cols,) steps in the middle of pixels."""
+
+
+def row_scratch(cols: int) -> RowScratch:
+    """Make scratch for rows of so many pixels."""
+    runs = np.full(cols + 2 * REACH, np.nan)
+    return RowScratch(np.empty((_RUN_LENGTH, cols)), np.empty(cols), runs, np.empty(cols))
+
+
+@helper
+def _split(values: Floats, first: int, last: int, pivot: float, with_equal: bool) -> int:
+    """Bring what is below the pivot, or equal to it if asked, to the front of a part; returns where the rest begins."""
+    at = first
+    for i in range(first, last):
+        value = values[i]
+        values[i] = values[at]
+        values[at] = value
+        at += (value < pivot) | (with_equal & (value == pivot))
+    return at
+
+
+@helper
+def _smallest(values: Floats, place: int) -> float:
+    """Return the number that stands at a place when all are sorted; their order is changed."""
+    first, last = 0, len(values)
+    while True:
+        a, b, c = values[first], values[(first + last) // 2], values[last - 1]
+        pivot = max(min(a, b), min(max(a, b), c))
+        at = _split(values, first, last, pivot, False)
+        if place < at:
+            last = at
+            continue
+        first = _split(values, at, last, pivot, True)
+        if place < first:
+            return float(pivot)
+
+
+@kernel
+def find_quantiles(values: Annotated[Floats, 3], share: float, least: int, out: Annotated[Floats, 2]) -> None:
+    """Fill, for each tile, the value with a share of the known ones at or below it; NaN with fewer than ``least``.
+
+    ``values`` is (tiles, tiles, n); their order within a tile is changed.
+    """
+    for row in range(out.shape[0]):
+        for col in range(out.shape[1]):
+            mine, n = values[row, col], 0
+            for i in range(len(mine)):
+                value = mine[i]
+                mine[i] = mine[n]
+                mine[n] = value
+                n += not math.isnan(value)
+            out[row, col] = _smallest(mine[:n], int(share * (n - 1))) if n >= least else np.nan
+
+
+@helper
+def _gather(heights: Floats, slope: Floats, ahead: float, padding: Floats, out: Floats) -> None:
+    """Bring a row of heights to the middle row of a run.
+
+    Unknown pixels become infinite, up and down in turn, so that the median of nine is that of the known ones.
+    """
+    for c in range(len(out)):
+        height, sign = heights[c] - ahead * slope[c], padding[c]
+        unknown = height != height  # noqa: PLR0124 - false for NaN; a test without a branch
+        out[c] = sign * np.inf if unknown else height
+        padding[c] = -sign if unknown else sign
+
+
+@helper
+def _put_in_order(low: Floats, high: Floats) -> None:
+    """Exchange the numbers of two rows where the first is the higher one."""
+    for c in range(len(low)):
+        a, b = low[c], high[c]
+        low[c] = min(a, b)
+        high[c] = max(a, b)
+
+
+@helper
+def _medians(heights: Floats, slope: Floats, scratch: RowScratch) -> None:
+    """Fill the medians of the known ones of nine pixels in a column, each brought to the middle along the slope."""
+    stack, padding, out = scratch.stack, scratch.padding, scratch.runs
+    length = len(stack)  # as a constant, it would have the compiler unroll these loops, for two seconds
+    middle = length // 2
+    for c in range(len(padding)):
+        padding[c] = 1.0
+    for k in range(length):
+        _gather(heights[k], slope, float(k - middle), padding, stack[k])
+    for place in range(middle + 1):  # the lowest of all nine to the front, then the lowest of the rest
+        for other in range(place + 1, length):
+            _put_in_order(stack[place], stack[other])
+    for c in range(len(padding)):
+        pair = 0.5 * (stack[middle - 1, c] + stack[middle, c])  # of an even number; of none it is NaN
+        out[REACH + c] = stack[middle, c] if padding[c] > 0.0 else pair
+
+
+@helper
+def _side(a: float, b: float, c: float, d: float) -> tuple[float, float]:
+    """Continue four heights, the nearest first, by one pixel; returns the height there and the slope [m per pixel]."""
+    one, two, three = b - a, c - b, d - c
+    agree = ((one > 0.0) & (two > 0.0) & (three > 0.0)) | ((one < 0.0) & (two < 0.0) & (three < 0.0))
+    size = min(abs(one), abs(two), abs(three))
+    bend = 0.0
+    if agree:
+        bend = size if one > 0.0 else -size
+    near, far = a - bend, b - 2.0 * bend
+    height = 0.5 * (near + far)
+    height = near if math.isnan(far) else height
+    return far if math.isnan(near) else height, bend
+
+
+@helper
+def _compare_sides(runs: Floats, slope: Floats, plain: Floats, least: Floats) -> None:
+    """Fill the steps of a row: in the middle of pixels, and the least ones."""
+    for c in range(len(plain)):
+        s = slope[c]
+        right, bend_right = _side(runs[c + 5] - s, runs[c + 6] - 2.0 * s, runs[c + 7] - 3.0 * s, runs[c + 8] - 4.0 * s)
+        left, bend_left = _side(runs[c + 3] + s, runs[c + 2] + 2.0 * s, runs[c + 1] + 3.0 * s, runs[c] + 4.0 * s)
+        step = abs(right - left)
+        # The slope on the left is counted away from the pixel, too.
+        reduced = step - 0.5 * abs(bend_right + bend_left)
+        plain[c] = step
+        least[c] = 0.0 if reduced < 0.0 else reduced  # noqa: FURB136 - NaN stays NaN
+
+
+@kernel
+def find_raw_steps(mosaic: StepMosaic, out: RawSteps, scratch: RowScratch) -> None:
+    """Fill the steps from west to east at every pixel."""
+    pixels, width = mosaic.pixels, mosaic.pixels - 2 * REACH
+    for row in range(mosaic.east.shape[0]):
+        for line in range(pixels):
+            r = row * pixels + line
+            _medians(mosaic.heights[r : r + _RUN_LENGTH], mosaic.south[row], scratch)
+            _compare_sides(scratch.runs, mosaic.east[row], scratch.plain, out.least[r])
+            if RUN <= line < pixels - RUN:
+                for col in range(out.inside.shape[1]):
+                    for c in range(width):
+                        out.inside[row, col, (line - RUN) * width + c] = scratch.plain[col * pixels + REACH + c]
+
+
+@helper
+def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
+    """Raise the highest steps to those of a row that are the highest of three and stand out from noise."""
+    n = len(least)
+    for c in range(n):
+        step = least[c]
+        before = least[c - 1] if c > 0 else -1.0
+        behind = least[c + 1] if c < n - 1 else -1.0
+        share = (step / limit[c] - 1.0) / _RAMP if limit[c] > 0.0 else 1.0
+        share = min(max(share, 0.0), 1.0)
+        felt = 0.0 if (step < before) | (step < behind) else step * share
+        if felt > highest[c] or (math.isnan(highest[c]) and not math.isnan(step)):
+            highest[c] = felt
+
+
+@kernel
+def find_highest(
+    least: Annotated[Floats, 2], limit: Annotated[Floats, 2], pixels: int, highest: Annotated[Floats, 2]
+) -> None:
+    """Fill the highest step of each column of pixels in each row of tiles, (tiles, cols) m; NaN if none is known.
+
+    ``limit`` is of the same shape: steps of that height do not count, m.
+    """
+    for row in range(highest.shape[0]):
+        mine = highest[row]
+        for c in range(len(mine)):
+            mine[c] = np.nan
+        for r in range(row * pixels, (row + 1) * pixels):
+            _take_highest(least[r], limit[row], mine)

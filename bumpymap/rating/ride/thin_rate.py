@@ -1,0 +1,189 @@
+"""Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import DENSE_COVERAGE, NO_CLASS, THIN_POINTS, THIN_SEEN, Reason, UsageError
+from bumpymap.rating.calibration import Calibration, remembered
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Prediction
+from bumpymap.rating.ride.rate import judge
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
+from bumpymap.rating.ride.thin_neighbours import pull_to_neighbours
+from bumpymap.rating.ride.thin_noise import PooledNoise, pool_noise
+
+__all__ = ["BlockRating", "dense_share", "is_rateable", "rate_thin", "ride_weight"]
+
+Floats = NDArray[np.float64]
+_ALL_THIN = 0.35
+"""Coverage up to which a tile is rated from its points; up to ``DENSE_COVERAGE`` both are mixed."""
+_RATEABLE = (Reason.OK, Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES)
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRating:
+    """Ratings of a rectangle of tiles, (rows, cols) each, as in `CostMap` and `PatchStack`."""
+
+    class_id: NDArray[np.uint8]
+    c_r: NDArray[np.float32]
+    c_r_low: NDArray[np.float32]
+    c_r_high: NDArray[np.float32]
+    p_fail: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    reason: NDArray[np.uint8]
+
+    def inner(self) -> "BlockRating":
+        """Return the tiles without the outermost ring."""
+        return BlockRating(*(getattr(self, f.name)[1:-1, 1:-1] for f in fields(self)))
+
+
+def rate_thin(
+    columns: NDArray[np.float32],
+    first: BlockRating,
+    coverage: NDArray[np.floating],
+    slope: NDArray[np.floating],
+    calibration: Calibration,
+) -> BlockRating:
+    """Rate the thin tiles of a block; all others keep what the first pass found, to the bit.
+
+    Parameters
+    ----------
+    columns : array (rows, cols, 20) float32
+        Of `thin_columns`, the tiles of the block and a ring of one tile around it; NaN where a tile has no points.
+    first : BlockRating
+        Results of the first pass for the same tiles.
+    coverage, slope : array (rows, cols)
+        Of `PatchStack`, 0..1 and degrees; NaN where a tile has no points.
+    calibration : Calibration
+        Of the vehicle.
+
+    Returns
+    -------
+    BlockRating
+        Without the ring. The ring helps to tell the noise, and its tiles are neighbours.
+
+    Raises
+    ------
+    UsageError
+        The calibration has no model of thin surveys.
+    BadInputError
+        That model is damaged.
+    """
+    model = _model(calibration)
+    flat = columns.reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
+    weight = ride_weight(first, coverage)
+    reason = _reasons(columns, first.reason, weight)
+    if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
+        return first.inner()
+    with np.errstate(all="ignore"):  # of tiles without points
+        mixed = _mixed(_predicted(model, flat, reason == Reason.OK), first, weight)
+        known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
+        found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
+        tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
+        steep = np.fmax(slope, np.degrees(np.arctan(tangent)))[1:-1, 1:-1]
+        thin = _as_rating(found, steep, reason[1:-1, 1:-1], calibration)
+    rated = np.isfinite(found.log_c_r) & (weight[1:-1, 1:-1] < 1.0)
+    before = first.inner()
+    return BlockRating(
+        *(
+            np.where(rated, getattr(thin, f.name), getattr(before, f.name)).astype(getattr(before, f.name).dtype)
+            for f in fields(BlockRating)
+        )
+    )
+
+
+@remembered
+def _model(calibration: Calibration) -> ThinModel:
+    if calibration.thin is None:
+        raise UsageError(
+            f"the calibration {calibration.id} holds no model of thin surveys. Make one with: bumpymap calibrate"
+        )
+    return ThinModel.from_record(calibration.thin)
+
+
+def ride_weight(first: BlockRating, coverage: NDArray[np.floating]) -> Floats:
+    """Return the weight of the first pass in the rating of each tile: 0 of thin and unknown tiles, 1 of dense ones."""
+    return np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)
+
+
+def dense_share(coverage: NDArray[np.floating]) -> Floats:
+    """Return how far the heightmap of a tile counts: 0 up to a coverage of 0.35, 1 from 0.75, of any shape."""
+    return np.clip((np.nan_to_num(coverage.astype(np.float64)) - _ALL_THIN) / (DENSE_COVERAGE - _ALL_THIN), 0.0, 1.0)
+
+
+def _block_noise(columns: Floats) -> PooledNoise:
+    """Pool the noise of all tiles that the ring and the block have."""
+    names = ("squares_1", "pairs_1", "spread")
+    squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
+    return pool_noise(squares, pairs, spread**2)
+
+
+def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which tiles can be rated from their points: 15 at least, that span the tile.
+
+    Parameters
+    ----------
+    columns : array (..., 20) float32
+        Of `thin_columns`.
+    reason : array (...)
+        Of the first pass.
+    """
+    points, seen = (columns[..., THIN_COLUMNS.index(name)] for name in ("points", "seen"))
+    known = np.isfinite(columns).all(axis=-1) & (points >= THIN_POINTS) & (seen >= THIN_SEEN)
+    return np.asarray(np.isin(reason, _RATEABLE) & known)
+
+
+def _reasons(columns: NDArray[np.float32], reason: NDArray[np.uint8], weight: Floats) -> NDArray[np.uint8]:
+    """Why tiles are unknown, after the rating of thin ones."""
+    return np.where(is_rateable(columns, reason) & (weight < 1.0), np.uint8(Reason.OK), reason)
+
+
+def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> Prediction:
+    """Predict the wanted tiles, NaN for others; what the error of the pooled noise changes widens the interval."""
+    noise = _block_noise(columns)
+    usable = wanted.ravel() & np.isfinite(columns).all(axis=1)
+    number = int(usable.sum())
+    values = np.repeat([noise.low, noise.middle, noise.high], number)
+    at_noise = model.predict(np.tile(columns[usable], (3, 1)), values)
+    low, middle, high = at_noise.log_c_r.reshape(3, number)
+    found = np.full((4, len(columns)), np.nan)
+    found[:, usable] = (
+        middle,
+        np.hypot(at_noise.below[number : 2 * number], np.maximum(middle - high, 0.0)),
+        np.hypot(at_noise.above[number : 2 * number], np.maximum(low - middle, 0.0)),
+        np.array([0.25, 0.5, 0.25]) @ at_noise.p_fail.reshape(3, number),
+    )
+    return Prediction(*found)
+
+
+def _mixed(thin: Prediction, first: BlockRating, weight: Floats) -> Prediction:
+    """Mix with the first pass, (rows, cols); the result is continuous in the coverage."""
+    log_c_r, low, high = (np.log(values.astype(np.float64)) for values in (first.c_r, first.c_r_low, first.c_r_high))
+    ride: tuple[Floats, ...] = (
+        log_c_r,
+        (log_c_r - low) / NORMAL_TAIL,
+        (high - log_c_r) / NORMAL_TAIL,
+        first.p_fail.astype(np.float64),
+    )
+    ours = (values.reshape(weight.shape) for values in (thin.log_c_r, thin.below, thin.above, thin.p_fail))
+    mixed = (
+        np.where(weight > 0, weight * theirs + (1.0 - weight) * own, own)
+        for theirs, own in zip(ride, ours, strict=True)
+    )
+    return Prediction(*mixed)
+
+
+def _as_rating(found: Prediction, steep: Floats, reason: NDArray[np.uint8], calibration: Calibration) -> BlockRating:
+    """Turn predictions into what is stored, by the rules of the ride rating."""
+    line = Prediction(*(values.ravel() for values in (found.log_c_r, found.below, found.above, found.p_fail)))
+    class_id, chance, p_fail = (values.reshape(steep.shape) for values in judge(line, steep.ravel(), calibration))
+    return BlockRating(
+        class_id=class_id.astype(np.uint8),
+        c_r=np.exp(found.log_c_r).astype(np.float32),
+        c_r_low=np.exp(found.log_c_r - NORMAL_TAIL * found.below).astype(np.float32),
+        c_r_high=np.exp(found.log_c_r + NORMAL_TAIL * found.above).astype(np.float32),
+        p_fail=p_fail.astype(np.float32),
+        confidence=chance.astype(np.float32),
+        reason=reason,
+    )

@@ -1,0 +1,183 @@
+"""Steps between neighbouring tiles and inside them, from the heightmaps of a block and of the tiles around it.
+
+A tile is rated alone, its relief mirrored at the edges, which turns a wall on an edge into level ground. Here the
+ground on both sides of a pixel is continued to that pixel, whichever tiles they belong to; the step is the difference.
+
+1. *Runs.* The median of nine pixels side by side (1.8 m) along the possible wall. A wall that is not parallel to the
+   pixels stays sharp; stones and bushes of less than a metre, which show in the relief of their tile, are left out.
+2. *Sides.* Each side is the mean of the two pixels next to the pixel in question, continued with the slope on which
+   the three nearest agree (the smaller of both differences, none if they differ in sign). The pixel itself is left
+   out: a wall that crosses it gives it the mean of both levels.
+3. *Slopes.* Where the slopes of both sides differ, the step is the least that fits anywhere in the pixel: the foot of a
+   bank of 27 degrees reads as 4 cm at most.
+4. *Rough ground and noise.* Steps count where they stand out from what is everywhere in the tile: none up to a limit,
+   in full from 1.4 times that, smoothly in between. The limit is 9.5 times the 30 % quantile of all steps in the tile,
+   or, if that is more, 2.5 times the noise of a pixel (from the median difference between neighbouring pixels).
+
+A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.rating._step_kernels import (
+    REACH,
+    RUN,
+    RawSteps,
+    StepMosaic,
+    find_highest,
+    find_quantiles,
+    find_raw_steps,
+    row_scratch,
+)
+
+__all__ = ["TileSteps", "find_steps"]
+
+Floats = NDArray[np.float64]
+
+_RIM = 2
+"""Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
+_QUANTILE, _QUANTILE_LIMIT = 0.3, 9.5
+_PIXEL_LIMIT = 2.5
+_MEDIAN_DIFFERENCE = 0.9539
+"""Median size of the difference of two numbers from a standard normal distribution."""
+_LEAST_STEPS = 12
+"""With fewer known steps in a tile, its noise is unknown."""
+_UNKNOWN_NOISE = 0.15
+"""Steps below this do not count where the noise of both sides is unknown, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileSteps:
+    """Steps of n x m tiles, north row first, in m, never negative; a step has the same height up and down."""
+
+    border: NDArray[np.float32]
+    """(n, m, 4) highest step within a pixel of the border to the northern, eastern, southern and western tile; NaN if
+    no ground is known on both sides of it. A border has the same value seen from both of its tiles."""
+    inner: NDArray[np.float32]
+    """(n, m) highest step in the pixels of the tile; NaN if nothing is known."""
+    rim: NDArray[np.float32]
+    """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
+    show. The rating of a tile sees steps farther inside in full."""
+
+    @property
+    def edge_step(self) -> NDArray[np.float32]:
+        """(n, m) the highest of the four borders; NaN if all are unknown."""
+        return np.asarray(np.fmax.reduce(self.border, axis=-1))
+
+    @property
+    def unseen(self) -> NDArray[np.float32]:
+        """(n, m) the highest step at the borders or next to them, for `apply_steps`; NaN if nothing is known."""
+        return np.fmax(self.rim, self.edge_step)
+
+
+def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
+    """Find the steps of n x m tiles, such as the 16 x 16 of a block.
+
+    Parameters
+    ----------
+    heights : array ((n + 2) * pixels, (m + 2) * pixels)
+        Heightmaps of the tiles and of a ring of one tile around them, m, north row first; NaN where no point fell and
+        in tiles that do not exist.
+    pixels : int
+        Pixels along the side of a tile, at least 10.
+
+    Returns
+    -------
+    TileSteps
+        Of the inner n x m tiles.
+
+    Raises
+    ------
+    ValueError
+        The sides of ``heights`` are not multiples of ``pixels``, or there are fewer than 3 x 3 tiles or 10 pixels.
+    """
+    z = np.asarray(heights, np.float64)
+    if pixels < 2 * REACH + 2 or z.ndim != 2 or min(z.shape) < 3 * pixels or any(n % pixels for n in z.shape):
+        raise ValueError(f"heights of shape {z.shape} are not those of tiles with {pixels} pixels and a ring of them")
+    (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(z.T, pixels)
+    across = _raw(z, east, south.T, pixels)  # walls that run north to south
+    along = _raw(z.T, south, east.T, pixels)
+    noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
+    limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
+    west_east = _highest(across.least, limit, pixels)
+    north_south = _highest(along.least, limit.T, pixels)
+    inner = np.fmax(_inner(west_east), _inner(north_south).T)
+    rim = np.fmax(_rim(west_east), _rim(north_south).T)
+    west, east = _borders(west_east)
+    north, south = (side.T for side in _borders(north_south))
+    border = np.stack([north, east, south, west], axis=-1)
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
+
+
+def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
+    """Return the median difference from a pixel to its eastern neighbour in each tile, m; 0 where there is none.
+
+    The second array is the median distance of the differences from it, m; NaN with too few.
+    """
+    rows, cols = (length // pixels for length in z.shape)
+    tiles = z.reshape(rows, pixels, cols, pixels).transpose(0, 2, 1, 3)
+    steps = (tiles[..., 1:] - tiles[..., :-1]).reshape(rows, cols, -1)
+    middle = np.nan_to_num(_quantiles(steps, 0.5, 1))
+    return middle, _quantiles(np.abs(steps - middle[..., None]), 0.5, _LEAST_STEPS)
+
+
+def _quantiles(values: Floats, share: float, least: int) -> Floats:
+    """Return the value of each tile with a share of the known ones at or below it; NaN with fewer than ``least``."""
+    found = np.empty(values.shape[:2])
+    find_quantiles(np.ascontiguousarray(values), share, least, found)
+    return found
+
+
+def _raw(z: Floats, east: Floats, south: Floats, pixels: int) -> RawSteps:
+    """Return the steps from west to east; ``east`` and ``south`` are the gradients of the tiles, m per pixel."""
+    heights = np.full((z.shape[0] + 2 * RUN, z.shape[1]), np.nan)
+    heights[RUN:-RUN] = z
+    mosaic = StepMosaic(heights, pixels, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
+    inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
+    found = RawSteps(np.empty(z.shape), np.empty((*east.shape, inside)))
+    find_raw_steps(mosaic, found, row_scratch(z.shape[1]))
+    return found
+
+
+def _usual(across: RawSteps, along: RawSteps) -> Floats:
+    """Return a low quantile of the size of the steps in each tile whose support lies in the tile; NaN with too few."""
+    both = np.concatenate([across.inside, along.inside.transpose(1, 0, 2)], axis=-1)
+    return _quantiles(both, _QUANTILE, _LEAST_STEPS)
+
+
+def _highest(least: Floats, limit: Floats, pixels: int) -> Floats:
+    """Return the highest step of each column of pixels of each tile that stands out, (tiles, tiles, pixels)."""
+    found = np.empty((len(limit), least.shape[1]))
+    find_highest(least, _limit_of_pixels(limit, pixels), pixels, found)
+    return found.reshape(*limit.shape, pixels)
+
+
+def _limit_of_pixels(limit: Floats, pixels: int) -> Floats:
+    """Return the limit for every column of pixels, (tiles, cols): of the tiles two pixels before and behind, m."""
+    tiles = np.repeat(limit, pixels, axis=1)
+    sides = np.full((2, *tiles.shape), np.nan)
+    sides[0, :, 2:], sides[1, :, :-2] = tiles[:, :-2], tiles[:, 2:]
+    count = np.isfinite(sides).sum(axis=0)
+    square = np.nansum(sides**2, axis=0) / np.maximum(count, 1)
+    return np.where(count == 0, _UNKNOWN_NOISE, np.sqrt(square))
+
+
+def _inner(highest: Floats) -> Floats:
+    """Return the highest step of each inner tile."""
+    return np.asarray(np.fmax.reduce(highest[1:-1, 1:-1], axis=2))
+
+
+def _rim(highest: Floats) -> Floats:
+    """Return the highest step near the western and eastern borders of the inner tiles."""
+    cells = highest[1:-1, 1:-1]
+    return np.asarray(np.fmax.reduce(np.concatenate([cells[..., :_RIM], cells[..., -_RIM:]], axis=-1), axis=2))
+
+
+def _borders(highest: Floats) -> tuple[Floats, Floats]:
+    """Return the highest step at the western and at the eastern border of the inner tiles."""
+    west, east = highest[1:-1, :, 0], highest[1:-1, :, -1]
+    both = np.fmax(east[:, :-1], west[:, 1:])
+    return both[:, :-1], both[:, 1:]

@@ -1,0 +1,176 @@
+"""Offsets and tilts of flight lines that make them agree where they overlap: robust least squares.
+
+All lines together keep their mean height and slope. Three models are held against each other: nothing, an offset for
+each line, an offset and a tilt. Each is fitted to one half of the cells and judged by the steps that it leaves in the
+other half; a richer one is taken only where it leaves clearly less.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.readers import LineCorrection
+from bumpymap.survey.line_cells import CellSteps, LineCells
+
+__all__ = ["Adjustment", "adjust_lines", "left_after", "weighted_median"]
+
+_ROUNDS = 25
+_HUBER = 1.5
+"""Residuals beyond this many standard errors count less."""
+_OFFSET_SPREAD, _TILT_SPREAD = 1.0, 0.01
+"""What offsets [m] and tilts [m/m] are held to where the overlaps do not determine them."""
+_LEAST_CELLS = 20
+"""Cells that a line shares with others at least, to be adjusted."""
+_MOST_TILTED, _MOST_LINES = 150, 1500
+"""Lines at most, for tilts and for offsets: the equations grow with their square."""
+_SEEN = 0.16
+"""A line's tilt needs overlaps that spread over this share of the variance of all its cells, in each direction."""
+_GAIN, _LEAST_GAIN = 0.97, 0.001
+"""A richer model must leave at most this share of the steps, and make them smaller by this much [m]."""
+_LARGEST = 2.0
+"""Offsets beyond this are no matter of alignment, m: nothing is adjusted."""
+_WORSE = (1.1, 0.001)
+"""No pair of lines may be left with steps larger by this factor, and by this much [m]."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Adjustment:
+    """What makes the lines agree."""
+
+    method: str
+    """``none``, ``offset`` or ``tilt``: an offset and a tilt."""
+    corrections: tuple[LineCorrection, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Design:
+    """Unknowns of the equations: an offset for each line, and slopes to the east and north for tilted ones."""
+
+    lines: NDArray[np.int64]
+    middle: Floats
+    """(lines, 2) where the offset applies, m."""
+    tilted: NDArray[np.bool_]
+
+    def factors(self, steps: CellSteps, side: NDArray[np.int64]) -> Floats:
+        """Return what the unknowns of one side's line are multiplied by, (3, n)."""
+        east, north = steps.easting - self.middle[side, 0], steps.northing - self.middle[side, 1]
+        tilted = self.tilted[side]
+        return np.array([np.ones(len(side)), np.where(tilted, east, 0.0), np.where(tilted, north, 0.0)])
+
+
+def adjust_lines(cells: LineCells, steps: CellSteps) -> Adjustment:
+    """Choose a model and return its corrections, rounded to 0.1 mm and 0.1 mm in 100 m."""
+    lines, shared = np.unique(np.concatenate([steps.first, steps.second]), return_counts=True)
+    lines = lines[shared >= _LEAST_CELLS]
+    steps = steps.where(np.isin(steps.first, lines) & np.isin(steps.second, lines))
+    none = Adjustment("none", ())
+    if not len(steps.step) or len(lines) > _MOST_LINES:
+        return none
+    middle, tilted = _support(cells, steps, lines)
+    best = none
+    tests: dict[str, Floats] = {"none": steps.step}
+    for method, wanted in (("offset", np.zeros_like(tilted)), ("tilt", tilted & (len(lines) <= _MOST_TILTED))):
+        if method == "tilt" and not wanted.any():
+            break
+        design = _Design(lines, middle, wanted)
+        left = _left_in_other_half(design, steps)
+        corrections = _solved(design, steps)
+        plausible = max(abs(own.offset) for own in corrections) <= _LARGEST
+        if plausible and _is_better(steps, left, tests[best.method]):
+            best, tests[method] = Adjustment(method, corrections), left
+    return best
+
+
+def left_after(steps: CellSteps, corrections: tuple[LineCorrection, ...]) -> Floats:
+    """Return the steps that are left after corrections, (n,) m."""
+    left = steps.step.copy()
+    for own in corrections:
+        shift = (
+            own.offset + own.slope_east * (steps.easting - own.east) + own.slope_north * (steps.northing - own.north)
+        )
+        left -= np.where(steps.second == own.line, shift, 0.0) - np.where(steps.first == own.line, shift, 0.0)
+    return left
+
+
+def weighted_median(values: Floats, weights: Floats) -> float:
+    """Return the value with half of the weight below it; at least one value."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(below, below[-1] / 2)]])
+
+
+def _support(cells: LineCells, steps: CellSteps, lines: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the middle of each line, (lines, 2), and whether its overlaps are wide enough to tell its tilt."""
+    middle, wide = np.zeros((len(lines), 2)), np.zeros(len(lines), np.bool_)
+    for number, line in enumerate(lines.tolist()):
+        mine, overlaps = cells.line == line, (steps.first == line) | (steps.second == line)
+        whole = np.array([cells.easting[mine], cells.northing[mine]])
+        part = np.array([steps.easting[overlaps], steps.northing[overlaps]])
+        middle[number] = np.round(whole.mean(axis=1))
+        shares = np.linalg.eigvals(np.linalg.solve(np.cov(whole) + np.eye(2), np.cov(part)))
+        wide[number] = shares.real.min() >= _SEEN
+    return middle, wide
+
+
+def _left_in_other_half(design: _Design, steps: CellSteps) -> Floats:
+    """Return the steps that are left in each half of the cells by what was fitted to the other half."""
+    left = np.empty_like(steps.step)
+    for half in (False, True):
+        fitted = steps.where(steps.fold != half)
+        left[steps.fold == half] = left_after(steps.where(steps.fold == half), _solved(design, fitted))
+    return left
+
+
+def _is_better(steps: CellSteps, left: Floats, before: Floats) -> bool:
+    """Return whether steps are clearly smaller in all cells, and larger for no pair of lines."""
+    weights = 1 / steps.error**2
+    old, new = (weighted_median(np.abs(held), weights) for held in (before, left))
+    if new > min(_GAIN * old, old - _LEAST_GAIN):
+        return False
+    pairs = steps.first << 16 | steps.second
+    bounds = [0, *(np.flatnonzero(np.diff(pairs)) + 1).tolist(), len(pairs)]
+    for start, end in pairwise(bounds):
+        if end - start < _LEAST_CELLS:
+            continue
+        old, new = (weighted_median(np.abs(held[start:end]), weights[start:end]) for held in (before, left))
+        if new > max(_WORSE[0] * old, old + _WORSE[1]):
+            return False
+    return True
+
+
+def _solved(design: _Design, steps: CellSteps) -> tuple[LineCorrection, ...]:
+    """Solve the equations with Huber's weights."""
+    size = len(design.lines)
+    sides = [np.searchsorted(design.lines, own) for own in (steps.first, steps.second)]
+    columns = np.concatenate([[side, size + 2 * side, size + 2 * side + 1] for side in sides])
+    factors = np.concatenate([-design.factors(steps, sides[0]), design.factors(steps, sides[1])])
+    spreads = np.concatenate([np.full(size, _OFFSET_SPREAD), np.full(2 * size, _TILT_SPREAD)])
+    unknowns = size + 2 * size * bool(design.tilted.any())
+    used = 6 if unknowns > size else 2
+    if used == 2:
+        columns, factors = columns[[0, 3]], factors[[0, 3]]
+    solution = np.zeros(unknowns)
+    weights = 1 / steps.error**2
+    for _ in range(_ROUNDS):
+        residual = steps.step - (factors * solution[columns]).sum(axis=0)
+        standard = np.abs(residual) / steps.error
+        scale = max(1.4826 * float(np.median(standard)), 1e-6)
+        held = weights * np.minimum(1.0, _HUBER * scale / np.maximum(standard, 1e-12)) / scale**2
+        matrix, right = np.diag(1 / spreads[:unknowns] ** 2), np.zeros(unknowns)
+        for a in range(used):
+            right += np.bincount(columns[a], held * factors[a] * steps.step, unknowns)
+            for b in range(used):
+                places = columns[a] * unknowns + columns[b]
+                matrix += np.bincount(places, held * factors[a] * factors[b], unknowns**2).reshape(matrix.shape)
+        solution[:] = np.linalg.solve(matrix, right)
+    slopes = solution[size:].reshape(-1, 2) if unknowns > size else np.zeros((size, 2))
+    return tuple(
+        LineCorrection(int(line), round(offset, 4), east, north, round(slope[0], 6), round(slope[1], 6))
+        for line, offset, (east, north), slope in zip(
+            design.lines, solution[:size].tolist(), design.middle.tolist(), slopes.tolist(), strict=True
+        )
+    )

@@ -1,0 +1,165 @@
+"""`bumpymap.rating.find_steps` in numpy, step by step as its definition says."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_RUN = 4
+"""Pixels before and after the middle one of a run."""
+_REACH = 4
+"""Pixels on each side of a step that are looked at."""
+_RIM = 2
+"""Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
+_QUANTILE, _QUANTILE_LIMIT = 0.3, 9.5
+_PIXEL_LIMIT = 2.5
+_RAMP = 0.4
+_MEDIAN_DIFFERENCE = 0.9539
+"""Median size of the difference of two numbers from a standard normal distribution."""
+_LEAST_STEPS = 12
+"""With fewer known steps in a tile, its noise is unknown."""
+_UNKNOWN_NOISE = 0.15
+"""Steps below this do not count where the noise of both sides is unknown, m."""
+
+
+def find_steps(heights: NDArray[np.floating], pixels: int) -> dict[str, NDArray[np.float32]]:
+    """Return the fields of `bumpymap.rating.TileSteps`."""
+    z = np.asarray(heights, np.float64)
+    (east, noise_east), (south, noise_south) = _gradient(z, pixels), (part.T for part in _gradient(z.T, pixels))
+    across = _Steps.find(z, east, south, pixels)  # walls that run north to south
+    along = _Steps.find(z.T, south.T, east.T, pixels)
+    noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south)
+    limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along, pixels), noise)
+    west_east = across.felt(limit, pixels)
+    north_south = along.felt(limit.T, pixels).T
+    inner = np.fmax.reduce(_tiles(np.fmax(west_east, north_south), pixels)[1:-1, 1:-1], axis=(2, 3))
+    rim = np.fmax(_rim(west_east, pixels), _rim(north_south.T, pixels).T)
+    west, east_of = _borders(west_east, pixels)
+    north, south_of = (side.T for side in _borders(north_south.T, pixels))
+    border = np.stack([north, east_of, south_of, west], axis=-1)
+    return {"border": border.astype(np.float32), "inner": inner.astype(np.float32), "rim": rim.astype(np.float32)}
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Steps from west to east at every pixel of a mosaic, m; NaN where a side is unknown."""
+
+    plain: Floats
+    """Both sides continued to the middle of the pixel."""
+    least: Floats
+    """The least step anywhere in the pixel; not negative."""
+
+    @classmethod
+    def find(cls, z: Floats, east: Floats, south: Floats, pixels: int) -> "_Steps":
+        """Find steps; ``east`` and ``south`` are the gradients of the tiles (tiles, tiles), m per pixel."""
+        runs = _medians(z, _each(south, pixels))
+        slope = _each(east, pixels)
+        right, bend_right = _side(runs, slope, 1)
+        left, bend_left = _side(runs, slope, -1)
+        plain = right - left
+        # The slope on the left is counted away from the pixel, too.
+        return cls(plain, np.maximum(np.abs(plain) - 0.5 * np.abs(bend_right + bend_left), 0.0))
+
+    def felt(self, limit: Floats, pixels: int) -> Floats:
+        """Return the steps that are the highest of three pixels in a row and stand out from noise and rough ground."""
+        known = np.nan_to_num(self.least, nan=-1.0)
+        peak = (known >= _shifted(known, 1, -1.0)) & (known >= _shifted(known, -1, -1.0))
+        tiles = _each(limit, pixels)
+        sides = np.stack([_shifted(tiles, 2, np.nan), _shifted(tiles, -2, np.nan)])
+        count = np.isfinite(sides).sum(axis=0)
+        square = np.nansum(sides**2, axis=0) / np.maximum(count, 1)
+        least = np.where(count == 0, _UNKNOWN_NOISE, np.sqrt(square))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(least > 0, np.clip((self.least / least - 1.0) / _RAMP, 0.0, 1.0), 1.0)
+        return np.where(np.isnan(self.least), np.nan, np.where(peak, self.least * share, 0.0))
+
+
+def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
+    """Return the median difference from a pixel to its eastern neighbour in each tile, m; 0 where there is none.
+
+    The second array is the median distance of the differences from it, m; NaN with too few.
+    """
+    cells = np.diff(_tiles(z, pixels), axis=3)
+    steps = cells.reshape(*cells.shape[:2], -1)
+    middle = np.nan_to_num(_quantile(steps, 0.5))
+    spread = _quantile(np.abs(steps - middle[..., None]), 0.5)
+    return middle, np.where(np.isfinite(steps).sum(axis=-1) < _LEAST_STEPS, np.nan, spread)
+
+
+def _usual(across: _Steps, along: _Steps, pixels: int) -> Floats:
+    """Return a low quantile of the size of the steps in each tile whose support lies in the tile; NaN with too few."""
+    inside = slice(_REACH, pixels - _REACH), slice(_RUN, pixels - _RUN)
+    first = np.abs(_tiles(across.plain, pixels)[:, :, inside[1], inside[0]])
+    second = np.abs(_tiles(along.plain, pixels)[:, :, inside[1], inside[0]]).transpose(1, 0, 2, 3)
+    both = np.concatenate([part.reshape(*part.shape[:2], -1) for part in (first, second)], axis=-1)
+    found = _quantile(both, _QUANTILE)
+    return np.where(np.isfinite(both).sum(axis=-1) < _LEAST_STEPS, np.nan, found)
+
+
+def _quantile(values: Floats, share: float) -> Floats:
+    """Return the value with a share of the known values of the last axis at or below it; NaN if none is known."""
+    ordered = np.sort(values, axis=-1)  # NaN last
+    last = np.isfinite(values).sum(axis=-1) - 1
+    place = np.maximum(np.floor(share * last).astype(np.int64), 0)
+    return np.asarray(np.take_along_axis(ordered, place[..., None], axis=-1)[..., 0])
+
+
+def _medians(z: Floats, south: Floats) -> Floats:
+    """Return the median of the known ones of nine pixels in a column, each brought to the middle along the slope."""
+    stack = np.stack([_shifted(z.T, -k, np.nan).T - k * south for k in range(-_RUN, _RUN + 1)])
+    stack.sort(axis=0)
+    last = np.isfinite(stack).sum(axis=0) - 1
+    low, high = np.maximum(last // 2, 0), np.maximum((last + 1) // 2, 0)
+    pair = [np.take_along_axis(stack, place[None], axis=0)[0] for place in (low, high)]
+    return np.asarray(0.5 * (pair[0] + pair[1]))
+
+
+def _side(runs: Floats, slope: Floats, way: int) -> tuple[Floats, Floats]:
+    """Continue the ground east (1) or west (-1) of every pixel to its middle.
+
+    Returns its height there, m, and its slope about the tile's, m per pixel away from the pixel.
+    """
+    ground = [_shifted(runs, -way * k, np.nan) - way * k * slope for k in range(1, _REACH + 1)]
+    rises = np.diff(np.stack(ground), axis=0)
+    agree = (rises > 0).all(axis=0) | (rises < 0).all(axis=0)  # False for NaN
+    bend = np.where(agree, np.sign(rises[0]) * np.abs(rises).min(axis=0), 0.0)
+    a, b = ground[0] - bend, ground[1] - 2 * bend
+    return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b))), bend
+
+
+def _shifted(values: Floats, by: int, fill: float) -> Floats:
+    """Return ``values`` moved ``by`` columns to the east."""
+    out = np.full_like(values, fill)
+    if by >= 0:
+        out[:, by:] = values[:, : values.shape[1] - by]
+    else:
+        out[:, :by] = values[:, -by:]
+    return out
+
+
+def _each(of_tiles: Floats, pixels: int) -> Floats:
+    """Give every pixel the value of its tile."""
+    return np.repeat(np.repeat(of_tiles, pixels, axis=0), pixels, axis=1)
+
+
+def _tiles(z: Floats, pixels: int) -> Floats:
+    """Return a mosaic as (tiles, tiles, pixels, pixels)."""
+    rows, columns = (length // pixels for length in z.shape)
+    return z.reshape(rows, pixels, columns, pixels).transpose(0, 2, 1, 3)
+
+
+def _rim(steps: Floats, pixels: int) -> Floats:
+    """Return the highest step near the western and eastern borders of the inner tiles; steps from west to east."""
+    cells = _tiles(steps, pixels)[1:-1, 1:-1]
+    near = np.concatenate([cells[..., :_RIM], cells[..., -_RIM:]], axis=-1)
+    return np.asarray(np.fmax.reduce(near, axis=(2, 3)))
+
+
+def _borders(steps: Floats, pixels: int) -> tuple[Floats, Floats]:
+    """Return the highest step at the western and at the eastern border of the inner tiles; steps from west to east."""
+    columns = _tiles(steps, pixels)[1:-1]
+    west, east = columns[..., 0], columns[..., -1]
+    both = np.fmax.reduce(np.fmax(east[:, :-1], west[:, 1:]), axis=2)
+    return both[:, :-1], both[:, 1:]

@@ -1,0 +1,147 @@
+"""Pixel layers of a sparse survey: the values that GDAL's COG driver writes, in files that are valid COGs."""
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.windows import Window
+from rio_cogeo import cog_validate
+
+from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, CostTable
+from bumpymap.layers import write_heightmap, write_obstacles
+from bumpytiles import TileTable
+
+SHAPE = (403, 503)
+"""Tiles from north to south and from west to east: 6,045 x 7,545 pixels, 20 squares of 2,048."""
+
+
+@pytest.fixture(scope="module")
+def scattered(make_map):
+    """40 tiles, one of them in each corner of the extent, three beside each other."""
+    rng = np.random.default_rng(2)
+    col = [0, 0, 502, 502, 100, 101, 102, *rng.integers(3, 99, 33)]
+    row = [0, 402, 0, 402, 7, 7, 7, *range(20, 53)]
+    return CostTable.of(make_map(col, row, rng.integers(0, 4, 40), np.zeros(40)))
+
+
+@pytest.fixture(scope="module")
+def files(scattered, tmp_path_factory):
+    """The same raster by the sparse writer and by GDAL's driver."""
+    folder = tmp_path_factory.mktemp("sparse")
+    paths = folder / "sparse.tif", folder / "gdal.tif"
+    write_heightmap(scattered, paths[0], {"vehicle": "warthog"})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
+        write_heightmap(scattered, paths[1], {"vehicle": "warthog"})
+    return paths
+
+
+def test_values_and_tags_are_those_of_gdals_driver(files):
+    with rasterio.open(files[0]) as sparse, rasterio.open(files[1]) as gdal:
+        assert sparse.profile["blockxsize"] != gdal.profile["blockxsize"]  # two writers
+        np.testing.assert_array_equal(sparse.read(1), gdal.read(1))
+        assert (sparse.crs, sparse.transform, sparse.units) == (gdal.crs, gdal.transform, gdal.units)
+        assert (sparse.descriptions, sparse.tags()) == (gdal.descriptions, gdal.tags())
+        ours, theirs = sparse.tags(1), gdal.tags(1)
+        assert list(ours) == list(theirs)
+        for name in ours:
+            if name.startswith("STATISTICS"):
+                assert float(ours[name]) == pytest.approx(float(theirs[name]), rel=1e-3)
+
+
+def block_offset(file, x, y, **level):
+    return file.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=1, **level)
+
+
+def test_gdal_takes_it_for_a_cog(files):
+    with rasterio.open(files[0]) as file:
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.overviews(1) == [2, 4, 8, 16]
+        levels = [block_offset(file, 0, 0), *(block_offset(file, 0, 0, ovr=level) for level in range(4))]
+        directories = [file.get_tag_item("IFD_OFFSET", "TIFF", bidx=1)]
+        directories += [file.get_tag_item("IFD_OFFSET", "TIFF", bidx=1, ovr=level) for level in range(4)]
+    levels, directories = [int(offset) for offset in levels], [int(offset) for offset in directories]
+    assert levels == sorted(levels, reverse=True)  # small overviews come first
+    assert directories == sorted(directories)
+    assert directories[-1] < levels[-1]
+
+
+def test_overview_is_the_mean_of_the_known_pixels_among_four(files):
+    with rasterio.open(files[0]) as file:
+        below = file.read(1).astype(np.float64)
+    for level in range(4):
+        lines, columns = below.shape
+        four = np.pad(below, ((0, lines % 2), (0, columns % 2)), constant_values=np.nan)
+        four = four.reshape(-(-lines // 2), 2, -(-columns // 2), 2)
+        known = np.isfinite(four).sum(axis=(1, 3))
+        with np.errstate(invalid="ignore"):
+            mean = np.nansum(four, axis=(1, 3)) / known
+        with rasterio.open(files[0], overview_level=level) as overview:
+            below = overview.read(1).astype(np.float64)
+        np.testing.assert_array_equal(below, mean.astype(np.float32))
+        assert known.any()
+
+
+def test_empty_blocks_take_no_space(files):
+    with rasterio.open(files[0]) as file:
+        assert {block_offset(file, x, y) for x in range(8, -(-file.width // 128)) for y in (30, 35)} == {None}
+        assert np.isnan(file.read(1, window=Window(3000, 3900, 500, 500))).all()
+    assert files[0].stat().st_size < 200_000  # 45 million pixels
+
+
+@pytest.fixture(scope="module")
+def obstacles(scattered, tmp_path_factory):
+    """obstacle.tif of the same tiles, with all states, by both writers."""
+    folder = tmp_path_factory.mktemp("obstacles")
+    found = scattered.tiles.read(("objects", "obstacle"))
+    rng = np.random.default_rng(3)
+    found["objects"] = rng.choice([FREE, FREE, FREE, OBSTACLE, CANOPY], found["objects"].shape).astype(np.uint8)
+    found["obstacle"][::2], found["obstacle"][1::2] = np.nan, 0.1
+    table = CostTable(scattered.georeference, scattered.rule, TileTable.of(scattered.tiles.grid, found))
+    paths = folder / "sparse.tif", folder / "gdal.tif"
+    write_obstacles(table, paths[0], {"vehicle": "warthog"})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
+        write_obstacles(table, paths[1], {"vehicle": "warthog"})
+    return paths
+
+
+def test_obstacles_are_those_of_gdals_driver(obstacles):
+    with rasterio.open(obstacles[0]) as sparse, rasterio.open(obstacles[1]) as gdal:
+        assert sparse.profile["blockxsize"] != gdal.profile["blockxsize"]  # two writers
+        pixels = sparse.read(1)
+        np.testing.assert_array_equal(pixels, gdal.read(1))
+        assert np.unique(pixels).tolist() == [0, 1, 2, 3, NO_CLASS]
+        assert (sparse.crs, sparse.transform, sparse.nodata) == (gdal.crs, gdal.transform, gdal.nodata)
+        assert (sparse.descriptions, sparse.tags()) == (gdal.descriptions, gdal.tags())
+        assert (sparse.colormap(1), sparse.colorinterp) == (gdal.colormap(1), gdal.colorinterp)
+        assert sparse.tags(ns="IMAGE_STRUCTURE") == gdal.tags(ns="IMAGE_STRUCTURE")
+        ours, theirs = sparse.tags(1), gdal.tags(1)
+        assert list(ours) == list(theirs)
+        for name in ours:
+            if name.startswith("STATISTICS"):
+                assert float(ours[name]) == pytest.approx(float(theirs[name]), rel=1e-3)
+    names = [path.with_name(f"{path.name}.aux.xml").read_text(encoding="utf-8") for path in obstacles]
+    assert names[0] == names[1]
+    assert "<Category>obstacle</Category>" in names[0]
+
+
+def test_an_obstacle_stays_in_every_overview(obstacles):
+    order = np.full(256, 9)
+    order[[OBSTACLE, 3, CANOPY, FREE]] = range(4)
+    with rasterio.open(obstacles[0]) as file:
+        below = file.read(1)
+        levels = len(file.overviews(1))
+    for level in range(levels):
+        lines, columns = below.shape
+        four = np.pad(below, ((0, lines % 2), (0, columns % 2)), constant_values=NO_CLASS)
+        worst = order[four].reshape(-(-lines // 2), 2, -(-columns // 2), 2).min(axis=(1, 3))
+        with rasterio.open(obstacles[0], overview_level=level) as overview:
+            below = overview.read(1)
+            assert overview.colormap(1)[OBSTACLE] == (84, 48, 5, 255)
+        np.testing.assert_array_equal(order[below], worst)
+    assert (below == OBSTACLE).any()
+
+
+def test_both_are_valid_cogs(files, obstacles):
+    for path in (files[0], obstacles[0]):
+        assert cog_validate(path, strict=True)[:3] == (True, [], [])

@@ -1,0 +1,80 @@
+"""Low things in the ground of a block: what stands out of it, and relief that does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.types import OBSTACLE, VehicleBody
+from bumpymap.patches.features import measure
+from bumpymap.patches.objects import find_objects
+from bumpymap.patches.standing import find_standing, take_off_standing
+from bumpytiles import Grid, TileBuckets
+
+BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
+Y, X = (np.mgrid[:60, :60] + 0.5) * 0.2  # 12 m
+
+
+def found(heights, body=BODY):
+    noise = 0.02 * np.random.default_rng(0).normal(size=heights.shape)
+    return find_standing((heights + noise).astype(np.float32), body, 0.2)
+
+
+def boulder(x, y, radius, height):
+    return height * np.sqrt(np.maximum(0, 1 - ((X - x) ** 2 + (Y - y) ** 2) / radius**2))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5])
+@pytest.mark.parametrize(("radius", "height"), [(0.4, 0.35), (0.6, 0.45), (0.75, 0.5)])
+def test_a_boulder_stands_anywhere_on_a_slope(slope, radius, height):
+    for x, y in ((6.0, 6.0), (0.3, 6.0), (0.2, 0.2), (4.57, 5.93)):
+        stone = boulder(x, y, radius, height)
+        marks = found(slope * X + stone)
+        assert np.all(marks[stone > 0.25])
+        assert not np.any(marks[stone == 0])
+
+
+def test_relief_does_not_stand():
+    waves = 0.2 * np.sin(2 * np.pi * X / 2.0)  # 0.4 m high, 2 m long
+    bank = np.where(X > 6.0, 0.5, 0.0)
+    ditch = np.where(np.abs(X - 6.0) < 0.7, -0.5, 0.0)
+    swell = 0.3 * np.exp(-((X - 6) ** 2 + (Y - 6) ** 2) / 2 / 0.6**2)
+    hills = 2.0 * np.sin(2 * np.pi * X / 24.0) * np.cos(2 * np.pi * Y / 20.0)
+    for relief in (waves, bank, ditch, swell, hills, 1.0 * X):
+        assert not np.any(found(relief))
+
+
+def test_a_vehicle_with_a_higher_belly_is_not_barred():
+    heights = boulder(6.0, 6.0, 0.5, 0.35)
+    assert np.any(found(heights))
+    assert not np.any(found(heights, VehicleBody(0.5, 1.4, 1.4, brush_stem_m=0.5)))
+
+
+def test_missing_heights_are_neither_things_nor_foot():
+    heights = boulder(6.0, 6.0, 0.6, 0.45)
+    holes = np.random.default_rng(1).random(heights.shape) < 0.4
+    marks = found(np.where(holes, np.nan, heights))
+    assert not np.any(marks[holes])
+    assert np.all(marks[(heights > 0.25) & ~holes])
+    assert not np.any(found(np.full_like(heights, np.nan)))
+
+
+def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 6, (2, 3600))
+    stone = 0.45 * np.sqrt(np.maximum(0, 1 - ((x - 3.1) ** 2 + (y - 2.9) ** 2) / 0.6**2))
+    buckets = TileBuckets(Grid())
+    # West of the origin, with indices of tiles below zero.
+    buckets.add(x - 48.0, y - 48.0, 0.2 * x + stone + 0.01 * rng.normal(size=len(x)), np.ones(len(x), bool))
+    (points,) = buckets.blocks()
+    settings = FeatureSettings()
+    patches = measure(points, settings, ground_only=True)
+    stack = find_objects(*take_off_standing(points, patches, BODY), BODY, settings)
+    assert np.all(stack.obstacle > 0)
+    assert stack.obstacle.sum() * 9 == pytest.approx(np.pi * 0.6**2 * (1 - (0.25 / 0.45) ** 2), rel=0.4)
+    assert stack.obstacle_height.max() == pytest.approx(0.45, abs=0.06)
+    assert np.all(find_objects(points, patches, BODY, settings).objects != OBSTACLE)
+    bare = replace(points, upward=0.2 * points.easting)
+    apart, _ = take_off_standing(bare, measure(bare, settings, ground_only=True), BODY)
+    assert np.all(apart.flag)

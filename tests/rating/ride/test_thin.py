@@ -1,0 +1,206 @@
+"""The rating of thin surveys by the shipped models, against the ground without survey errors."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.types import NO_CLASS, Reason
+from bumpymap.lab import FINE, ScanEffects, Terrain, make_terrain
+from bumpymap.lab.simulate.ride_fit import relief_and_slope
+from bumpymap.lab.simulate.thin_surveys import survey_columns
+from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride.correction import Prediction
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
+from bumpymap.rating.ride.thin_neighbours import pull_to_neighbours
+from bumpymap.rating.ride.thin_noise import pool_noise
+
+CALIBRATION = Calibration.shipped("warthog")
+RIDE = RideModel(CALIBRATION)
+MODEL = ThinModel.from_record(CALIBRATION.thin)
+KINDS = ("flat", "low_noise", "noise_sin", "fractal_2", "fractal_5", "fractal_8", "stones", "tufts", "ruts")
+LEVEL = [Terrain("level", np.zeros((15 * FINE, 15 * FINE)), 3.0)] * 60
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    """Terrain that no model was fitted to, and ln of its true C_r."""
+    terrains = [make_terrain(kind, 77, index) for kind in KINDS for index in range(12)]
+    relief, slope = relief_and_slope(terrains)
+    none = np.zeros(len(terrains))
+    truth = RIDE.correction.predict(roll_over(relief, RIDE.operator), slope, none, none + 1e3)
+    return terrains, truth.log_c_r
+
+
+def columns_of(terrains, density, noise):
+    columns, tile = survey_columns(terrains, ScanEffects(density, noise), 5, RIDE.operator)
+    known = (columns[:, 0] >= 15) & (columns[:, 1] >= 5 / 9) & np.isfinite(columns).all(axis=1)
+    return columns[known], tile[known]
+
+
+def noise_of(columns):
+    squares, pairs = (columns[:, THIN_COLUMNS.index(name)] for name in ("squares_1", "pairs_1"))
+    return pool_noise(squares, pairs, columns[:, 2] ** 2)
+
+
+def ranks(values):
+    return np.argsort(np.argsort(values))
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_noise_is_told_from_rough_ground(unseen, noise):
+    columns, _ = columns_of(unseen[0], 4.0, noise)
+    found = noise_of(columns)
+    assert found.middle == pytest.approx(noise, rel=0.15)
+    assert found.low < found.middle < found.high
+
+
+def test_noise_without_pairs_is_a_guess_with_its_error():
+    found = pool_noise(np.array([np.nan, 0.1]), np.array([0.0, 3.0]), np.array([0.1, 0.1]))
+    assert found.low == 0
+    assert found.high > found.middle > 0
+
+
+@pytest.mark.parametrize(("density", "noise", "least"), [(12.0, 0.0, 0.975), (4.0, 0.0, 0.95), (4.0, 0.02, 0.93)])
+def test_ranks_and_intervals_of_unseen_ground(unseen, density, noise, least):
+    terrains, truth = unseen
+    columns, tile = columns_of(terrains, density, noise)
+    found = MODEL.predict(columns, np.full(len(columns), noise_of(columns).middle))
+    wanted = np.maximum(truth[tile], np.log(0.006))
+    spearman = np.corrcoef(ranks(found.log_c_r), ranks(wanted))[0, 1]
+    plain = np.corrcoef(ranks(columns[:, 2]), ranks(wanted))[0, 1]
+    assert spearman >= max(least, plain)
+    error = wanted - found.log_c_r
+    held = np.mean((error > -1.2816 * found.below) & (error < 1.2816 * found.above))
+    assert 0.72 <= held <= 0.93
+
+
+def test_noisy_level_ground_is_smooth():
+    columns, _ = columns_of(LEVEL, 4.0, 0.02)
+    found = MODEL.predict(columns, np.full(len(columns), noise_of(columns).middle))
+    assert np.exp(np.median(found.log_c_r)) < CALIBRATION.class_limits[0]
+
+
+def test_fewer_points_widen_the_interval(unseen):
+    widths = []
+    for density in (2.0, 6.0, 20.0):
+        columns, _ = columns_of(unseen[0], density, 0.01)
+        found = MODEL.predict(columns, np.full(len(columns), 0.01))
+        widths.append(float(np.median(found.below + found.above)))
+    assert widths[0] > 1.2 * widths[1] > 1.2 * 1.2 * widths[2]
+
+
+def first_pass(rows=18, cols=18, reason=Reason.TOO_FEW_POINTS):
+    nothing = np.full((rows, cols), np.nan, np.float32)
+    unknown = np.full((rows, cols), NO_CLASS, np.uint8)
+    return BlockRating(unknown, *(nothing.copy() for _ in range(5)), np.full((rows, cols), reason, np.uint8))
+
+
+def block_of(unseen, density=4.0):
+    columns, _ = columns_of(unseen[0], density, 0.01)
+    return np.resize(columns, (18, 18, len(THIN_COLUMNS))).astype(np.float32)
+
+
+def maps(coverage=0.15, slope=3.0):
+    return np.full((18, 18), coverage), np.full((18, 18), slope)
+
+
+def test_thin_tiles_get_a_class_and_few_points_stay_unknown(unseen):
+    columns = block_of(unseen)
+    columns[5, 5, 0] = 14
+    columns[6, 6, 1] = 0.0
+    columns[7, 7] = np.nan
+    first = first_pass()
+    first.reason[8, 8] = Reason.OUTLIER_RELIEF
+    found = rate_thin(columns, first, *maps(), CALIBRATION)
+    lost = [(4, 4), (5, 5), (6, 6), (7, 7)]
+    known = np.ones((16, 16), np.bool_)
+    known[tuple(zip(*lost, strict=True))] = False
+    assert (found.class_id[known] != NO_CLASS).all()
+    assert (found.reason[known] == Reason.OK).all()
+    assert (found.class_id[~known] == NO_CLASS).all()
+    assert np.isnan(found.c_r[~known]).all()
+    assert (found.c_r_low < found.c_r)[known].all()
+    assert (found.c_r < found.c_r_high)[known].all()
+    assert found.reason[7, 7] == Reason.OUTLIER_RELIEF
+
+
+def test_dense_tiles_keep_their_bits_and_the_mixture_is_continuous(unseen):
+    columns = block_of(unseen, 12.0)
+    columns[..., THIN_COLUMNS.index("slope")] = 0.05
+    rng = np.random.default_rng(0)
+    first = first_pass(reason=Reason.OK)
+    values = rng.uniform(0.1, 0.2, (18, 18)).astype(np.float32)
+    first = replace(
+        first,
+        class_id=np.zeros((18, 18), np.uint8),
+        c_r=values,
+        c_r_low=values / 2,
+        c_r_high=values * 2,
+        p_fail=values / 10,
+        confidence=values,
+    )
+    dense = rate_thin(columns, first, *maps(coverage=0.75), CALIBRATION)
+    for field in fields(BlockRating):
+        np.testing.assert_array_equal(getattr(dense, field.name), getattr(first.inner(), field.name))
+    nearly = rate_thin(columns, first, *maps(coverage=0.7499), CALIBRATION)
+    np.testing.assert_allclose(nearly.c_r, dense.c_r, rtol=2e-3)
+    np.testing.assert_allclose(nearly.p_fail, dense.p_fail, atol=1e-3)
+
+
+def test_too_steep_ground_is_not_passable(unseen):
+    found = rate_thin(block_of(unseen), first_pass(), *maps(slope=31.0), CALIBRATION)
+    assert (found.p_fail == 1).all()
+    assert (found.class_id == 3).all()
+
+
+def alone(log_c_r, p_fail=0.1, error=0.3):
+    shape = log_c_r.shape
+    return Prediction(log_c_r, np.full(shape, error), np.full(shape, error), np.full(shape, p_fail))
+
+
+def test_neighbours_pull_a_tile_but_a_step_stays():
+    rng = np.random.default_rng(2)
+    level = rng.normal(-2.0, 0.3, (18, 18))
+    calm = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    assert calm.log_c_r.std() < 0.6 * level[1:-1, 1:-1].std()
+    assert (calm.below < 0.3).all()
+    level[9, 9] = 2.0
+    step = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    assert step.log_c_r[8, 8] > 1.5
+    fixed = pull_to_neighbours(alone(level), np.ones((18, 18)), 2.0)
+    np.testing.assert_array_equal(fixed.log_c_r, level[1:-1, 1:-1])
+
+
+def test_no_neighbour_makes_a_tile_safer():
+    rng = np.random.default_rng(3)
+    level = rng.normal(-1.0, 0.5, (18, 18))
+    found = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    rose = found.log_c_r > level[1:-1, 1:-1]
+    assert (found.p_fail[rose] > 0.1).all()
+    assert (found.p_fail[~rose] == 0.1).all()
+
+
+def test_tile_without_neighbours_keeps_its_own_prediction():
+    level = np.full((18, 18), np.nan)
+    level[9, 9] = -1.5
+    found = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    assert found.log_c_r[8, 8] == -1.5
+    assert np.isnan(found.log_c_r).sum() == 255
+
+
+def test_record_is_read_back_and_a_damaged_one_refused():
+    assert ThinModel.from_record(MODEL.to_record()) == MODEL
+    for damage in ({"c_r": [1.0]}, {"fail": None}, {"sides": [1.0]}):
+        with pytest.raises(BadInputError, match="thin surveys"):
+            ThinModel.from_record(MODEL.to_record() | damage)
+
+
+def test_calibration_without_the_model_says_how_to_get_it(unseen):
+    older = replace(CALIBRATION, thin=None)
+    assert '"thin"' not in older.to_json()
+    assert Calibration.from_json(older.to_json(), "older") == older
+    with pytest.raises(UsageError, match="bumpymap calibrate"):
+        rate_thin(block_of(unseen), first_pass(), *maps(), older)

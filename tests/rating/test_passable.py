@@ -1,0 +1,145 @@
+"""Ways through tiles: made-up mosaics of pixels, closed forms, and any division into blocks."""
+
+import numpy as np
+import pytest
+
+from bumpymap.core.types import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, Barred, VehicleBody
+from bumpymap.rating.passable import find_passable, settle_objects
+
+PIXELS = 15
+BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.0, brush_stem_m=0.25)  # with margins 1.2 m: 6 pixels
+
+
+def judged(inner, *, edges=None, known=True, too_steep=False, fails=False, ring=FREE, body=BODY):
+    """What bars the tiles of ``inner`` (pixels), with a ring of tiles of one state."""
+    tiles = len(inner) // PIXELS
+    objects = np.pad(inner, PIXELS, constant_values=ring)
+    alone = np.broadcast_to(barred_alone(known, too_steep, fails), (tiles, tiles))
+    usable = np.ones((tiles, tiles, 4), bool) if edges is None else edges
+    return find_passable(objects, alone, usable, body, 3.0)
+
+
+def barred_alone(known, too_steep, fails):
+    reasons = [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS]
+    return np.select([np.logical_not(known), too_steep, fails], reasons, Barred.NO).astype(np.uint8)
+
+
+def free(tiles=1):
+    return np.full((tiles * PIXELS, tiles * PIXELS), FREE, np.uint8)
+
+
+def only(found):
+    assert found.shape == (1, 1)
+    assert found.dtype == np.uint8
+    return Barred(int(found[0, 0]))
+
+
+def test_free_ground_is_passable_and_canopy_does_not_bar():
+    assert only(judged(free())) == Barred.NO
+    assert only(judged(np.full_like(free(), CANOPY))) == Barred.NO
+
+
+@pytest.mark.parametrize(("gap", "barred"), [(8, Barred.NO), (7, Barred.NO), (4, Barred.OBSTACLE)])
+def test_a_gap_in_a_wall_must_be_wider_than_the_vehicle(gap, barred):
+    # Two walls that leave one way, from west to east: north and south of it is nothing but wall.
+    tile = np.full_like(free(), OBSTACLE)
+    first = (PIXELS - gap) // 2
+    tile[first : first + gap] = FREE
+    assert only(judged(tile)) == barred
+
+
+def test_a_trunk_in_the_middle_can_be_passed_and_a_wall_across_can_not_be_crossed():
+    tile = free()
+    tile[7, 7] = OBSTACLE
+    assert only(judged(tile)) == Barred.NO
+    tile[:] = OBSTACLE
+    tile[5:8] = FREE  # room for less than the vehicle
+    assert only(judged(tile)) == Barred.OBSTACLE
+
+
+def test_obstacles_and_missing_tiles_around_count():
+    # A wall in the neighbouring tiles, all around: the middle keeps 0.6 m from it, and reaches no side.
+    for ring, reason in ((OBSTACLE, Barred.OBSTACLE), (UNSEEN, Barred.UNKNOWN)):
+        assert only(judged(free(), ring=ring)) == reason
+        inner = judged(free(3), ring=ring) == Barred.NO
+        assert inner.tolist() == [[True] * 3] * 3
+
+
+def test_unseen_ground_is_not_driven_on():
+    tile = np.full_like(free(), UNSEEN)
+    tile[6:9, :] = FREE
+    assert only(judged(tile)) == Barred.UNKNOWN
+    tile[0, 0] = OBSTACLE
+    assert only(judged(tile)) == Barred.OBSTACLE
+    tile = free()
+    tile[2:4, 5:7] = UNSEEN
+    assert only(judged(tile)) == Barred.NO
+
+
+@pytest.mark.parametrize(("away", "reason"), [(2, Barred.OBSTACLE), (3, Barred.UNKNOWN)])
+def test_an_obstacle_beyond_the_radius_is_not_what_bars(away, reason):
+    mosaic = np.full((3 * PIXELS, 3 * PIXELS), UNSEEN, np.uint8)
+    mosaic[PIXELS : 2 * PIXELS, PIXELS : 2 * PIXELS] = FREE
+    mosaic[20, 2 * PIXELS - 1 + away] = OBSTACLE
+    alone = np.full((1, 1), Barred.NO, np.uint8)
+    assert only(find_passable(mosaic, alone, np.ones((1, 1, 4), bool), BODY, 3.0)) == reason
+
+
+def edges_of(*usable):
+    edges = np.zeros((1, 1, 4), bool)
+    edges[0, 0, list(usable)] = True
+    return edges
+
+
+def test_edges_that_cannot_be_crossed():
+    trunk = free()
+    trunk[7, 7] = OBSTACLE
+    assert only(judged(free(), edges=edges_of())) == Barred.STEP
+    assert only(judged(free(), edges=edges_of(2))) == Barred.NO  # a dead end
+    assert only(judged(trunk, edges=edges_of(2))) == Barred.STEP
+    assert only(judged(trunk, edges=edges_of(0, 2))) == Barred.NO
+    wall = free()
+    wall[7] = OBSTACLE  # from west to east: north and south are not joined
+    assert only(judged(wall, edges=edges_of(0, 2))) == Barred.STEP
+    assert only(judged(wall, edges=edges_of(0, 1))) == Barred.NO
+
+
+def test_the_first_reason_that_holds_is_named():
+    wall = np.full_like(free(), OBSTACLE)
+    everything = {"known": False, "too_steep": True, "fails": True, "edges": edges_of()}
+    order = [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.OBSTACLE, Barred.STEP]
+    changes = [{"known": True}, {"too_steep": False}, {"fails": False}]
+    for wanted, change in zip(order[:3], changes, strict=True):
+        assert only(judged(wall, **everything)) == wanted
+        everything |= change
+    assert only(judged(wall, **everything)) == Barred.OBSTACLE
+    assert only(judged(free(), **everything)) == Barred.STEP
+
+
+def test_undecided_pixels_need_company_across_the_border():
+    objects = free(2)
+    objects[3, 14] = objects[4, 15] = UNDECIDED  # neighbours, over the border between two columns of tiles
+    objects[9, 14] = UNDECIDED  # alone
+    objects[20, 14], objects[21, 15] = UNDECIDED, OBSTACLE
+    objects[25, 14] = objects[26, 14] = UNDECIDED  # neighbours in one tile: together still too few
+    settled = settle_objects(objects, PIXELS)
+    assert np.argwhere(settled == OBSTACLE).tolist() == [[3, 14], [4, 15], [20, 14], [21, 15]]
+    assert not np.any(settled == UNDECIDED)
+
+
+def test_a_tile_depends_on_its_neighbours_alone():
+    """The same tile in another block, with the same tiles around it, gets the same answer."""
+    rng = np.random.default_rng(0)
+    objects = free(6)
+    for row, col in rng.integers(0, len(objects), (60, 2)):
+        objects[row : row + 2, col : col + 2] = OBSTACLE
+    alone = barred_alone(*(rng.random((3, 6, 6)) < np.array([0.9, 0.1, 0.1])[:, None, None])[:, 1:-1, 1:-1])
+    edges = rng.random((4, 4, 4)) < 0.8
+    whole = find_passable(objects, alone, edges, BODY, 3.0)
+    assert 0 < (whole == Barred.NO).mean() < 1
+    for row in range(4):
+        for col in range(4):
+            part = objects[row * PIXELS : (row + 3) * PIXELS, col * PIXELS : (col + 3) * PIXELS]
+            one = np.s_[row : row + 1, col : col + 1]
+            own = find_passable(part, alone[one], edges[one], BODY, 3.0)
+            assert own[0, 0] == whole[row, col]

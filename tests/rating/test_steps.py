@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+import steps_in_numpy
+from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
+
+from bumpymap.rating import find_steps
+
+NORTH, EAST, SOUTH, WEST = range(4)
+RNG = np.random.default_rng(7)
+PLACES = [(*RNG.uniform(4.5, 7.5, 2), RNG.uniform(0, 360)) for _ in range(25)]
+
+
+def highest(steps):
+    return np.fmax(steps.inner, steps.edge_step)
+
+
+@pytest.mark.parametrize("height", [0.05, 0.3, 2.0])
+def test_a_wall_at_any_place_and_angle_is_measured_in_full(height):
+    for place in PLACES:
+        wall = Wall(height, *place)
+        tiles = crossed(wall, 4)
+        assert tiles.any()
+        found = highest(find_steps(mosaic(wall, 4), PIXELS))
+        np.testing.assert_allclose(found[tiles], height, rtol=0.05)
+
+
+@pytest.mark.parametrize("shift", [-0.1, -0.04, 0.0, 0.04, 0.1])
+def test_a_wall_on_or_next_to_a_border_belongs_to_both_tiles(shift):
+    """The second of four columns ends at 6 m; a wall up to half a pixel beside it is a step between both tiles."""
+    steps = find_steps(mosaic(Wall(0.5, 6 + shift, 0, 0), 4), PIXELS)
+    np.testing.assert_allclose(steps.border[:, 0, EAST], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(steps.border[:, 1, WEST], 0.5, rtol=1e-5)
+    assert (steps.border[..., [NORTH, SOUTH]] < 1e-6).all()
+    np.testing.assert_allclose(steps.unseen, 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("offset", [0.9, 1.5, 2.1])
+def test_a_wall_well_inside_a_tile_is_left_to_its_rating(offset):
+    steps = find_steps(mosaic(Wall(0.5, 3 + offset, 0, 0), 4), PIXELS)
+    np.testing.assert_allclose(steps.inner[:, 0], 0.5, rtol=1e-5)
+    assert (steps.unseen < 1e-6).all()
+
+
+def test_a_step_down_is_as_high_as_a_step_up():
+    wall = Wall(0.4, 6.03, 5.2, 20)
+    up, down = (find_steps(sign * mosaic(wall, 4), PIXELS) for sign in (1, -1))
+    np.testing.assert_array_equal(up.border, down.border)
+    np.testing.assert_array_equal(up.inner, down.inner)
+
+
+@pytest.mark.parametrize("slope", [(0.1, 0.0), (0.5, -0.3), (1.2, 1.0)])
+def test_planes_have_no_steps(slope):
+    assert highest(find_steps(mosaic(Wall(0, 0, 0, 0, slope), 4), PIXELS)).max() < 1e-3
+
+
+def test_a_wall_on_a_slope_is_measured_in_full():
+    steps = find_steps(mosaic(Wall(0.3, 6.05, 6, 12, (0.3, -0.2)), 4), PIXELS)
+    np.testing.assert_allclose(steps.border[:, 0, EAST], 0.3, rtol=0.05)
+
+
+def test_the_foot_of_a_bank_is_hardly_a_step():
+    """Where it lies between two pixels is unknown: half a pixel of a bank of 27 degrees is 5 cm."""
+    axis = np.arange(4 * PIXELS) * TILE_SIZE / PIXELS
+    bank = np.maximum(axis - 6.04, 0) * 0.5
+    found = highest(find_steps(np.tile(bank, (4 * PIXELS, 1)), PIXELS)).max()
+    assert found < 0.05
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.03])
+def test_noise_has_no_steps(noise):
+    rng = np.random.default_rng(3)
+    found = highest(find_steps(rng.normal(0, noise, (16 * PIXELS, 16 * PIXELS)), PIXELS))
+    assert (found > 0).mean() < 0.02
+    assert (found > 3 * noise).mean() < 0.005
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.01, 0.02])
+def test_a_kerb_stands_out_from_noise(noise):
+    """Eight times as high as the noise of a pixel is enough."""
+    rng = np.random.default_rng(4)
+    heights = mosaic(Wall(8 * noise, 6.02, 6, 3), 4)
+    found = find_steps(heights + rng.normal(0, noise, heights.shape), PIXELS)
+    np.testing.assert_allclose(found.border[:, 0, EAST], 8 * noise, rtol=0.25)
+
+
+@pytest.mark.parametrize("unknown", [0.0, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("step", [0.0, 0.01])
+def test_compiled_code_follows_the_definition(unknown, step):
+    """On rolling ground with walls; a step between heights makes many of them equal."""
+    rng = np.random.default_rng(11)
+    heights = 0.1 * rng.normal(0, 0.01, (75, 105)).cumsum(axis=0).cumsum(axis=1)
+    heights[:, 50:] += 0.3
+    heights[rng.random(heights.shape) < unknown] = np.nan
+    heights[15:30, 45:60] = np.nan
+    if step:
+        heights = np.round(heights / step) * step
+    expected = steps_in_numpy.find_steps(heights, PIXELS)
+    found = find_steps(heights, PIXELS)
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-5, atol=1e-7, err_msg=name)
+
+
+def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
+    rng = np.random.default_rng(5)
+    world = mosaic(Wall(0.2, 14.9, 9, 7), 10) + rng.normal(0, 0.01, (150, 150)).astype(np.float32)
+    world[rng.random(world.shape) < 0.4] = np.nan
+    whole = find_steps(world, PIXELS)
+    west, east = find_steps(world[:, : 6 * PIXELS], PIXELS), find_steps(world[:, 4 * PIXELS :], PIXELS)
+    np.testing.assert_array_equal(west.border[:, -1, EAST], east.border[:, 0, WEST])
+    for part, columns in ((west, slice(0, 4)), (east, slice(4, 8))):
+        np.testing.assert_array_equal(part.border, whole.border[:, columns])
+        np.testing.assert_array_equal(part.inner, whole.inner[:, columns])
+        np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
+    np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
+    np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
+
+
+def test_holes_do_not_hide_a_wall():
+    rng = np.random.default_rng(6)
+    heights = mosaic(Wall(0.3, 6.0, 6, 0), 4)
+    heights[rng.random(heights.shape) < 0.6] = np.nan
+    found = find_steps(heights, PIXELS)
+    np.testing.assert_allclose(found.border[:, 0, EAST], 0.3, rtol=1e-3)
+
+
+def test_without_a_neighbour_the_step_is_unknown():
+    heights = mosaic(Wall(0.3, 4.5, 6, 0), 3)
+    heights[:, 2 * PIXELS :] = np.nan
+    steps = find_steps(heights, PIXELS)
+    assert np.isnan(steps.border[0, 0, EAST])
+    assert np.isfinite(steps.border[0, 0, [NORTH, SOUTH, WEST]]).all()
+    assert steps.inner[0, 0] == pytest.approx(0.3, rel=1e-5)
+    empty = find_steps(np.full_like(heights, np.nan), PIXELS)
+    assert np.isnan(empty.border).all()
+    assert np.isnan(empty.unseen).all()
+
+
+@pytest.mark.parametrize("shape", [(45, 44), (30, 45), (46, 46)])
+def test_heights_of_no_whole_tiles_are_refused(shape):
+    with pytest.raises(ValueError, match="a ring of them"):
+        find_steps(np.zeros(shape), PIXELS)
