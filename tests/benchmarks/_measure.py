@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-__all__ = ["Sample", "run_timed", "warm_page_cache"]
+__all__ = ["Sample", "files_of", "run_timed", "user_environment", "warm_page_cache"]
 
 _MIB = 1 << 20
+_NOT_OF_A_USER = ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED")
 _POLL_SECONDS = 0.05
 """Interval between two samples of the memory of a command and its child processes, s."""
 
@@ -27,8 +28,14 @@ class Sample:
 
     wall: float
     """s."""
-    cpu: float
-    """User and system time, s."""
+    user: float
+    """Processor time in programs and libraries, s."""
+    system: float
+    """Processor time in the kernel of the operating system, s."""
+    minor_faults: int
+    """Pages that were entered into the table of a process without reading a disk."""
+    major_faults: int
+    """Pages that had to be read from a disk."""
     peak: float
     """Peak memory of the command and its child processes, with shared memory counted once, bytes; sampled."""
     largest_process: float
@@ -39,11 +46,20 @@ class Sample:
     stderr_tail: str
     """End of its standard error."""
 
+    @property
+    def cpu(self) -> float:
+        """User and system time, s."""
+        return self.user + self.system
+
     def record(self) -> dict[str, Any]:
         """Return the entry for the results file."""
         kept: dict[str, Any] = {
             "wall_s": self.wall,
             "cpu_s": self.cpu,
+            "user_s": self.user,
+            "system_s": self.system,
+            "minor_faults": self.minor_faults,
+            "major_faults": self.major_faults,
             "peak_bytes": self.peak,
             "alone_bytes": self.largest_process,
         }
@@ -51,12 +67,12 @@ class Sample:
 
 
 def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> Sample:
-    """Run a command to its end; ``env`` is added to the environment."""
+    """Run a command to its end, in the environment of a user; ``env`` is added to it."""
     os.sync()  # so that writes of an earlier command do not slow this one down
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         started = time.perf_counter()
         process = subprocess.Popen(
-            command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**os.environ, **(env or {})}
+            command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**user_environment(), **(env or {})}
         )
         with _MemoryMonitor(process.pid) as monitor:
             _, status, usage = os.wait4(process.pid, 0)
@@ -66,13 +82,21 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> S
         err.seek(0)
         return Sample(
             wall=wall,
-            cpu=usage.ru_utime + usage.ru_stime,
+            user=usage.ru_utime,
+            system=usage.ru_stime,
+            minor_faults=usage.ru_minflt,
+            major_faults=usage.ru_majflt,
             peak=max(monitor.peak, usage.ru_maxrss * 1024.0),
             largest_process=usage.ru_maxrss * 1024.0,
             exit_code=process.returncode,
             output=out.read().decode(errors="replace"),
             stderr_tail=err.read().decode(errors="replace")[-800:],
         )
+
+
+def user_environment() -> dict[str, str]:
+    """Return the environment without settings of Python that a user does not have and that make it slower."""
+    return {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER}
 
 
 class _MemoryMonitor:
@@ -133,9 +157,15 @@ def _read(path: Path) -> str:
         return ""
 
 
-def warm_page_cache(path: Path) -> None:
-    """Read a whole file, so that all programs find it in the page cache."""
+def files_of(survey: Path) -> list[Path]:
+    """Return the files of a survey: the file itself, or those in a folder."""
+    return sorted(survey.iterdir()) if survey.is_dir() else [survey]
+
+
+def warm_page_cache(survey: Path) -> None:
+    """Read all of a survey, so that all programs find it in the page cache."""
     buffer = bytearray(8 * _MIB)
-    with path.open("rb", buffering=0) as stream:
-        while stream.readinto(buffer):
-            pass
+    for path in files_of(survey):
+        with path.open("rb", buffering=0) as stream:
+            while stream.readinto(buffer):
+                pass
