@@ -16,11 +16,11 @@ from _measure import files_of, user_environment
 
 __all__ = ["FileBytes", "bytes_of", "count_file_bytes", "parse_traces"]
 
-_READS = ("read", "pread64", "readv", "preadv", "preadv2", "sendfile", "copy_file_range")
+_READS = ("read", "pread64", "readv", "preadv", "preadv2", "copy_file_range")
 _WRITES = ("write", "pwrite64", "writev", "pwritev", "pwritev2")
 _CALL = re.compile(r"(?:\[pid +\d+\] )?(\w+)\((?:\d+<(/[^>]*)>)?")
 _MAPPING = re.compile(r"mmap\([^,]+, (\d+), [^,]+, [^,]+, \d+<(/[^>]*)>")
-_SOURCE = re.compile(r"\w+\(\d+<[^>]*>, (?:NULL, )?\d+<(/[^>]*)>")
+_SENT = re.compile(r"sendfile\w*\(\d+<[^>]*>, \d+<(/[^>]*)>")
 _RESULT = re.compile(r"= (\d+)(?: |$)")
 
 
@@ -42,7 +42,7 @@ def count_file_bytes(command: Sequence[str]) -> dict[str, FileBytes] | None:
     if strace is None:
         return None
     with tempfile.TemporaryDirectory() as folder:
-        calls = ",".join((*_READS, *_WRITES, "mmap"))
+        calls = ",".join((*_READS, *_WRITES, "sendfile", "mmap"))
         options = ["-ff", "--seccomp-bpf", "-y", "-qq", "-s", "0", "-e", f"trace={calls}", "-e", "signal=none"]
         done = subprocess.run(
             [strace, *options, "-o", f"{folder}/trace", *command],
@@ -68,7 +68,7 @@ def parse_traces(lines: Iterable[str]) -> dict[str, FileBytes]:
         name, path = call.groups()
         if name == "mmap" and (mapping := _MAPPING.match(line)) and "= -1" not in line:
             files[mapping[2]].mapped += int(mapping[1])
-        elif name in {"sendfile", "copy_file_range"} and result and (source := _SOURCE.match(line)):
+        elif name == "sendfile" and result and (source := _SENT.match(line)):
             files[source[1]].read += int(result[1])
         elif path is None or result is None:
             continue

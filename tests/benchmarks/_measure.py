@@ -32,6 +32,12 @@ class Sample:
     """Processor time in programs and libraries, s."""
     system: float
     """Processor time in the kernel of the operating system, s."""
+    children: float
+    """The part of it in child processes, s."""
+    bytes_read: int
+    """Bytes that read calls returned, of all files, in all processes."""
+    bytes_written: int
+    """Bytes given to write calls."""
     minor_faults: int
     """Pages that were entered into the table of a process without reading a disk."""
     major_faults: int
@@ -58,6 +64,9 @@ class Sample:
             "cpu_s": self.cpu,
             "user_s": self.user,
             "system_s": self.system,
+            "children_s": self.children,
+            "bytes_read": self.bytes_read,
+            "bytes_written": self.bytes_written,
             "minor_faults": self.minor_faults,
             "major_faults": self.major_faults,
             "peak_bytes": self.peak,
@@ -75,8 +84,10 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> S
             command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**user_environment(), **(env or {})}
         )
         with _MemoryMonitor(process.pid) as monitor:
-            _, status, usage = os.wait4(process.pid, 0)
+            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
             wall = time.perf_counter() - started
+            children, (read, written) = _children_cpu(process.pid), _bytes(process.pid)
+            _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
@@ -84,6 +95,9 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> S
             wall=wall,
             user=usage.ru_utime,
             system=usage.ru_stime,
+            children=children,
+            bytes_read=read,
+            bytes_written=written,
             minor_faults=usage.ru_minflt,
             major_faults=usage.ru_majflt,
             peak=max(monitor.peak, usage.ru_maxrss * 1024.0),
@@ -147,6 +161,18 @@ def _share(pid: int) -> float:
         if line.startswith("Pss:"):
             return float(line.split()[1]) * 1024.0
     return 0.0
+
+
+def _children_cpu(pid: int) -> float:
+    """Return user and system time of the child processes that a process has waited for, s."""
+    words = _read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()
+    return (int(words[13]) + int(words[14])) / os.sysconf("SC_CLK_TCK") if words else 0.0
+
+
+def _bytes(pid: int) -> tuple[int, int]:
+    """Return the bytes that a process and the child processes it has waited for have read and written."""
+    counts = dict(line.split(": ") for line in _read(Path(f"/proc/{pid}/io")).splitlines())
+    return int(counts.get("rchar", 0)), int(counts.get("wchar", 0))
 
 
 def _read(path: Path) -> str:
