@@ -13,6 +13,7 @@ _MISSING = {
     "samples": "perf is not installed or may not sample, so there are no shares of the processor time.",
     "files": "strace is not installed or may not trace, so there are no bytes by file.",
 }
+_NO_KERNEL = "perf may not sample the operating system here, see the setting kernel.perf_event_paranoid."
 _OTHERS = "other libraries"
 
 
@@ -34,7 +35,13 @@ def _survey(title: str, labels: dict[str, Any], cores: int) -> str:
         have = {label: figures for label, figures in labels.items() if figures[kind]}
         parts += [make(have)] if have else []
         parts += [f"{label}: {_MISSING[kind]}" for label in labels if label not in have]
+        if kind == "samples":
+            parts += [f"{label}: {_NO_KERNEL}" for label, each in have.items() if not _sees_kernel(each["samples"])]
     return "\n\n".join(part for part in parts if part)
+
+
+def _sees_kernel(samples: dict[str, int]) -> bool:
+    return any(part.startswith("operating system") for part in samples)
 
 
 def _rounds(labels: dict[str, Any]) -> str:

@@ -174,7 +174,7 @@ def _start(results: Results) -> list[Row]:
     )
     label = "first run (kernels are compiled), time added to the second"
     return [
-        _goal("`bumpymap --help`", (help_text,), float, _Limit("at most", 0.3, " s")),
+        _goal("`bumpymap --help`", (help_text,), float, _Limit("at most", 0.1, " s")),
         _goal(label, (first, second), lambda once, again: once - again, _Limit("at most", 15.0, " s")),
     ]
 

@@ -100,6 +100,7 @@ def test_two_profiles_stand_side_by_side():
     assert "| other libraries | 0.1 % (0.00 s) |" in text
     assert "| the survey | 1,500.0 / 500.0 / 0.0 |" in text
     assert "| read and mapped of the survey, relative to its 1,000.0 MB | 2.00 |" in text
+    assert "before: perf may not sample the operating system" in text
     assert "now: perf is not installed" in text
     assert "now: strace is not installed" in text
 
