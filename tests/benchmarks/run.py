@@ -88,16 +88,16 @@ def save(data: Path, results: dict[str, Any]) -> None:
     beside.replace(data / "results.json")
 
 
-def check_layers(cases: list[Case], bench: Bench, results: dict[str, Any]) -> None:
+def check_layers(bench: Bench, results: dict[str, Any]) -> None:
     """Record the area of every survey, and whether layers that must be the same are the same."""
     sums = {}
-    for case in cases:
-        for side in case.sides:
-            manifest = bench.out(case.key, side) / "run.json"
-            if case.key in results["surveys"] and side.startswith(("map", "before")) and manifest.exists():
+    for case, sides in results["samples"].items():
+        for side in sides:
+            manifest = bench.out(case, side) / "run.json"
+            if case in results["surveys"] and side.startswith(("map", "before")) and manifest.exists():
                 run = json.loads(manifest.read_text(encoding="utf-8"))
-                results["surveys"][case.key]["area_m2"] = run["counts"]["tiles"] * run["grid"]["tile_size_m"] ** 2
-                sums[case.key, side] = {made["path"]: made["sha256"] for made in run["files"]}
+                results["surveys"][case]["area_m2"] = run["counts"]["tiles"] * run["grid"]["tile_size_m"] ** 2
+                sums[case, side] = {made["path"]: made["sha256"] for made in run["files"]}
     same = results["same_bits"]
     for (case, side), own in sums.items():
         plain, ordered = sums.get((case, "map")), sums.get((case.replace("shuffled", "laz"), side))
@@ -127,7 +127,7 @@ def measure(given: argparse.Namespace, wanted: list[str], results: dict[str, Any
             run_patches([case for case in cases if case.key == "20m-laz" or case.key.startswith("real")], results)
     for case in [case for case in cases if case.key == _TRACED]:
         run_traced(case, results)
-    check_layers(cases, bench, results)
+    check_layers(bench, results)
     save(given.data, results)
 
 
