@@ -10,6 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -144,9 +145,10 @@ class _MemoryMonitor:
 def _tree(pid: int) -> Iterator[int]:
     """Yield a process and all its living descendants."""
     yield pid
-    for path in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in _read(path).split():
-            yield from _tree(int(child))
+    with suppress(OSError):  # it has ended
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            for child in _read(thread / "children").split():
+                yield from _tree(int(child))
 
 
 def _resident(pid: int) -> float:

@@ -1,5 +1,6 @@
 """What strace and perf write, and what the benchmarks make of it."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,6 +10,19 @@ import pytest
 @pytest.fixture(autouse=True)
 def _scripts(monkeypatch):
     monkeypatch.setattr(sys, "path", [str(Path(__file__).parent), *sys.path])
+
+
+def test_figures_of_a_command_and_of_a_process_that_has_ended():
+    from _measure import _tree, run_timed
+
+    script = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'sum(range(3_000_000))'])"
+    run = run_timed([sys.executable, "-c", script])
+    assert run.exit_code == 0
+    assert 0 < run.children < run.cpu
+    assert run.bytes_read > 0
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+        assert list(_tree(ended.pid)) == [ended.pid]
 
 
 def test_bytes_by_file():
