@@ -12,11 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["SCALE", "SWATH", "fill_records", "scramble"]
+__all__ = ["SCALE", "SPACING", "SWATH", "fill_records", "levels_above", "scramble"]
 
 SCALE = 1e-3
 """Resolution of the coordinates, m."""
-_SPACING = 1.0 / math.sqrt(220.0)
+SPACING = 1.0 / math.sqrt(220.0)
 """Mean distance between neighbouring points, m: 220 points/m2."""
 SWATH = 1024
 """Points across a swath."""
@@ -111,6 +111,18 @@ def scramble(first: int, count: int, half_bits: int, total: int, seed: int) -> N
 
 
 @_compiled
+def levels_above(numbers: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+    """Return a random level 0 to ``most`` for each number: 0 for three of four, 1 for three of four others, ..."""
+    levels = np.empty(len(numbers), np.int64)
+    for i in range(len(numbers)):
+        bits, level = _mix(np.uint64(numbers[i] * 1e6)), 0
+        while level < most and bits & np.uint64(3) == np.uint64(0):
+            bits, level = bits >> np.uint64(2), level + 1
+        levels[i] = level
+    return levels
+
+
+@_compiled
 def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray[np.void]) -> None:
     """Write the points of point format 7.
 
@@ -130,8 +142,8 @@ def fill_records(numbers: NDArray[np.int64], lines: int, seed: int, out: NDArray
         swath, place = number // (SWATH * lines), number % (SWATH * lines)
         line, across = place // SWATH, place % SWATH
         bits, more = _mix(np.uint64(number) ^ np.uint64(seed << 48)), _mix(np.uint64(number) + np.uint64(1 << 60))
-        x = (swath * SWATH + across + _share(bits, 0)) * _SPACING
-        y = (line + _share(bits, 16)) * _SPACING
+        x = (swath * SWATH + across + _share(bits, 0)) * SPACING
+        y = (line + _share(bits, 16)) * SPACING
         # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
         shake = 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
         z = _height(x, y, seed) + shake

@@ -10,13 +10,15 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-__all__ = ["Sample", "run_timed", "warm_page_cache"]
+__all__ = ["Sample", "files_of", "run_timed", "user_environment", "warm_page_cache"]
 
 _MIB = 1 << 20
+_NOT_OF_A_USER = ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED")
 _POLL_SECONDS = 0.05
 """Interval between two samples of the memory of a command and its child processes, s."""
 
@@ -27,8 +29,20 @@ class Sample:
 
     wall: float
     """s."""
-    cpu: float
-    """User and system time, s."""
+    user: float
+    """Processor time in programs and libraries, s."""
+    system: float
+    """Processor time in the kernel of the operating system, s."""
+    children: float
+    """The part of it in child processes, s."""
+    bytes_read: int
+    """Bytes that read calls returned, of all files, in all processes."""
+    bytes_written: int
+    """Bytes given to write calls."""
+    minor_faults: int
+    """Pages that were entered into the table of a process without reading a disk."""
+    major_faults: int
+    """Pages that had to be read from a disk."""
     peak: float
     """Peak memory of the command and its child processes, with shared memory counted once, bytes; sampled."""
     largest_process: float
@@ -39,11 +53,23 @@ class Sample:
     stderr_tail: str
     """End of its standard error."""
 
+    @property
+    def cpu(self) -> float:
+        """User and system time, s."""
+        return self.user + self.system
+
     def record(self) -> dict[str, Any]:
         """Return the entry for the results file."""
         kept: dict[str, Any] = {
             "wall_s": self.wall,
             "cpu_s": self.cpu,
+            "user_s": self.user,
+            "system_s": self.system,
+            "children_s": self.children,
+            "bytes_read": self.bytes_read,
+            "bytes_written": self.bytes_written,
+            "minor_faults": self.minor_faults,
+            "major_faults": self.major_faults,
             "peak_bytes": self.peak,
             "alone_bytes": self.largest_process,
         }
@@ -51,28 +77,41 @@ class Sample:
 
 
 def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> Sample:
-    """Run a command to its end; ``env`` is added to the environment."""
+    """Run a command to its end, in the environment of a user; ``env`` is added to it."""
     os.sync()  # so that writes of an earlier command do not slow this one down
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         started = time.perf_counter()
         process = subprocess.Popen(
-            command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**os.environ, **(env or {})}
+            command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**user_environment(), **(env or {})}
         )
         with _MemoryMonitor(process.pid) as monitor:
-            _, status, usage = os.wait4(process.pid, 0)
+            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
             wall = time.perf_counter() - started
+            children, (read, written) = _children_cpu(process.pid), _bytes(process.pid)
+            _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
         return Sample(
             wall=wall,
-            cpu=usage.ru_utime + usage.ru_stime,
+            user=usage.ru_utime,
+            system=usage.ru_stime,
+            children=children,
+            bytes_read=read,
+            bytes_written=written,
+            minor_faults=usage.ru_minflt,
+            major_faults=usage.ru_majflt,
             peak=max(monitor.peak, usage.ru_maxrss * 1024.0),
             largest_process=usage.ru_maxrss * 1024.0,
             exit_code=process.returncode,
             output=out.read().decode(errors="replace"),
             stderr_tail=err.read().decode(errors="replace")[-800:],
         )
+
+
+def user_environment() -> dict[str, str]:
+    """Return the environment without settings of Python that a user does not have and that make it slower."""
+    return {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER}
 
 
 class _MemoryMonitor:
@@ -106,9 +145,10 @@ class _MemoryMonitor:
 def _tree(pid: int) -> Iterator[int]:
     """Yield a process and all its living descendants."""
     yield pid
-    for path in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in _read(path).split():
-            yield from _tree(int(child))
+    with suppress(OSError):  # it has ended
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            for child in _read(thread / "children").split():
+                yield from _tree(int(child))
 
 
 def _resident(pid: int) -> float:
@@ -125,6 +165,18 @@ def _share(pid: int) -> float:
     return 0.0
 
 
+def _children_cpu(pid: int) -> float:
+    """Return user and system time of the child processes that a process has waited for, s."""
+    words = _read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()
+    return (int(words[13]) + int(words[14])) / os.sysconf("SC_CLK_TCK") if words else 0.0
+
+
+def _bytes(pid: int) -> tuple[int, int]:
+    """Return the bytes that a process and the child processes it has waited for have read and written."""
+    counts = dict(line.split(": ") for line in _read(Path(f"/proc/{pid}/io")).splitlines())
+    return int(counts.get("rchar", 0)), int(counts.get("wchar", 0))
+
+
 def _read(path: Path) -> str:
     """Read a file of /proc; return an empty string if the process has ended."""
     try:
@@ -133,9 +185,15 @@ def _read(path: Path) -> str:
         return ""
 
 
-def warm_page_cache(path: Path) -> None:
-    """Read a whole file, so that all programs find it in the page cache."""
+def files_of(survey: Path) -> list[Path]:
+    """Return the files of a survey: the file itself, or those in a folder."""
+    return sorted(survey.iterdir()) if survey.is_dir() else [survey]
+
+
+def warm_page_cache(survey: Path) -> None:
+    """Read all of a survey, so that all programs find it in the page cache."""
     buffer = bytearray(8 * _MIB)
-    with path.open("rb", buffering=0) as stream:
-        while stream.readinto(buffer):
-            pass
+    for path in files_of(survey):
+        with path.open("rb", buffering=0) as stream:
+            while stream.readinto(buffer):
+                pass

@@ -54,6 +54,7 @@ RULES = (
     Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
     Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
     Rule(r"^python tests/benchmarks/run\.py", "an hour, and PDAL", None),
+    Rule(r"^python tests/benchmarks/profile_map\.py", "maps a survey seven times; takes perf and strace", None),
     Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
     Rule(r"^python tests/benchmarks/race\.py", "races runs for a quarter of an hour", None),
     Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
