@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import helper, kernel
+from bumpytiles import coordinate, helper, kernel
 
 __all__ = [
     "AXIS_BITS",
@@ -22,7 +22,9 @@ __all__ = [
     "CellTable",
     "Corrections",
     "LinedPoints",
+    "ScaledLinedPoints",
     "add_points",
+    "add_scaled_points",
     "correct_heights",
 ]
 
@@ -45,6 +47,7 @@ Flags = Annotated[NDArray[np.bool_], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Rows = Annotated[NDArray[np.int64], 2]
+Words = Annotated[NDArray[np.int32], 1]
 Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
 
@@ -56,6 +59,16 @@ class LinedPoints(NamedTuple):
     """m, as the two that follow."""
     y: Floats
     z: Floats
+    ground: Flags
+    line: Lines
+
+
+class ScaledLinedPoints(NamedTuple):
+    """The same, with coordinates as integers of the file's own grid, see `bumpytiles.ScaledPoints`."""
+
+    x: Words
+    y: Words
+    z: Words
     ground: Flags
     line: Lines
 
@@ -93,31 +106,56 @@ def _row_of(key: Any, table: CellTable) -> Any:
     return row
 
 
+@helper
+def _add(x: float, y: float, z: float, row: Any, sums: Rows) -> None:
+    """Add a point, whose place is that in its cell, to a row."""
+    e, n = np.int64(np.rint(x * QUANTA)), np.int64(np.rint(y * QUANTA))
+    u = np.int64(np.rint(z * QUANTA))
+    sums[row, 0] += 1
+    sums[row, 1] += e
+    sums[row, 2] += n
+    sums[row, 3] += u
+    sums[row, 4] += e * e
+    sums[row, 5] += e * n
+    sums[row, 6] += n * n
+    sums[row, 7] += e * u
+    sums[row, 8] += n * u
+    sums[row, 9] += u * u
+
+
+@helper
+def _key(col: float, row: float, line: int, ground: bool) -> Any:
+    key = (np.int64(col) & _AXIS_MASK) << (AXIS_BITS + LINE_BITS)
+    key |= (np.int64(row) & _AXIS_MASK) << LINE_BITS
+    return key | (np.int64(line) << 1) | np.int64(ground)
+
+
 @kernel
 def add_points(points: LinedPoints, table: CellTable) -> None:
     """Add points, from the one that ``state`` names, until all are added or the table is full."""
-    sums, i = table.sums, table.state[0]
-    key_before, row = np.int64(-1), np.int64(0)
+    i, key_before, row = table.state[0], np.int64(-1), np.int64(0)
     while i < len(points.x) and table.state[1] < _FULL:
         x, y = points.x[i], points.y[i]
         col, line = math.floor(x / CELL), math.floor(y / CELL)
-        key = (np.int64(col) & _AXIS_MASK) << (AXIS_BITS + LINE_BITS)
-        key |= (np.int64(line) & _AXIS_MASK) << LINE_BITS
-        key |= (np.int64(points.line[i]) << 1) | np.int64(points.ground[i])
+        key = _key(col, line, points.line[i], points.ground[i])
         if key != key_before:
             row, key_before = _row_of(key, table), key
-        e, n = np.int64(np.rint((x - col * CELL) * QUANTA)), np.int64(np.rint((y - line * CELL) * QUANTA))
-        u = np.int64(np.rint(points.z[i] * QUANTA))
-        sums[row, 0] += 1
-        sums[row, 1] += e
-        sums[row, 2] += n
-        sums[row, 3] += u
-        sums[row, 4] += e * e
-        sums[row, 5] += e * n
-        sums[row, 6] += n * n
-        sums[row, 7] += e * u
-        sums[row, 8] += n * u
-        sums[row, 9] += u * u
+        _add(x - col * CELL, y - line * CELL, points.z[i], row, table.sums)
+        i += 1
+    table.state[0] = i
+
+
+@kernel
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, table: CellTable) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`."""
+    i, key_before, row = table.state[0], np.int64(-1), np.int64(0)
+    while i < len(points.x) and table.state[1] < _FULL:
+        x, y = coordinate(points.x[i], scaling, 0), coordinate(points.y[i], scaling, 1)
+        col, line = math.floor(x / CELL), math.floor(y / CELL)
+        key = _key(col, line, points.line[i], points.ground[i])
+        if key != key_before:
+            row, key_before = _row_of(key, table), key
+        _add(x - col * CELL, y - line * CELL, coordinate(points.z[i], scaling, 2), row, table.sums)
         i += 1
     table.state[0] = i
 
