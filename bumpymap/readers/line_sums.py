@@ -19,11 +19,13 @@ from bumpymap.readers._line_kernel import (
     LINE_BITS,
     QUANTA,
     SLOTS,
+    STRIP,
     SUMS,
     CellTable,
     Corrections,
     LinedPoints,
     ScaledLinedPoints,
+    Strip,
     add_points,
     add_scaled_points,
     correct_heights,
@@ -113,7 +115,7 @@ class LineSums:
             if isinstance(points, LinedPoints):
                 add_points(points, table)
             elif scaling is not None:
-                add_scaled_points(points, scaling.numbers(), table)
+                add_scaled_points(points, scaling.numbers(), Strip(*np.empty((3, STRIP))), table)
             done = int(table.state[0])
             held = np.flatnonzero(table.keys >= 0)
             held = held[np.argsort(table.keys[held])]

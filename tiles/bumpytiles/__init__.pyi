@@ -8,6 +8,7 @@ from ._dask import (
 )
 from ._group_kernels import (
     BLOCK_TILES as BLOCK_TILES,
+    tile_index as tile_index,
 )
 from .buckets import (
     MemoryLimits as MemoryLimits,
@@ -39,6 +40,7 @@ from .scaling import (
     ScaledPoints as ScaledPoints,
     Scaling as Scaling,
     coordinate as coordinate,
+    coordinates as coordinates,
 )
 from .signals import (
     blocked_signals as blocked_signals,

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles.native import helper, kernel
-from bumpytiles.scaling import coordinate
 
 __all__ = [
     "BLOCK_TILES",
@@ -17,11 +16,13 @@ __all__ = [
     "GroupScratch",
     "ScaledCoordinates",
     "ScaledTiledPoints",
+    "TileBorders",
     "TiledPoints",
     "count_points",
     "count_scaled_points",
     "scatter_points",
     "scatter_scaled_points",
+    "tile_index",
 ]
 
 BLOCK_TILES = 16
@@ -33,6 +34,7 @@ Floats = Annotated[NDArray[np.float64], 1]
 Words = Annotated[NDArray[np.int32], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
 Flags = Annotated[NDArray[np.bool_], 1]
+Borders = Annotated[NDArray[np.int64], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Places = Annotated[NDArray[np.int32], 1]
 
@@ -88,6 +90,21 @@ class BlockWindow(NamedTuple):
     """Width in blocks."""
 
 
+class TileBorders(NamedTuple):
+    """Where tiles begin on the grid of a file."""
+
+    easting: Borders
+    """(columns + 1,) the lowest integer in each column of tiles, and in the one behind the last."""
+    northing: Borders
+    """(rows + 1,) the same for rows."""
+    tiles_per_easting: float
+    """About how many columns an integer is wide."""
+    tiles_per_northing: float
+    first_col: int
+    """Of the borders."""
+    first_row: int
+
+
 class GroupScratch(NamedTuple):
     """Where points go, filled by `count_points`."""
 
@@ -98,7 +115,7 @@ class GroupScratch(NamedTuple):
 
 
 @helper
-def _index(coordinate: float, size: float) -> Any:
+def tile_index(coordinate: float, size: float) -> Any:
     """Return the tile index along one axis; the twin of ``Grid.index``."""
     i = math.floor(coordinate / size)
     if coordinate < i * size:
@@ -111,7 +128,7 @@ def _index(coordinate: float, size: float) -> Any:
 @helper
 def _count(i: int, easting: float, northing: float, window: BlockWindow, counts: Indices, out: GroupScratch) -> None:
     """Note block and tile of a point."""
-    col, row = _index(easting, window.tile_size), _index(northing, window.tile_size)
+    col, row = tile_index(easting, window.tile_size), tile_index(northing, window.tile_size)
     c = (row // BLOCK_TILES - window.first_row) * window.cols + col // BLOCK_TILES - window.first_col
     out.cell[i] = c
     out.tile[i] = (row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES
@@ -125,14 +142,41 @@ def count_points(points: Coordinates, window: BlockWindow, counts: Indices, out:
         _count(i, points.easting[i], points.northing[i], window, counts, out)
 
 
+@helper
+def _place(number: Any, borders: Borders, per_tile: float) -> Any:
+    """Return which interval between ``borders`` holds an integer; an interval is about ``1 / per_tile`` wide."""
+    i = min(max(int((number - borders[0]) * per_tile), 0), len(borders) - 2)
+    while number < borders[i]:
+        i -= 1
+    while number >= borders[i + 1]:
+        i += 1
+    return i
+
+
 @kernel
 def count_scaled_points(
-    points: ScaledCoordinates, scaling: Floats, window: BlockWindow, counts: Indices, out: GroupScratch
+    points: ScaledCoordinates, borders: TileBorders, window: BlockWindow, counts: Indices, out: GroupScratch
 ) -> None:
-    """Do the same for points of a file's own grid, see `bumpytiles.scaling.Scaling.numbers`."""
+    """Do the same for points of a file's own grid: by the borders of the tiles, without their coordinates."""
+    west = borders.first_col - window.first_col * BLOCK_TILES
+    south = borders.first_row - window.first_row * BLOCK_TILES
+    easting, northing = borders.easting, borders.northing
+    x_first, x_end, y_first, y_end = 0, 0, 0, 0  # of the tile of the point before
+    cell, tile, run = 0, 0, 0
     for i in range(len(points.easting)):
-        easting, northing = coordinate(points.easting[i], scaling, 0), coordinate(points.northing[i], scaling, 1)
-        _count(i, easting, northing, window, counts, out)
+        x, y = np.int64(points.easting[i]), np.int64(points.northing[i])
+        if not (x_first <= x < x_end and y_first <= y < y_end):  # neighbours in a file are neighbours on the ground
+            counts[cell + 1] += run
+            col = _place(x, easting, borders.tiles_per_easting)
+            row = _place(y, northing, borders.tiles_per_northing)
+            x_first, x_end, y_first, y_end = easting[col], easting[col + 1], northing[row], northing[row + 1]
+            col, row, run = col + west, row + south, 0
+            cell = (row // BLOCK_TILES) * window.cols + col // BLOCK_TILES
+            tile = (row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES
+        run += 1
+        out.cell[i] = cell
+        out.tile[i] = tile
+    counts[cell + 1] += run
 
 
 @helper

@@ -12,11 +12,12 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._group_kernels import BLOCK_TILES, ScaledTiledPoints, TiledPoints
+from bumpytiles._group_kernels import BLOCK_TILES, Coordinates, ScaledTiledPoints, TiledPoints
 from bumpytiles.native import helper, kernel
-from bumpytiles.scaling import coordinate
+from bumpytiles.scaling import coordinates
 
 __all__ = [
+    "STRIP",
     "MarkedPoints",
     "SortScratch",
     "count_tiles",
@@ -26,6 +27,8 @@ __all__ = [
     "sort_tiles",
 ]
 
+STRIP = 512
+"""Points that are turned into metres at once."""
 _KEY_BITS = 56
 
 Floats = Annotated[NDArray[np.float64], 1]
@@ -67,30 +70,47 @@ def count_tiles(tile: Bytes, first: Indices) -> None:
         first[int(tile[i]) + 1] += 1
 
 
-@kernel
-def place_points(points: TiledPoints, following: Indices, out: MarkedPoints) -> None:
-    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on."""
-    for i in range(len(points.tile)):
-        t = int(points.tile[i])
-        p = following[t]
-        following[t] = p + 1
+@helper
+def _place(points: MarkedPoints, tile: Bytes, following: Indices, out: MarkedPoints) -> None:
+    t = int(tile[0])
+    p = following[t]
+    for i in range(len(tile)):
+        if tile[i] != t:  # neighbours in a file are neighbours on the ground
+            following[t] = p
+            t = int(tile[i])
+            p = following[t]
         out.easting[p] = points.easting[i]
         out.northing[p] = points.northing[i]
         out.upward[p] = points.upward[i]
         out.flag[p] = points.flag[i]
+        p += 1
+    following[t] = p
 
 
 @kernel
-def place_scaled_points(points: ScaledTiledPoints, scaling: Floats, following: Indices, out: MarkedPoints) -> None:
-    """Do the same with points of a file's own grid, see `bumpytiles.scaling.Scaling.numbers`."""
-    for i in range(len(points.tile)):
-        t = int(points.tile[i])
-        p = following[t]
-        following[t] = p + 1
-        out.easting[p] = coordinate(points.easting[i], scaling, 0)
-        out.northing[p] = coordinate(points.northing[i], scaling, 1)
-        out.upward[p] = coordinate(points.upward[i], scaling, 2)
-        out.flag[p] = points.flag[i]
+def place_points(points: TiledPoints, following: Indices, out: MarkedPoints) -> None:
+    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on."""
+    if len(points.tile) > 0:
+        marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
+        _place(marked, points.tile, following, out)
+
+
+@kernel
+def place_scaled_points(
+    points: ScaledTiledPoints, scaling: Floats, following: Indices, strip: Coordinates, out: MarkedPoints
+) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`.
+
+    ``strip`` is scratch, (``STRIP``,) each.
+    """
+    for first in range(0, len(points.tile), STRIP):
+        last = min(first + STRIP, len(points.tile))
+        n = last - first
+        there = MarkedPoints(strip.easting[:n], strip.northing[:n], strip.upward[:n], points.flag[first:last])
+        coordinates(points.easting[first:last], scaling, 0, there.easting)
+        coordinates(points.northing[first:last], scaling, 1, there.northing)
+        coordinates(points.upward[first:last], scaling, 2, there.upward)
+        _place(there, points.tile[first:last], following, out)
 
 
 @helper
@@ -163,13 +183,14 @@ def _insert_by_key(points: MarkedPoints, count: int, order: Places, rank: Keys) 
 
 
 @helper
-def _append_single(points: MarkedPoints, count: int, order: Places, begin: int, out: MarkedPoints) -> int:
+def _append_single(points: MarkedPoints, count: int, scratch: SortScratch, begin: int, out: MarkedPoints) -> int:
     """Append points to the ``begin`` that ``out`` holds, but for exact duplicates; returns how many there are now."""
-    kept = begin
+    order, rank, kept = scratch.order, scratch.rank, begin
     for j in range(count):
         i = order[j]
         if (
-            kept > begin
+            j > 0
+            and rank[j] == rank[j - 1]
             and out.easting[kept - 1] == points.easting[i]
             and out.northing[kept - 1] == points.northing[i]
             and out.upward[kept - 1] == points.upward[i]
@@ -212,5 +233,5 @@ def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: Mark
             key[j] = hash_point(x, y, z) >> np.uint64(64 - _KEY_BITS)
         _fill_buckets(count, scratch)
         _insert_by_key(tile, count, scratch.order, scratch.rank)
-        kept = _append_single(tile, count, scratch.order, kept, points)
+        kept = _append_single(tile, count, scratch, kept, points)
     starts[BLOCK_TILES * BLOCK_TILES] = kept

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpytiles.native import helper
 
-__all__ = ["DECIMALS", "ScaledPoints", "Scaling", "coordinate"]
+__all__ = ["DECIMALS", "ScaledPoints", "Scaling", "coordinate", "coordinates"]
 
 DECIMALS = 8
 """Decimals that coordinates are rounded to, in the file's unit."""
@@ -22,6 +22,19 @@ def coordinate(number: int, scaling: Annotated[NDArray[np.float64], 1], axis: in
     """Return a coordinate in metres from the integer of an axis, see `Scaling`: the same bits as of its method."""
     there = np.rint((number * scaling[axis] + scaling[3 + axis]) * _ROUND) / _ROUND
     return float(there * scaling[6 + axis])
+
+
+@helper
+def coordinates(
+    numbers: Annotated[NDArray[np.int32], 1],
+    scaling: Annotated[NDArray[np.float64], 1],
+    axis: int,
+    out: Annotated[NDArray[np.float64], 1],
+) -> None:
+    """Do the same for many integers of an axis."""
+    scale, offset, unit = scaling[axis], scaling[3 + axis], scaling[6 + axis]
+    for i in range(len(numbers)):
+        out[i] = np.rint((numbers[i] * scale + offset) * _ROUND) / _ROUND * unit
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from bumpytiles._group_kernels import (
     GroupScratch,
     ScaledCoordinates,
     ScaledTiledPoints,
+    TileBorders,
     TiledPoints,
     count_points,
     count_scaled_points,
@@ -32,6 +33,7 @@ from bumpytiles._group_kernels import (
     scatter_scaled_points,
 )
 from bumpytiles._sort_kernels import (
+    STRIP,
     MarkedPoints,
     SortScratch,
     count_tiles,
@@ -58,6 +60,10 @@ __all__ = [
     "sort_block",
 ]
 
+_MOST_BORDERS = 1 << 16
+"""Columns or rows of tiles in a chunk whose borders are looked up."""
+_FAR = 1 << 33
+"""Beyond all integers."""
 _MARKS = (Column("tile", "|u1"), Column("flag", "|b1"))
 _AXES = ("easting", "northing", "upward")
 POINT_COLUMNS = (*(Column(axis, "<f8") for axis in _AXES), *_MARKS)
@@ -172,21 +178,48 @@ def group_points(
 
 def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     """Group a chunk of points of a file's own grid by block."""
-    scaling = points.scaling
-    x, y = (
-        np.sort(scaling.coordinates(axis, [values.min(), values.max()])) if len(values) else np.empty(0)
-        for axis, values in enumerate((points.easting, points.northing))
-    )
-    window = _window(grid, x, y)
-    if window is None:
-        return _group_scattered(grid, *points.coordinates(), points.flag)
-    n, numbers = len(points.flag), scaling.numbers()
+    scaling, n = points.scaling, len(points.flag)
+    axes = (points.easting, points.northing)
+    spans = [(int(values.min()), int(values.max())) if n else (0, 0) for values in axes]
+    window = _window(grid, *(scaling.coordinates(axis, span) for axis, span in enumerate(spans)))
+    borders = None if window is None else _borders(grid, scaling, spans)
+    if window is None or borders is None:
+        return group_points(grid, *points.coordinates(), points.flag)
     found, counts = _empty_scratch(n), np.zeros(window.cells + 1, np.int64)
     given = ScaledCoordinates(points.easting, points.northing, points.upward)
-    count_scaled_points(given, numbers, window.blocks, counts, found)
+    count_scaled_points(given, borders, window.blocks, counts, found)
     columns = _empty_columns(SCALED_COLUMNS, n)
     scatter_scaled_points(given, points.flag, found, np.cumsum(counts), ScaledTiledPoints(**columns))
     return window.grouped(counts, columns, scaling)
+
+
+def _borders(grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]) -> TileBorders | None:
+    """Return where tiles begin among the integers of x and y; None if that is not simple."""
+    found, first, width = [], [], []
+    for axis, span in enumerate(spans):
+        low, high = grid.index(scaling.coordinates(axis, span)).tolist()
+        step = scaling.scales[axis] * scaling.units[axis] / grid.tile_size
+        if step <= 0 or high - low > _MOST_BORDERS:
+            return None
+        found.append(_first_integers(grid, scaling, axis, np.arange(low, high + 2)))
+        first.append(low)
+        width.append(step)
+    return TileBorders(found[0], found[1], width[0], width[1], first[0], first[1])
+
+
+def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the lowest integer of each tile along an axis. Tiles may be narrower than a step between integers."""
+    goal = tiles * grid.tile_size
+    about = (goal / scaling.units[axis] - scaling.offsets[axis]) / scaling.scales[axis]
+    low = np.floor(about).astype(np.int64) - 2
+    high = low + 5
+    near = (scaling.coordinates(axis, low) < goal) & (scaling.coordinates(axis, high) >= goal)
+    low, high = np.where(near, low, -_FAR), np.where(near, high, _FAR)
+    while (wide := high - low > 1).any():
+        middle = (low + high) // 2
+        inside = scaling.coordinates(axis, middle) >= goal
+        high, low = np.where(wide & inside, middle, high), np.where(wide & ~inside, middle, low)
+    return high
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,12 +285,12 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         count_tiles(part.columns["tile"], counts)
     first, most = np.cumsum(counts), int(counts.max())
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
-    out = _empty_points(n)
+    out, strip = _empty_points(n), Coordinates(*np.empty((3, STRIP)))
     for columns, scaling in parts:
         if scaling is None:
             place_points(TiledPoints(**columns), following, out)
         else:
-            place_scaled_points(ScaledTiledPoints(**columns), scaling.numbers(), following, out)
+            place_scaled_points(ScaledTiledPoints(**columns), scaling.numbers(), following, strip, out)
     scratch = SortScratch(
         key=np.empty(most, np.uint64),
         bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
