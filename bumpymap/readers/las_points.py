@@ -25,7 +25,7 @@ HUGE_CHUNK = 1 << 28
 _CHUNK_HEAD = 1 << 19
 """Upper limit of the head of a LAZ chunk, bytes: the longest point, and four bytes for each of its layers."""
 _PIECE_BYTES = 1 << 20
-"""Bytes of uncompressed points that are read at a time."""
+"""Bytes of uncompressed points that are read at a time, at most."""
 _SKIPPED = 100_000
 """Points that are decoded at a time to skip them."""
 
@@ -70,17 +70,26 @@ class PlainRecords:
         self._path, self._header, self._chunk = path, header, chunk
 
     def __iter__(self) -> Iterator[Records]:
-        """Yield pieces, (n, bytes of a point) each; a piece is only valid until the next is taken."""
-        size, first, last = self._header.point_size, self._chunk.first, self._chunk.first + self._chunk.points
-        most = max(1, _PIECE_BYTES // size)
-        buffer = _buffer(most * size)
-        while first < last:
-            wanted = min(most, last - first)
-            got = read_into(self._path, self._header.offset_to_points + first * size, buffer[: wanted * size]) // size
+        """Yield pieces, (n, bytes of a point) each; a piece is only valid until the next is taken.
+
+        Reads end where multiples of ``_PIECE_BYTES`` do, as the pieces of the checksum of the file.
+        """
+        header, size = self._header, self._header.point_size
+        at = header.offset_to_points + self._chunk.first * size
+        end = at + self._chunk.points * size
+        buffer = _buffer(_PIECE_BYTES + size)
+        held = 0  # bytes of a record that the last read cut
+        while at < end:
+            wanted = min(_PIECE_BYTES - at % _PIECE_BYTES, end - at)
+            got = read_into(self._path, at, buffer[held : held + wanted])
+            at += got
             if got < wanted:
-                refuse_count(self._path, self._header.point_count, first + got)
-            yield buffer[: wanted * size].reshape(wanted, size)
-            first += wanted
+                refuse_count(self._path, header.point_count, (at - header.offset_to_points) // size)
+            whole, rest = divmod(held + got, size)
+            if whole:
+                yield buffer[: whole * size].reshape(whole, size)
+            buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
+            held = rest
 
 
 class PlainPoints(RecordSource):

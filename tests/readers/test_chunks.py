@@ -169,6 +169,18 @@ def test_long_points_make_small_chunks(las, laz, batches, table):
     assert np.array_equal(table(batches(reader)), table(batches(open_survey(small))))
 
 
+@pytest.mark.parametrize("piece", [7, 100, 4096])
+def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch, piece):
+    path = survey(las)
+    expected = table(batches(open_survey(path)))
+    monkeypatch.setattr(las_points, "_PIECE_BYTES", piece)
+    assert np.array_equal(table(batches(open_survey(path))), expected)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) - 40])
+    with pytest.raises(BadInputError, match="points"):
+        batches(open_survey(path))
+
+
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     integers=st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=1, max_size=9),
