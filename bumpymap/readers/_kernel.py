@@ -1,11 +1,10 @@
-"""Records to metres, and which points count: one pass over the bytes, without the interpreter's lock.
+"""Which points count: one pass over the bytes, without the interpreter's lock.
 
-``convert_records`` decodes LAS records in strips that stay in the processor's cache and hands each to ``_sift``, which
-watches every point and moves those that count to the front. Tables (PLY, PCD) come with their coordinates and need
-``sift_points`` alone. Points keep their order.
+``filter_records`` takes LAS records, whose coordinates stay integers; ``filter_points`` takes points in metres, such as
+those of tables (PLY, PCD). Both watch every point and keep those that count, in their order.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,21 @@ from bumpytiles import helper, kernel
 
 __all__ = [
     "KEPT",
-    "STRIP",
     "CountedPoints",
+    "CountedRecords",
     "FilePoints",
-    "RecordNumbers",
+    "RecordCounts",
+    "RecordRules",
     "WatchCounts",
     "WatchRules",
-    "convert_records",
     "filter_points",
+    "filter_records",
 ]
 
 _FIRST = 5
 """Place in ``counts`` of the number of the first point that is not finite; -1 where there is none."""
 KEPT = 6
 """Place in ``counts`` of the points that count, so far."""
-STRIP = 1024
-"""Points that are decoded at once."""
-
-_ROUND = 1e8
-"""10 to the power of the decimals that a coordinate keeps (``columns.DECIMALS``)."""
 _FINITE = float(np.finfo(np.float64).max)
 
 Floats = Annotated[NDArray[np.float64], 1]
@@ -41,6 +36,7 @@ Flags = Annotated[NDArray[np.bool_], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Records = Annotated[NDArray[np.uint8], 2]
+Words = Annotated[NDArray[np.int32], 1]
 
 
 class FilePoints(NamedTuple):
@@ -88,14 +84,34 @@ class WatchCounts(NamedTuple):
     """(7,) withheld, noise, not a number, outside, not finite, first not finite: as in ``PointStats``; those kept."""
 
 
-class RecordNumbers(NamedTuple):
-    """How LAS records become points."""
+class RecordRules(NamedTuple):
+    """What LAS records are held to."""
 
-    place: Floats
-    """(9,) scales, offsets and metres per unit of x, y and z."""
     layout: Counts
     """(6,) byte and mask of the class, byte and mask of the withheld flag; first byte of the flight line, and the line
     of points where that is 0."""
+    box: Counts
+    """(4,) lowest and highest integer of x, then of y, that lie in the box of the file."""
+
+
+class CountedRecords(NamedTuple):
+    """Where records that count go, (n,) each."""
+
+    x: Words
+    """Integers of the file's grid, as the two that follow."""
+    y: Words
+    z: Words
+    ground: Flags
+    line: Lines
+
+
+class RecordCounts(NamedTuple):
+    """What was seen; brought up to date."""
+
+    extremes: Counts
+    """(6,) lowest and highest x, y and z."""
+    counts: Counts
+    """(4,) withheld, noise, outside, kept."""
 
 
 @helper
@@ -114,25 +130,23 @@ def _watch(e: float, n: float, u: float, number: int, rules: WatchRules, counts:
     return True
 
 
-@helper
-def _filter_point(
-    points: FilePoints, total: int, start: int, rules: WatchRules, out: CountedPoints, watched: WatchCounts
-) -> None:
-    """Watch the first ``total`` points, the first of them number ``start``, and append those that count."""
+@kernel
+def filter_points(points: FilePoints, rules: WatchRules, out: CountedPoints, watched: WatchCounts) -> None:
+    """Watch points and append those that count."""
     extremes, counts, box = watched.extremes, watched.counts, rules.box
     west, south, east, north, highest = extremes[0], extremes[1], extremes[2], extremes[3], extremes[4]
     # Nothing is wrong with a point in here; the others are looked at closely.
     inner_west, inner_south = max(box[0], -_FINITE), max(box[1], -_FINITE)
     inner_east, inner_north = min(box[2], _FINITE), min(box[3], _FINITE)
     to = counts[KEPT]
-    for i in range(total):
+    for i in range(len(points.x)):
         e, n, u = points.x[i], points.y[i], points.z[i]
         # In this order NaN leaves the extremes alone, as comparisons with it are false; it lies nowhere, too.
         west, east = min(west, e), max(east, e)
         south, north = min(south, n), max(north, n)
         highest = max(highest, abs(u))
         fine = inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE
-        if not fine and not _watch(e, n, u, start + i, rules, counts):
+        if not fine and not _watch(e, n, u, rules.start + i, rules, counts):
             continue
         if points.withheld[i]:
             counts[0] += 1
@@ -148,55 +162,43 @@ def _filter_point(
     extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
 
 
-@kernel
-def filter_points(points: FilePoints, rules: WatchRules, out: CountedPoints, watched: WatchCounts) -> None:
-    """Watch points and keep those that count."""
-    _filter_point(points, len(points.x), rules.start, rules, out, watched)
-
-
 @helper
-def _axis(records: Records, axis: int, first: int, count: int, place: Floats, out: Floats) -> None:
-    """Coordinates of a strip: ``integer * scale + offset``, rounded to 1e-8 units, in metres.
-
-    The same steps as ``numpy.round`` takes, so the same bits.
-    """
-    at, scale, offset, unit = 4 * axis, place[axis], place[3 + axis], place[6 + axis]
-    for i in range(count):
-        record = first + i
-        word = (
-            np.uint32(records[record, at])
-            | np.uint32(records[record, at + 1]) << np.uint32(8)
-            | np.uint32(records[record, at + 2]) << np.uint32(16)
-            | np.uint32(records[record, at + 3]) << np.uint32(24)
-        )
-        out[i] = np.rint((np.int32(word) * scale + offset) * _ROUND) / _ROUND
-    if unit != 1.0:
-        for i in range(count):
-            out[i] *= unit
+def _word(records: Records, record: int, at: int) -> Any:
+    """Return four bytes of a record as an integer."""
+    return np.int32(
+        np.uint32(records[record, at])
+        | np.uint32(records[record, at + 1]) << np.uint32(8)
+        | np.uint32(records[record, at + 2]) << np.uint32(16)
+        | np.uint32(records[record, at + 3]) << np.uint32(24)
+    )
 
 
 @kernel
-def convert_records(
-    records: Records,
-    numbers: RecordNumbers,
-    rules: WatchRules,
-    strip: FilePoints,
-    out: CountedPoints,
-    watched: WatchCounts,
-) -> None:
-    """Turn LAS records, uint8 (n, size), into points in metres and keep those that count.
-
-    ``strip`` is scratch, (``STRIP``,) each.
-    """
-    total, layout = len(records), numbers.layout
-    for first in range(0, total, STRIP):
-        count = min(STRIP, total - first)
-        _axis(records, 0, first, count, numbers.place, strip.x)
-        _axis(records, 1, first, count, numbers.place, strip.y)
-        _axis(records, 2, first, count, numbers.place, strip.z)
-        for i in range(count):
-            strip.class_id[i] = records[first + i, layout[0]] & layout[1]
-            strip.withheld[i] = (records[first + i, layout[2]] & layout[3]) != 0
-            line = np.int64(records[first + i, layout[4]]) | np.int64(records[first + i, layout[4] + 1]) << 8
-            strip.line[i] = line if line != 0 else layout[5]
-        _filter_point(strip, count, rules.start + first, rules, out, watched)
+def filter_records(records: Records, rules: RecordRules, out: CountedRecords, seen: RecordCounts) -> None:
+    """Watch LAS records, uint8 (n, size), and append those that count."""
+    layout, box, extremes, counts = rules.layout, rules.box, seen.extremes, seen.counts
+    to, outside = counts[3], 0
+    x_min, x_max, y_min = np.int32(extremes[0]), np.int32(extremes[1]), np.int32(extremes[2])
+    y_max, z_min, z_max = np.int32(extremes[3]), np.int32(extremes[4]), np.int32(extremes[5])
+    for i in range(len(records)):
+        x, y, z = _word(records, i, 0), _word(records, i, 4), _word(records, i, 8)
+        x_min, x_max = min(x_min, x), max(x_max, x)
+        y_min, y_max = min(y_min, y), max(y_max, y)
+        z_min, z_max = min(z_min, z), max(z_max, z)
+        if not (box[0] <= x <= box[1] and box[2] <= y <= box[3]):
+            outside += 1
+        if records[i, layout[2]] & layout[3]:
+            counts[0] += 1
+            continue
+        code = records[i, layout[0]] & layout[1]
+        if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
+            counts[1] += 1
+            continue
+        line = np.int64(records[i, layout[4]]) | np.int64(records[i, layout[4] + 1]) << 8
+        out.x[to], out.y[to], out.z[to], out.ground[to] = x, y, z, code == 2
+        out.line[to] = line if line != 0 else layout[5]
+        to += 1
+    counts[2] += outside
+    counts[3] = to
+    extremes[0], extremes[1], extremes[2] = x_min, x_max, y_min
+    extremes[3], extremes[4], extremes[5] = y_max, z_min, z_max

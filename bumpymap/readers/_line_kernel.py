@@ -4,13 +4,12 @@ The sums are integers of 0.1 mm, so that they do not depend on the order of the 
 around; differences of them are right again.
 """
 
-import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import helper, kernel
+from bumpytiles import coordinates, helper, kernel, tile_index
 
 __all__ = [
     "AXIS_BITS",
@@ -18,11 +17,15 @@ __all__ = [
     "LINE_BITS",
     "QUANTA",
     "SLOTS",
+    "STRIP",
     "SUMS",
     "CellTable",
     "Corrections",
     "LinedPoints",
+    "ScaledLinedPoints",
+    "Strip",
     "add_points",
+    "add_scaled_points",
     "correct_heights",
 ]
 
@@ -34,6 +37,8 @@ SUMS = 10
 """Sums of a cell: number of points, x, y, z, x x, x y, y y, x z, y z, z z."""
 SLOTS = 1 << 13
 """Rows of a `CellTable`; a power of two."""
+STRIP = 512
+"""Points that are turned into metres at once."""
 AXIS_BITS, LINE_BITS = 23, 17
 """Bits of a key: column and row of the cell, unique within 25,000 km; line number and ground flag."""
 _AXIS_MASK = (1 << AXIS_BITS) - 1
@@ -45,6 +50,7 @@ Flags = Annotated[NDArray[np.bool_], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Rows = Annotated[NDArray[np.int64], 2]
+Words = Annotated[NDArray[np.int32], 1]
 Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
 
@@ -58,6 +64,25 @@ class LinedPoints(NamedTuple):
     z: Floats
     ground: Flags
     line: Lines
+
+
+class ScaledLinedPoints(NamedTuple):
+    """The same, with coordinates as integers of the file's own grid, see `bumpytiles.ScaledPoints`."""
+
+    x: Words
+    y: Words
+    z: Words
+    ground: Flags
+    line: Lines
+
+
+class Strip(NamedTuple):
+    """Scratch for coordinates, (``STRIP``,) each."""
+
+    x: Floats
+    """m, as the two that follow."""
+    y: Floats
+    z: Floats
 
 
 class CellTable(NamedTuple):
@@ -93,33 +118,75 @@ def _row_of(key: Any, table: CellTable) -> Any:
     return row
 
 
+@helper
+def _key(col: int, row: int, line: int, ground: bool) -> Any:
+    key = (np.int64(col) & _AXIS_MASK) << (AXIS_BITS + LINE_BITS)
+    key |= (np.int64(row) & _AXIS_MASK) << LINE_BITS
+    return key | (np.int64(line) << 1) | np.int64(ground)
+
+
+@helper
+def _add(points: LinedPoints, table: CellTable) -> Any:
+    """Add points until the table is full; return how many were added.
+
+    Neighbours in a file are neighbours on the ground: sums of points in one cell are added up before they are stored.
+    """
+    i, n = 0, len(points.x)
+    while i < n and table.state[1] < _FULL:
+        line, ground = points.line[i], points.ground[i]
+        col, row = tile_index(points.x[i], CELL), tile_index(points.y[i], CELL)
+        west, south = col * CELL, row * CELL
+        east, north = (col + 1.0) * CELL, (row + 1.0) * CELL
+        count = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = np.int64(0)
+        while i < n:
+            x, y = points.x[i], points.y[i]
+            same = points.line[i] == line and points.ground[i] == ground
+            if count > 0 and not (same and west <= x < east and south <= y < north):
+                break
+            e, u = np.int64(np.rint((x - west) * QUANTA)), np.int64(np.rint(points.z[i] * QUANTA))
+            m = np.int64(np.rint((y - south) * QUANTA))
+            count, s1, s2, s3 = count + 1, s1 + e, s2 + m, s3 + u
+            s4, s5, s6 = s4 + e * e, s5 + e * m, s6 + m * m
+            s7, s8, s9 = s7 + e * u, s8 + m * u, s9 + u * u
+            i += 1
+        sums = table.sums[_row_of(_key(col, row, line, ground), table)]
+        sums[0] += count
+        sums[1] += s1
+        sums[2] += s2
+        sums[3] += s3
+        sums[4] += s4
+        sums[5] += s5
+        sums[6] += s6
+        sums[7] += s7
+        sums[8] += s8
+        sums[9] += s9
+    return i
+
+
 @kernel
 def add_points(points: LinedPoints, table: CellTable) -> None:
     """Add points, from the one that ``state`` names, until all are added or the table is full."""
-    sums, i = table.sums, table.state[0]
-    key_before, row = np.int64(-1), np.int64(0)
-    while i < len(points.x) and table.state[1] < _FULL:
-        x, y = points.x[i], points.y[i]
-        col, line = math.floor(x / CELL), math.floor(y / CELL)
-        key = (np.int64(col) & _AXIS_MASK) << (AXIS_BITS + LINE_BITS)
-        key |= (np.int64(line) & _AXIS_MASK) << LINE_BITS
-        key |= (np.int64(points.line[i]) << 1) | np.int64(points.ground[i])
-        if key != key_before:
-            row, key_before = _row_of(key, table), key
-        e, n = np.int64(np.rint((x - col * CELL) * QUANTA)), np.int64(np.rint((y - line * CELL) * QUANTA))
-        u = np.int64(np.rint(points.z[i] * QUANTA))
-        sums[row, 0] += 1
-        sums[row, 1] += e
-        sums[row, 2] += n
-        sums[row, 3] += u
-        sums[row, 4] += e * e
-        sums[row, 5] += e * n
-        sums[row, 6] += n * n
-        sums[row, 7] += e * u
-        sums[row, 8] += n * u
-        sums[row, 9] += u * u
-        i += 1
-    table.state[0] = i
+    first = table.state[0]
+    rest = LinedPoints(points.x[first:], points.y[first:], points.z[first:], points.ground[first:], points.line[first:])
+    table.state[0] = first + _add(rest, table)
+
+
+@kernel
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: Strip, table: CellTable) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` is scratch."""
+    first, added, wanted = table.state[0], 0, 0
+    while added == wanted and first < len(points.x):
+        wanted = min(STRIP, len(points.x) - first)
+        last = first + wanted
+        there = LinedPoints(
+            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.ground[first:last], points.line[first:last]
+        )
+        coordinates(points.x[first:last], scaling, 0, there.x)
+        coordinates(points.y[first:last], scaling, 1, there.y)
+        coordinates(points.z[first:last], scaling, 2, there.z)
+        added = _add(there, table)
+        first += added
+    table.state[0] = first
 
 
 @kernel

@@ -1,6 +1,9 @@
 """Convert raw records or table rows of a chunk to points in metres, drop unusable ones, and count all of them."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,25 +11,27 @@ from numpy.typing import NDArray
 from bumpymap.core import Georeference, PointCloud
 from bumpymap.readers._kernel import (
     KEPT,
-    STRIP,
     CountedPoints,
+    CountedRecords,
     FilePoints,
-    RecordNumbers,
+    RecordCounts,
+    RecordRules,
     WatchCounts,
     WatchRules,
-    convert_records,
     filter_points,
+    filter_records,
 )
-from bumpymap.readers._line_kernel import LinedPoints
+from bumpymap.readers._line_kernel import LinedPoints, ScaledLinedPoints
 from bumpymap.readers.line_sums import LineRules, LineSums
 from bumpymap.readers.point_stats import OUTSIDE, PointStats
 from bumpymap.readers.protocol import ChunkPoints
-from bumpytiles import Bounds
+from bumpytiles import Bounds, ScaledPoints, Scaling
 
 __all__ = ["NO_POINTS", "PointChecks", "RawPoints", "RecordLayout", "convert_las_points", "convert_table_points"]
 
 
 NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.bool_))
+_LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 _ANYWHERE = np.array([-np.inf, -np.inf, np.inf, np.inf])
 
 
@@ -69,7 +74,8 @@ class PointChecks:
 
 
 def convert_las_points(
-    records: NDArray[np.uint8],
+    pieces: Iterable[NDArray[np.uint8]],
+    points: int,
     layout: RecordLayout,
     place: Georeference,
     checks: PointChecks,
@@ -79,7 +85,10 @@ def convert_las_points(
 
     Parameters
     ----------
-    records : uint8 (n, bytes of a point)
+    pieces : iterable of uint8 (n, bytes of a point)
+        The records; may be iterated again. Each piece is only valid until the next is taken.
+    points : int
+        Number of records at most.
     layout : RecordLayout
     place : Georeference
         Its units are used.
@@ -87,26 +96,80 @@ def convert_las_points(
     lines : LineRules, optional
     """
     units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
-    numbers = np.array([*layout.scales, *layout.offsets, *units])
-    places = np.array(
-        [
-            layout.class_byte,
-            layout.class_mask,
-            layout.withheld_byte,
-            layout.withheld_mask,
-            layout.line_byte,
-            layout.line,
-        ]
+    scaling = Scaling(layout.scales, layout.offsets, units)
+    bytes_of_fields = (layout.class_byte, layout.class_mask, layout.withheld_byte, layout.withheld_mask)
+    rules = RecordRules(
+        np.array([*bytes_of_fields, layout.line_byte, layout.line]),
+        np.array([_integers_inside(scaling, axis, checks.file_bounds) for axis in (0, 1)]).reshape(-1),
     )
-    x, y, z = np.empty((3, STRIP))
-    strip = FilePoints(x, y, z, np.empty(STRIP, np.uint8), np.empty(STRIP, np.bool_), np.empty(STRIP, np.uint16))
-    size = len(records)
-    out = CountedPoints(
-        np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.bool_), np.empty(size, np.uint16)
+    x, y, z = (np.empty(points, np.int32) for _ in range(3))
+    out = CountedRecords(x, y, z, np.empty(points, np.bool_), np.empty(points, np.uint16))
+    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
+    number = 0
+    for records in pieces:
+        filter_records(records, rules, out, seen)
+        number += len(records)
+    stats = _stats_of_records(seen, number, scaling)
+    if not math.isfinite(max(abs(side) for side in (stats.west, stats.south, stats.east, stats.north, stats.highest))):
+        stats = replace(stats, **_not_finite(pieces, scaling, checks.first))
+    kept = 0 if stats.bad else int(seen.counts[3])
+    x, y, z, ground, line = out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept], out.line[:kept]
+    if lines is not None and lines.corrects:
+        scaled = ScaledPoints(x, y, z, ground, scaling)
+        in_metres = LinedPoints(*scaled.coordinates(), ground, line)
+        lines.correct(in_metres)
+        return ChunkPoints(PointCloud(in_metres.x, in_metres.y, in_metres.z, ground), stats, lines.sums(in_metres))
+    sums = LineSums() if lines is None else lines.sums(ScaledLinedPoints(x, y, z, ground, line), scaling)
+    if kept < number // 2:
+        # A view would keep the memory of the dropped points.
+        x, y, z, ground = x.copy(), y.copy(), z.copy(), ground.copy()
+    return ChunkPoints(ScaledPoints(x, y, z, ground, scaling), stats, sums)
+
+
+def _stats_of_records(seen: RecordCounts, number: int, scaling: Scaling) -> PointStats:
+    """Return the statistics of records. Coordinates grow, or fall, with their integers: the ends are enough."""
+    if not number:
+        return PointStats()
+    (west, east), (south, north), (low, high) = (
+        sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
     )
-    seen_stats = _empty_stats()
-    convert_records(records, RecordNumbers(numbers, places), _rules(checks), strip, out, seen_stats)
-    return _chunk_points(out, size, seen_stats, lines)
+    withheld, noise, outside, _ = seen.counts.tolist()
+    highest = max(abs(low), abs(high))
+    return PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest)
+
+
+def _not_finite(pieces: Iterable[NDArray[np.uint8]], scaling: Scaling, first: int) -> dict[str, int]:
+    """Count the points with infinite coordinates, and find the first; ``first`` is the number of the first point."""
+    bad, first_bad = 0, -1
+    for records in pieces:
+        words = np.ascontiguousarray(records[:, :12]).view("<i4")
+        places = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(3)])
+        found = np.flatnonzero(~np.isfinite(places).all(axis=0))
+        if len(found) and first_bad < 0:
+            first_bad = first + int(found[0])
+        bad += len(found)
+        first += len(records)
+    return {"not_finite": bad, "first_not_finite": first_bad}
+
+
+@lru_cache(64)
+def _integers_inside(scaling: Scaling, axis: int, bounds: Bounds | None) -> tuple[int, int]:
+    """Return the lowest and the highest integer of an axis that lie in the box of a file; low > high: none do."""
+    west, south, east, north = _limits(bounds).tolist()
+    low, high = ((west, east), (south, north))[axis]
+    rising = scaling.scales[axis] > 0
+
+    def first(is_past: Callable[[float], bool]) -> int:
+        """Return the first integer whose coordinate passes a test that holds for all after it."""
+        before, at = _LOWEST - 1, _HIGHEST + 1
+        while at - before > 1:
+            middle = (before + at) // 2
+            before, at = (before, middle) if is_past(float(scaling.coordinates(axis, middle))) else (middle, at)
+        return at
+
+    if rising:
+        return first(lambda place: place >= low), first(lambda place: place > high) - 1
+    return first(lambda place: place <= high), first(lambda place: place < low) - 1
 
 
 def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
@@ -144,18 +207,14 @@ def _codes(raw: RawPoints) -> NDArray[np.uint8]:
     return codes
 
 
-def _chunk_points(
-    out: CountedPoints, seen: int, seen_stats: WatchCounts, lines: LineRules | None = None
-) -> ChunkPoints:
+def _chunk_points(out: CountedPoints, seen: int, seen_stats: WatchCounts) -> ChunkPoints:
     counts = seen_stats.counts
     withheld, noise, no_return, outside, bad, first = counts[:KEPT].tolist()
     # Points outside their octree node are counted by `count_points_outside_node`.
     stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *seen_stats.extremes.tolist())
     kept = 0 if stats.bad else int(counts[KEPT])
-    points = LinedPoints(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept], out.line[:kept])
-    sums = LineSums() if lines is None else lines.apply(points)
     cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept])
     if kept < seen // 2:
         # A view would keep the memory of the dropped points.
         cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return ChunkPoints(cloud, stats, sums)
+    return ChunkPoints(cloud, stats)

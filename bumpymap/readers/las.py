@@ -14,7 +14,15 @@ from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, co
 from bumpymap.readers.copc import count_points_outside_node, read_octree
 from bumpymap.readers.geokeys import statement_of_las
 from bumpymap.readers.las_header import RawHeader, read_raw_header
-from bumpymap.readers.las_points import LazChunks, LazStream, PlainPoints, Records, RecordSource, has_huge_chunks
+from bumpymap.readers.las_points import (
+    LazChunks,
+    LazStream,
+    PlainPoints,
+    PlainRecords,
+    Records,
+    RecordSource,
+    has_huge_chunks,
+)
 from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
 from bumpymap.readers.line_sums import LineRules
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
@@ -56,17 +64,18 @@ class LasSurvey(SurveyBase):
         """Split the file between points, LAZ chunks, or nodes of the octree."""
         return self._source.chunks(points)
 
-    def fetch(self, chunk: Chunk) -> Records:
-        """Read and decode the point records of a chunk."""
+    def fetch(self, chunk: Chunk) -> Records | PlainRecords:
+        """Read and decode the point records of a chunk; uncompressed ones are read when they are converted."""
         return self._source.fetch(chunk)
 
-    def convert(self, chunk: Chunk, fetched: Records) -> ChunkPoints:
+    def convert(self, chunk: Chunk, fetched: Records | PlainRecords) -> ChunkPoints:
         """Convert the records of a chunk to points in metres."""
         info = self.info
         checks = PointChecks(chunk.first, info.bounds)
-        converted = convert_las_points(fetched, self._layout, info.georeference, checks, self._lines)
+        pieces = fetched if isinstance(fetched, PlainRecords) else (fetched,)
+        converted = convert_las_points(pieces, chunk.points, self._layout, info.georeference, checks, self._lines)
         nodes = self._source.nodes(chunk)
-        if nodes is None or info.bounds is None:
+        if isinstance(fetched, PlainRecords) or nodes is None or info.bounds is None:
             return converted
         points_outside_node = count_points_outside_node(
             fetched, self._layout, info.georeference.metres_per_unit, info.bounds, nodes

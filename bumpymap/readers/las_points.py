@@ -1,7 +1,8 @@
 """Read the bytes of LAS points in chunks: uncompressed, from LAZ chunks, or from sequential LAZ."""
 
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from bumpymap.readers.laz_table import ChunkTable, check_layers, refuse_density
 from bumpymap.readers.protocol import Chunk
 from bumpymap.readers.source import Location, read_into, read_range
 
-__all__ = ["LazChunks", "LazStream", "PlainPoints", "RecordSource", "Records", "has_huge_chunks"]
+__all__ = ["LazChunks", "LazStream", "PlainPoints", "PlainRecords", "RecordSource", "Records", "has_huge_chunks"]
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
@@ -23,8 +24,21 @@ HUGE_CHUNK = 1 << 28
 """A LAZ chunk of more decoded bytes than this is read sequentially, in parts."""
 _CHUNK_HEAD = 1 << 19
 """Upper limit of the head of a LAZ chunk, bytes: the longest point, and four bytes for each of its layers."""
+_PIECE_BYTES = 1 << 20
+"""Bytes of uncompressed points that are read at a time, at most."""
 _SKIPPED = 100_000
 """Points that are decoded at a time to skip them."""
+
+
+_buffers = threading.local()
+
+
+def _buffer(size: int) -> NDArray[np.uint8]:
+    """Return at least ``size`` bytes that this thread uses again and again."""
+    held: NDArray[np.uint8] | None = getattr(_buffers, "held", None)
+    if held is None or held.size < size:
+        held = _buffers.held = np.empty(size, np.uint8)
+    return held
 
 
 class RecordSource(ABC):
@@ -38,7 +52,7 @@ class RecordSource(ABC):
         return split_rows(self._header.point_count, points, self._header.point_size)
 
     @abstractmethod
-    def fetch(self, chunk: Chunk) -> Records:
+    def fetch(self, chunk: Chunk) -> "Records | PlainRecords":
         """Read and decode a chunk."""
 
     def nodes(self, chunk: Chunk) -> ChunkTable | None:
@@ -46,12 +60,46 @@ class RecordSource(ABC):
         return None
 
 
+class PlainRecords:
+    """Uncompressed records of a chunk, read piece by piece into one buffer while they are iterated over.
+
+    A piece is still in the processor's cache when it is used, and memory for the whole chunk is not needed.
+    """
+
+    def __init__(self, path: Location, header: RawHeader, chunk: Chunk) -> None:
+        self._path, self._header, self._chunk = path, header, chunk
+
+    def __iter__(self) -> Iterator[Records]:
+        """Yield pieces, (n, bytes of a point) each; a piece is only valid until the next is taken.
+
+        Reads end where multiples of ``_PIECE_BYTES`` do, as the pieces of the checksum of the file.
+        """
+        header, size = self._header, self._header.point_size
+        at = header.offset_to_points + self._chunk.first * size
+        end = at + self._chunk.points * size
+        buffer = _buffer(_PIECE_BYTES + size)
+        held = 0  # bytes of a record that the last read cut
+        while at < end:
+            wanted = min(_PIECE_BYTES - at % _PIECE_BYTES, end - at)
+            got = read_into(self._path, at, buffer[held : held + wanted])
+            at += got
+            if got < wanted:
+                refuse_count(self._path, header.point_count, (at - header.offset_to_points) // size)
+            whole, rest = divmod(held + got, size)
+            if whole:
+                yield buffer[: whole * size].reshape(whole, size)
+            buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
+            held = rest
+
+
 class PlainPoints(RecordSource):
     """Uncompressed points."""
 
-    def fetch(self, chunk: Chunk) -> Records:
-        """Read the byte range of a chunk."""
+    def fetch(self, chunk: Chunk) -> Records | PlainRecords:
+        """Return the records of a chunk: to be read when they are used, or from a server at once."""
         header = self._header
+        if not isinstance(self._path, str):
+            return PlainRecords(self._path, header, chunk)
         start = header.offset_to_points + chunk.first * header.point_size
         data = read_range(self._path, start, chunk.points * header.point_size)
         held = data.size // header.point_size

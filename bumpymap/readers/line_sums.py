@@ -19,13 +19,18 @@ from bumpymap.readers._line_kernel import (
     LINE_BITS,
     QUANTA,
     SLOTS,
+    STRIP,
     SUMS,
     CellTable,
     Corrections,
     LinedPoints,
+    ScaledLinedPoints,
+    Strip,
     add_points,
+    add_scaled_points,
     correct_heights,
 )
+from bumpytiles import Scaling
 
 __all__ = ["CELL", "QUANTA", "LineCorrection", "LineRules", "LineSums", "cell_indices"]
 
@@ -99,15 +104,18 @@ class LineSums:
         return cls(record["step"], (np.ascontiguousarray(data.T, np.int64),))
 
     @classmethod
-    def of(cls, points: LinedPoints) -> Self:
-        """Return the sums of some points."""
+    def of(cls, points: "LinedPoints | ScaledLinedPoints", scaling: Scaling | None = None) -> Self:
+        """Return the sums of some points; ``scaling`` is that of scaled ones."""
         parts = []
         done = 0
         while done < len(points.x):
             table = CellTable(
                 np.full(SLOTS, -1, np.int64), np.zeros((SLOTS, SUMS), np.int64), np.array([done, 0], np.int64)
             )
-            add_points(points, table)
+            if isinstance(points, LinedPoints):
+                add_points(points, table)
+            elif scaling is not None:
+                add_scaled_points(points, scaling.numbers(), Strip(*np.empty((3, STRIP))), table)
             done = int(table.state[0])
             held = np.flatnonzero(table.keys >= 0)
             held = held[np.argsort(table.keys[held])]
@@ -132,11 +140,18 @@ class LineRules:
         place[[own.line for own in corrections]] = np.arange(len(corrections))
         self._corrections = Corrections(place, np.array([own[1:] for own in corrections], np.float64).reshape(-1, 5))
 
-    def apply(self, points: LinedPoints) -> LineSums:
-        """Correct the heights of points in place, and return their sums."""
-        if len(self._corrections.numbers):
-            correct_heights(points, self._corrections)
-        return LineSums.of(points) if self._measure else LineSums()
+    @property
+    def corrects(self) -> bool:
+        """Whether heights are corrected."""
+        return len(self._corrections.numbers) > 0
+
+    def correct(self, points: LinedPoints) -> None:
+        """Correct the heights of points in place."""
+        correct_heights(points, self._corrections)
+
+    def sums(self, points: LinedPoints | ScaledLinedPoints, scaling: Scaling | None = None) -> LineSums:
+        """Return the sums of points, if they are asked for; ``scaling`` is that of scaled ones."""
+        return LineSums.of(points, scaling) if self._measure else LineSums()
 
 
 def cell_indices(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

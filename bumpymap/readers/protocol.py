@@ -8,7 +8,7 @@ from bumpymap.core import Georeference, PointCloud, ZUnit
 from bumpymap.readers.line_sums import LineCorrection, LineSums
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.source import Location, Version
-from bumpytiles import Bounds
+from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
 __all__ = ["CHUNK_POINTS", "Chunk", "ChunkPoints", "ReadOptions", "SurveyInfo", "SurveyReader"]
 
@@ -77,12 +77,25 @@ class Chunk:
 class ChunkPoints:
     """The points of a chunk."""
 
-    cloud: PointCloud
-    """Points in metres, without dropped ones; empty if ``stats.bad``."""
+    points: PointCloud | ScaledPoints
+    """In metres or on the grid of the file, without dropped ones; empty if ``stats.bad``."""
     stats: PointStats
     """Statistics of all points of the chunk, dropped ones included."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines, if `ReadOptions.lines` asks for them and the file names lines."""
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The points in metres."""
+        points = self.points
+        return PointCloud(*points.coordinates(), points.flag) if isinstance(points, ScaledPoints) else points
+
+    def grouped(self, grid: Grid) -> GroupedPoints:
+        """Return the points grouped by block of tiles, in as few bytes as is exact."""
+        points = self.points
+        if isinstance(points, ScaledPoints):
+            return group_scaled_points(grid, points)
+        return group_points(grid, points.easting, points.northing, points.upward, points.is_ground)
 
 
 class SurveyReader(Protocol):

@@ -13,6 +13,8 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 from bumpymap.readers import PointStats, ReadOptions, las_points, open_survey, reopen_survey
 from bumpymap.readers.conversion import PointChecks, RecordLayout, convert_las_points
+from bumpymap.readers.point_stats import OUTSIDE
+from bumpytiles import Bounds
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
@@ -167,22 +169,58 @@ def test_long_points_make_small_chunks(las, laz, batches, table):
     assert np.array_equal(table(batches(reader)), table(batches(open_survey(small))))
 
 
+@pytest.mark.parametrize("piece", [7, 100, 4096])
+def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch, piece):
+    path = survey(las)
+    expected = table(batches(open_survey(path)))
+    monkeypatch.setattr(las_points, "_PIECE_BYTES", piece)
+    assert np.array_equal(table(batches(open_survey(path))), expected)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) - 40])
+    with pytest.raises(BadInputError, match="points"):
+        batches(open_survey(path))
+
+
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     integers=st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=1, max_size=9),
-    scale=st.floats(1e-7, 1.0),
+    scale=st.floats(1e-7, 1.0) | st.floats(-1.0, -1e-7) | st.sampled_from([1e303, -1e303]),
     offset=st.floats(-1e7, 1e7),
     unit=st.sampled_from([1.0, 0.3048, 1200 / 3937]),
+    marks=st.lists(st.tuples(st.sampled_from([0, 2, 7, 18]), st.sampled_from([0, 4])), min_size=9, max_size=9),
+    sides=st.none() | st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 4),
+    cut=st.integers(0, 9),
 )
-def test_coordinates_have_the_bits_that_numpy_gives(integers, scale, offset, unit):
+def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, marks, sides, cut):
     words = np.array(integers, "<i4")
     records = np.zeros((len(words), 30), np.uint8)
     records[:, :12] = words.view(np.uint8)
+    records[:, 16], records[:, 15] = np.array(marks)[: len(words)].T
     layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4, 20, 0)
-    batch = convert_las_points(records, layout, Georeference(None, unit, unit), PointChecks(0, None))
-    expected = np.round(words * np.float64(scale) + offset, 8) * unit
+    with np.errstate(over="ignore"):
+        expected = np.round(words * np.float64(scale) + offset, 8) * unit
+        box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
+    pieces = (records[:cut], records[cut:])
+    batch = convert_las_points(pieces, len(words), layout, Georeference(None, unit, unit), PointChecks(5, box))
+    stats = batch.stats
+    finite = np.isfinite(expected).all(axis=1)
+    assert stats.points == len(words)
+    assert stats.not_finite == (~finite).sum()
+    assert stats.first_not_finite == (-1 if finite.all() else 5 + int(finite.argmin()))
+    x, y, z = expected.T
+    assert (stats.west, stats.south, stats.east, stats.north) == (x.min(), y.min(), x.max(), y.max())
+    assert stats.highest == np.abs(z).max()
+    if box is not None:
+        away = (
+            (x < box.west - OUTSIDE) | (x > box.east + OUTSIDE) | (y < box.south - OUTSIDE) | (y > box.north + OUTSIDE)
+        )
+        assert stats.outside == away.sum()
+    withheld, noise = records[:, 15] == 4, np.isin(records[:, 16], (7, 18))
+    assert (stats.withheld, stats.noise) == (withheld.sum(), (noise & ~withheld).sum())
+    kept = ~(withheld | noise) & (not stats.bad)
     cloud = batch.cloud
-    assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected)
+    assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected[kept])
+    assert np.array_equal(cloud.is_ground, records[kept, 16] == 2)
 
 
 def test_workers_open_a_file_again_without_its_notes(las, caplog):

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bumpytiles import Grid, MemoryLimits, Pack, TileBuckets, TooManyPointsError, group_points
+from bumpytiles import (
+    Grid,
+    MemoryLimits,
+    Pack,
+    ScaledPoints,
+    Scaling,
+    TileBuckets,
+    TooManyPointsError,
+    group_points,
+    group_scaled_points,
+)
 
 GRID = Grid(3.0)
 
@@ -51,7 +61,7 @@ def in_memory(columns):
 def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, points, block_points):
     columns = survey(seed)
     scratch = tmp_path_factory.mktemp("scratch")
-    buckets = TileBuckets(GRID, MemoryLimits(points, block_points, scratch))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * points, block_points, scratch))
     for lot, chunk in enumerate(chunks(columns, size)):
         add(buckets, chunk, lot)
     assert flat(buckets.blocks()) == in_memory(columns)
@@ -59,8 +69,26 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
         assert list(scratch.iterdir())
 
 
+@pytest.mark.parametrize("offsets", [(0.0,), (0.0, 7.5)])
+def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets):
+    """Those of one file as integers, those of several in metres."""
+    buckets, plain = TileBuckets(GRID, MemoryLimits(14 * 500, 10_000, tmp_path)), TileBuckets(GRID)
+    for number, offset in enumerate(offsets):
+        rng = np.random.default_rng(number)
+        x, y, z = rng.integers(-7000, 7000, (3, 1000)).astype(np.int32)
+        scaling = Scaling((0.01,) * 3, (offset,) * 3, (1.0,) * 3)
+        points = ScaledPoints(x, y, z, rng.random(1000) < 0.3, scaling)
+        buckets.add_chunk(group_scaled_points(GRID, points), 0)
+        plain.add(*points.coordinates(), points.flag)
+    buckets.spill()
+    buckets.wait()
+    assert [column.dtype for column in buckets.packs[0].columns][:3] == ["<i4" if len(offsets) == 1 else "<f8"] * 3
+    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
+    assert flat(again.blocks()) == flat(plain.blocks())
+
+
 def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
-    buckets = TileBuckets(GRID, MemoryLimits(300, 10_000, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 300, 10_000, tmp_path))
     columns = survey(1)
     for lot, chunk in enumerate(chunks(columns, 100)):
         add(buckets, chunk, lot // 2)
@@ -77,7 +105,7 @@ def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
 
 def test_what_is_not_final_can_be_dropped(tmp_path):
     good, bad = survey(2, 500), survey(3, 1500)
-    buckets = TileBuckets(GRID, MemoryLimits(200, 10_000, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 200, 10_000, tmp_path))
     lot = 0
     for chunk in chunks(good, 100):
         add(buckets, chunk, lot)
@@ -92,7 +120,7 @@ def test_what_is_not_final_can_be_dropped(tmp_path):
 def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     west, east = survey(4, 800, 40.0), survey(5, 800, 40.0)
     east = (east[0] + 480.0, *east[1:])
-    buckets = TileBuckets(GRID, MemoryLimits(500, 10_000, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 500, 10_000, tmp_path))
     for number, chunk in enumerate(chunks(west, 100)):
         if number < 4:
             buckets.add_chunk(group_points(GRID, *chunk), number)
@@ -111,7 +139,7 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
 
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
     n = 500
-    buckets = TileBuckets(GRID, MemoryLimits(100, 400, tmp_path))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 100, 400, tmp_path))
     buckets.add(np.linspace(0, 2.9, n), np.zeros(n), np.zeros(n), np.zeros(n, bool))
     with pytest.raises(TooManyPointsError, match=r"tile \(0, 0\) holds 500 points"):
         list(buckets.blocks())
@@ -131,6 +159,6 @@ def test_points_far_apart_are_grouped_too():
     assert grouped.keys == sorted(grouped.keys)
     for place, (row, col) in enumerate(grouped.keys):
         part = grouped.block(place)
-        assert np.all(GRID.index(part["easting"]) // 16 == col)
-        assert np.all(GRID.index(part["northing"]) // 16 == row)
+        assert np.all(GRID.index(part.columns["easting"]) // 16 == col)
+        assert np.all(GRID.index(part.columns["northing"]) // 16 == row)
     assert sorted(grouped.points["upward"].tolist()) == list(range(50))

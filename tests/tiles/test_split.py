@@ -1,7 +1,8 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from bumpytiles import Grid, TileBuckets, rank_points
+from bumpytiles import Grid, ScaledPoints, Scaling, TileBuckets, coordinate, group_scaled_points
+from bumpytiles._sort_kernels import sort_tiles
 
 GRID = Grid(tile_size=3.0)
 
@@ -84,15 +85,63 @@ def test_zero_and_minus_zero_are_one_place():
 
 
 def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
-    def rank_alike(points, key, first):
-        rank_points(points, key, first)
-        key.fill(0)
+    monkeypatch.setattr("bumpytiles._sort_kernels.hash_point", lambda *_: np.uint64(0))
+    monkeypatch.setattr("bumpytiles.split.sort_tiles", sort_tiles.plain)
+    columns = tuple(column[:300] for column in survey(6, n=250, span=8.0, duplicates=50))
+    expected = flatten(gather(columns, np.arange(300), []))
+    assert flatten(gather(columns, np.arange(300)[::-1], [50])) == expected
+    assert sum(len(b.easting) for b in gather(columns, np.arange(300), [])) == len(set(zip(*columns[:3], strict=True)))
 
-    monkeypatch.setattr("bumpytiles.split.rank_points", rank_alike)
-    columns = survey(6, duplicates=100)
-    expected = flatten(gather(columns, np.arange(3100), []))
-    assert flatten(gather(columns, np.arange(3100)[::-1], [500])) == expected
-    assert sum(len(b.easting) for b in gather(columns, np.arange(3100), [])) == len(set(zip(*columns[:3], strict=True)))
+
+SCALING = Scaling((0.01, 0.001, 0.0005), (500_000.0, -4.0, 123.456), (1.0, 0.3048, 0.9))
+
+
+def scaled_survey(seed, n=3000, scaling=SCALING):
+    rng = np.random.default_rng(seed)
+    east, north = rng.integers(-6000, 6000, (2, n))
+    return ScaledPoints(
+        east.astype(np.int32),
+        (20 * north).astype(np.int32),
+        rng.integers(-500, 500, n).astype(np.int32),
+        rng.random(n) < 0.5,
+        scaling,
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.booleans())
+def test_points_on_the_grid_of_their_file_give_the_bits_of_points_in_metres(seed, several):
+    files = [scaled_survey(seed)]
+    if several:
+        files.append(
+            scaled_survey(seed + 1, 500, Scaling((0.02, -0.005, 0.001), (500_000.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+        )
+    scaled, metres = TileBuckets(GRID), TileBuckets(GRID)
+    for points in files:
+        scaled.add_chunk(group_scaled_points(GRID, points))
+        metres.add(*points.coordinates(), points.flag)
+    assert flatten(scaled.blocks()) == flatten(metres.blocks())
+
+
+def test_scaled_points_far_apart_are_grouped_too():
+    points = scaled_survey(1, 50, Scaling((1e6, 1e6, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+    grouped = group_scaled_points(GRID, points)
+    assert grouped.scaling is None
+    assert len(grouped) == 50
+
+
+def test_no_scaled_points_are_no_blocks():
+    nothing = np.empty(0, np.int32)
+    assert group_scaled_points(GRID, ScaledPoints(nothing, nothing, nothing, nothing > 0, SCALING)).keys == []
+
+
+@given(st.integers(-(1 << 31), (1 << 31) - 1), st.sampled_from([0.01, 0.001, 1e-7, -0.25, 3.0]), st.floats(-1e7, 1e7))
+def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
+    scaling = Scaling((1.0, scale, 1.0), (0.0, offset, 0.0), (1.0, 0.3048006096, 1.0))
+    expected = np.round(np.array([integer]) * scale + offset, 8) * 0.3048006096
+    assert coordinate(integer, scaling.numbers(), 1) == expected[0]
+    assert scaling.coordinates(1, [integer])[0] == expected[0]
+    assert Scaling.of(scaling.numbers().tolist()) == scaling
 
 
 def test_the_window_holds_every_tile():

@@ -6,9 +6,9 @@ from ._dask import (
     threads_here as threads_here,
     workers_at as workers_at,
 )
-from ._kernels import (
+from ._group_kernels import (
     BLOCK_TILES as BLOCK_TILES,
-    rank_points as rank_points,
+    tile_index as tile_index,
 )
 from .buckets import (
     MemoryLimits as MemoryLimits,
@@ -36,6 +36,12 @@ from .pack import (
 from .run import (
     run_blocks as run_blocks,
 )
+from .scaling import (
+    ScaledPoints as ScaledPoints,
+    Scaling as Scaling,
+    coordinate as coordinate,
+    coordinates as coordinates,
+)
 from .signals import (
     blocked_signals as blocked_signals,
 )
@@ -43,6 +49,7 @@ from .split import (
     GroupedPoints as GroupedPoints,
     TilePoints as TilePoints,
     group_points as group_points,
+    group_scaled_points as group_scaled_points,
     join_tiles as join_tiles,
 )
 from .tile_table import (

@@ -9,17 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.pack import BlockKey, Pack, PackWriter
-from bumpytiles.split import (
-    BLOCK_TILES,
-    POINT_COLUMNS,
-    GroupedPoints,
-    PointColumns,
-    TilePoints,
-    group_points,
-    sort_block,
-)
+from bumpytiles.scaling import Scaling
+from bumpytiles.split import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
 
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
@@ -40,8 +34,8 @@ class TooManyPointsError(Exception):
 class MemoryLimits:
     """How many points may be in memory, and where the others are written."""
 
-    points: int
-    """Most points in memory."""
+    waiting_bytes: int
+    """Most memory for points that wait: 14 bytes for one on the grid of its file, 26 for others."""
     block_points: int
     """Most points of one block that are sorted together."""
     scratch: Path
@@ -54,18 +48,18 @@ class _Waiting:
 
     chunks: list[tuple[int, GroupedPoints]] = field(default_factory=list)
     index: dict[BlockKey, list[tuple[GroupedPoints, int]]] = field(default_factory=dict)
-    points: int = 0
+    size_bytes: int = 0
 
     def add(self, number: int, chunk: GroupedPoints) -> None:
         self.chunks.append((number, chunk))
-        self.points += len(chunk)
+        self.size_bytes += chunk.size_bytes
         for place, key in enumerate(chunk.keys):
             self.index.setdefault(key, []).append((chunk, place))
 
     def drop(self, chunks: list[tuple[int, GroupedPoints]]) -> None:
         gone = {id(chunk) for _, chunk in chunks}
         self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
-        self.points -= sum(len(chunk) for _, chunk in chunks)
+        self.size_bytes -= sum(chunk.size_bytes for _, chunk in chunks)
         for key in {key for _, chunk in chunks for key in chunk.keys}:
             left = [held for held in self.index[key] if id(held[0]) not in gone]
             if left:
@@ -126,8 +120,8 @@ class TileBuckets:
 
     @property
     def is_full(self) -> bool:
-        """Whether more points are in memory than the limit: call ``spill``."""
-        return self.limits is not None and self._waiting.points > self.limits.points
+        """Whether points in memory take more than the limit: call ``spill``."""
+        return self.limits is not None and self._waiting.size_bytes > self.limits.waiting_bytes
 
     def blocks_to_spill(self) -> list[BlockKey]:
         """Return the blocks that ``spill`` would write and of which no point is on disk yet, south-west first."""
@@ -200,7 +194,7 @@ class TileBuckets:
     def marks(self, key: BlockKey) -> tuple[int, int]:
         """Return the number of tiles with points in a block, and of those with at least one flagged point."""
         seen = np.zeros((2, _TILES), np.bool_)
-        for part in self._parts(key, ("tile", "flag")):
+        for part, _ in self._parts(key, ("tile", "flag")):
             seen[0, part["tile"]] = True
             seen[1, part["tile"][part["flag"]]] = True
         tiles, flagged = np.count_nonzero(seen, axis=1).tolist()
@@ -225,21 +219,21 @@ class TileBuckets:
             A single tile is too large.
         """
         most = self.limits.block_points if self.limits else None
-        names = [column.name for column in POINT_COLUMNS]
+        names = [column.name for column in columns_of(None)]
         if most is None or self.points(key) <= most:
             yield sort_block(self.grid, key, list(self._parts(key, names)))
             return
         for chosen in self._shares(key, most):
             parts = []
-            for part in self._parts(key, names, _SLICE):
+            for part, scaling in self._parts(key, names, _SLICE):
                 wanted = chosen[part["tile"]]
-                parts.append({name: array[wanted] for name, array in part.items()})
+                parts.append(PointPart({name: array[wanted] for name, array in part.items()}, scaling))
             yield sort_block(self.grid, key, parts)
 
     def _shares(self, key: BlockKey, most: int) -> Iterator[NDArray[np.bool_]]:
         """Yield masks (256,) that split the tiles of a block into groups of at most ``most`` points."""
         counts = np.zeros(_TILES, np.int64)
-        for part in self._parts(key, ("tile",), _SLICE):
+        for part, _ in self._parts(key, ("tile",), _SLICE):
             counts += np.bincount(part["tile"], minlength=_TILES)
         if counts.max() > most:
             row, col = divmod(int(counts.argmax()), BLOCK_TILES)
@@ -255,15 +249,16 @@ class TileBuckets:
             if chosen.any():
                 yield chosen
 
-    def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointColumns]:
+    def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointPart]:
         names = tuple(names)
         for chunk, place in self._held(key):
             part = chunk.block(place)
-            yield {name: part[name] for name in names}
+            yield PointPart({name: part.columns[name] for name in names}, part.scaling)
         for pack in self.packs:
             rows = pack.rows(key)
             for start in range(0, rows, most or max(rows, 1)):
-                yield pack.read(key, names, start, None if most is None else start + most)
+                read = pack.read(key, names, start, None if most is None else start + most)
+                yield PointPart(read, _scaling_of(pack))
 
     def _held(self, key: BlockKey) -> list[tuple[GroupedPoints, int]]:
         return self._waiting.index.get(key, [])
@@ -274,18 +269,29 @@ class TileBuckets:
         is_final, held = False, 0
         for number, chunk in self._waiting.chunks:
             same = self.final is None or number < self.final
-            full = self.limits is not None and held >= self.limits.points // 2 and number != chosen[-1][0]
+            full = self.limits is not None and held >= self.limits.waiting_bytes // 2 and number != chosen[-1][0]
             if chosen and (is_final != same or full):
                 break
             chosen.append((number, chunk))
-            is_final, held = same, held + len(chunk)
+            is_final, held = same, held + chunk.size_bytes
         return chosen
 
 
 def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], meta: dict[str, Any]) -> Pack:
-    with PackWriter(path, POINT_COLUMNS, meta) as writer:
+    """Write points of blocks to a pack: on the grid of their file if they are of one, else in metres."""
+    scalings = {chunk.scaling for entries in held.values() for chunk, _ in entries}
+    scaling = scalings.pop() if len(scalings) == 1 else None
+    columns = columns_of(scaling)
+    noted = None if scaling is None else scaling.numbers().tolist()
+    with PackWriter(path, columns, {**meta, "scaling": noted}) as writer:
         for key, entries in held.items():
             parts = [chunk.block(place) for chunk, place in entries]
-            rows = sum(len(part["tile"]) for part in parts)
-            writer.add(key, rows, {c.name: [part[c.name] for part in parts] for c in POINT_COLUMNS})
+            parts = parts if scaling is not None else [part.in_metres() for part in parts]
+            rows = sum(len(part.columns["tile"]) for part in parts)
+            writer.add(key, rows, {c.name: [part.columns[c.name] for part in parts] for c in columns})
     return Pack(path)
+
+
+def _scaling_of(pack: Pack) -> Scaling | None:
+    numbers = pack.meta["scaling"]
+    return None if numbers is None else Scaling.of(numbers)

@@ -24,12 +24,12 @@ from bumpymap.core import (
 )
 from bumpymap.patches import join_stacks, measure
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
-from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints, group_points
+from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
 
 __all__ = ["MeasuredSurvey", "load_survey", "open_readers", "take_tiles"]
 
-MOST_POINTS = 10_000_000
-"""Maximum number of points stored in memory (26 bytes each); the others are stored on disk."""
+MOST_BYTES = 260_000_000
+"""Memory for points, bytes; those beyond it are stored on disk."""
 BLOCK_POINTS = 10_000_000
 
 Ints = NDArray[np.int64]
@@ -129,7 +129,7 @@ def load_survey(
     """
     try:
         with _scratch(folder) as scratch:
-            buckets = TileBuckets(grid, MemoryLimits(MOST_POINTS, BLOCK_POINTS, scratch))
+            buckets = TileBuckets(grid, MemoryLimits(MOST_BYTES, BLOCK_POINTS, scratch))
             progress.start("reading points", sum(reader.info.point_count for reader in readers))
             number = 0
             for reader in readers:
@@ -159,11 +159,8 @@ def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Pro
     tally = PointStats()
     for chunk in reader.chunks():
         batch = reader.convert(chunk, reader.fetch(chunk))
-        cloud = batch.cloud
         tally = tally.merge(batch.stats)
-        buckets.add_chunk(
-            group_points(buckets.grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground), number
-        )
+        buckets.add_chunk(batch.grouped(buckets.grid), number)
         if buckets.is_full:
             buckets.spill()
         progress.advance(chunk.points)

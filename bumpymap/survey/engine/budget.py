@@ -15,8 +15,8 @@ __all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
 LEAST_MEMORY = 128 << 20
 """Smallest budget, bytes: one chunk of a file alone needs this much."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
-POINT_BYTES = 26
-"""Size of a waiting point, in memory or on disk."""
+POINT_BYTES = 14
+"""Size of a waiting point of LAS or LAZ, in memory or on disk; others take 26 bytes."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
 _MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
 _PIECE_POINTS = 500_000
@@ -52,6 +52,11 @@ class Budget:
     def waiting_points(self) -> int:
         """Most points that wait in memory until their block is complete."""
         return int(_MOST_WAITING / 1.5 * self.memory / POINT_BYTES)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Most memory for points that wait."""
+        return self.waiting_points * POINT_BYTES
 
     @property
     def block_points(self) -> int:

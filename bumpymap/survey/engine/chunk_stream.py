@@ -16,7 +16,7 @@ import numpy as np
 from bumpymap.core import BadInputError
 from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.plan import ChunkRange
-from bumpytiles import Grid, GroupedPoints, group_points
+from bumpytiles import Grid, GroupedPoints
 
 __all__ = ["BadFile", "ChunkStream", "OpenRange", "ReadChunk"]
 
@@ -122,8 +122,7 @@ class ChunkStream:
 
     def _grouped(self, source: OpenRange, chunk: Chunk, fetched: Any) -> ReadChunk:
         batch = source.reader.convert(chunk, fetched)
-        cloud = batch.cloud
-        points = group_points(self._grid, cloud.easting, cloud.northing, cloud.upward, cloud.is_ground)
+        points = batch.grouped(self._grid)
         return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()), batch.lines)
 
     def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:

@@ -52,7 +52,7 @@ class Worker:
     def __init__(self, work: BlockWork, budget: Budget, points: Path, tiles: Path, progress: Progress) -> None:
         self._work, self._threads, self._progress = work, budget.threads, progress
         self._points, self._tiles = points, tiles
-        self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_points, budget.block_points, points))
+        self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_bytes, budget.block_points, points))
         self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
 
     def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:

@@ -147,7 +147,7 @@ def test_points_that_find_no_room_wait_on_disk(readers, tmp_path, monkeypatch):
             return waiting, join_stacks([survey.measured(points) for points in survey.points()]).heights
 
     none, at_once = heights()
-    monkeypatch.setattr("bumpymap.lab.evaluate.survey.MOST_POINTS", 20_000)
+    monkeypatch.setattr("bumpymap.lab.evaluate.survey.MOST_BYTES", 280_000)
     monkeypatch.setattr("bumpymap.lab.evaluate.survey.BLOCK_POINTS", 20_000)
     some, bit_by_bit = heights()
     assert not none

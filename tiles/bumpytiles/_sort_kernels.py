@@ -1,0 +1,237 @@
+"""Compiled loops that sort the points of a block: by tile, and inside a tile into one canonical order.
+
+The points are put tile by tile first, and those of a tile are sorted while they are in the processor's cache. Their
+order is that of a hash of the coordinates. Hashes are evenly spread, so a tile is cut into as many buckets as it has
+points by the leading bits, and only the few points of a bucket are compared.
+
+Nothing here allocates (see ``bumpytiles.native``): scratch arrays come from the caller.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles._group_kernels import BLOCK_TILES, Coordinates, ScaledTiledPoints, TiledPoints
+from bumpytiles.native import helper, kernel
+from bumpytiles.scaling import coordinates
+
+__all__ = [
+    "STRIP",
+    "MarkedPoints",
+    "SortScratch",
+    "count_tiles",
+    "hash_point",
+    "place_points",
+    "place_scaled_points",
+    "sort_tiles",
+]
+
+STRIP = 512
+"""Points that are turned into metres at once."""
+_KEY_BITS = 56
+
+Floats = Annotated[NDArray[np.float64], 1]
+Bytes = Annotated[NDArray[np.uint8], 1]
+Flags = Annotated[NDArray[np.bool_], 1]
+Indices = Annotated[NDArray[np.int64], 1]
+Places = Annotated[NDArray[np.int32], 1]
+Keys = Annotated[NDArray[np.uint64], 1]
+
+
+class MarkedPoints(NamedTuple):
+    """Points, (n,) each."""
+
+    easting: Floats
+    """m, as the two that follow."""
+    northing: Floats
+    upward: Floats
+    flag: Flags
+    """A mark that travels with each point."""
+
+
+class SortScratch(NamedTuple):
+    """Scratch of `sort_tiles`; ``most`` is the largest number of points of a tile."""
+
+    key: Keys
+    """(most,) keys of the points of a tile."""
+    bucket: Places
+    """(``most`` rounded up to a power of two, at least 2, + 1,) where each bucket's points begin."""
+    order: Places
+    """(most,) points of a tile in their final order."""
+    rank: Keys
+    """The same, their keys."""
+
+
+@kernel
+def count_tiles(tile: Bytes, first: Indices) -> None:
+    """Count the points of each tile ``t`` of a block in ``first[t + 1]``; ``first`` is (257,) int64."""
+    for i in range(len(tile)):
+        first[int(tile[i]) + 1] += 1
+
+
+@helper
+def _place(points: MarkedPoints, tile: Bytes, following: Indices, out: MarkedPoints) -> None:
+    t = int(tile[0])
+    p = following[t]
+    for i in range(len(tile)):
+        if tile[i] != t:  # neighbours in a file are neighbours on the ground
+            following[t] = p
+            t = int(tile[i])
+            p = following[t]
+        out.easting[p] = points.easting[i]
+        out.northing[p] = points.northing[i]
+        out.upward[p] = points.upward[i]
+        out.flag[p] = points.flag[i]
+        p += 1
+    following[t] = p
+
+
+@kernel
+def place_points(points: TiledPoints, following: Indices, out: MarkedPoints) -> None:
+    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on."""
+    if len(points.tile) > 0:
+        marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
+        _place(marked, points.tile, following, out)
+
+
+@kernel
+def place_scaled_points(
+    points: ScaledTiledPoints, scaling: Floats, following: Indices, strip: Coordinates, out: MarkedPoints
+) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`.
+
+    ``strip`` is scratch, (``STRIP``,) each.
+    """
+    for first in range(0, len(points.tile), STRIP):
+        last = min(first + STRIP, len(points.tile))
+        n = last - first
+        there = MarkedPoints(strip.easting[:n], strip.northing[:n], strip.upward[:n], points.flag[first:last])
+        coordinates(points.easting[first:last], scaling, 0, there.easting)
+        coordinates(points.northing[first:last], scaling, 1, there.northing)
+        coordinates(points.upward[first:last], scaling, 2, there.upward)
+        _place(there, points.tile[first:last], following, out)
+
+
+@helper
+def hash_point(x: float, y: float, z: float) -> np.uint64:
+    """Return 64 well-mixed bits of a point's coordinates (multiply and fold each, then Stafford's finaliser)."""
+    mixed = np.uint64(0)
+    # + 0.0 turns -0.0 into 0.0
+    mixed ^= np.float64(x + 0.0).view(np.uint64)
+    mixed *= np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= mixed >> np.uint64(32)
+    mixed ^= np.float64(y + 0.0).view(np.uint64)
+    mixed *= np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed ^= mixed >> np.uint64(32)
+    mixed ^= np.float64(z + 0.0).view(np.uint64)
+    mixed *= np.uint64(0x165667B19E3779F9)
+    mixed ^= mixed >> np.uint64(32)
+    mixed *= np.uint64(0xD6E8FEB86659FD93)
+    mixed ^= mixed >> np.uint64(32)
+    return mixed
+
+
+@helper
+def _fill_buckets(count: int, scratch: SortScratch) -> None:
+    """Put the first points of the tile into ``order`` by the leading bits of their keys."""
+    key, bucket = scratch.key, scratch.bucket
+    width = 1
+    while (1 << width) < count:
+        width += 1
+    shift = np.uint64(_KEY_BITS - width)
+    for b in range((1 << width) + 1):
+        bucket[b] = 0
+    for j in range(count):
+        bucket[int(key[j] >> shift) + 1] += 1
+    for b in range(1, (1 << width) + 1):
+        bucket[b] += bucket[b - 1]
+    for j in range(count):
+        b = int(key[j] >> shift)
+        scratch.order[bucket[b]] = j
+        scratch.rank[bucket[b]] = key[j]
+        bucket[b] += 1
+
+
+@helper
+def _comes_later(points: MarkedPoints, o: int, i: int) -> Any:
+    """Whether point o goes behind point i, where their keys are equal."""
+    if points.easting[o] != points.easting[i]:
+        return points.easting[o] > points.easting[i]
+    if points.northing[o] != points.northing[i]:
+        return points.northing[o] > points.northing[i]
+    if points.upward[o] != points.upward[i]:
+        return points.upward[o] > points.upward[i]
+    return points.flag[i] and not points.flag[o]
+
+
+@helper
+def _insert_by_key(points: MarkedPoints, count: int, order: Places, rank: Keys) -> None:
+    """Sort the first points of ``order`` by insertion: the buckets have nearly sorted them."""
+    for j in range(1, count):
+        i, k = order[j], rank[j]
+        m = j
+        while m > 0:
+            o = order[m - 1]
+            if rank[m - 1] < k or (rank[m - 1] == k and not _comes_later(points, o, i)):
+                break
+            order[m] = o
+            rank[m] = rank[m - 1]
+            m -= 1
+        order[m] = i
+        rank[m] = k
+
+
+@helper
+def _append_single(points: MarkedPoints, count: int, scratch: SortScratch, begin: int, out: MarkedPoints) -> int:
+    """Append points to the ``begin`` that ``out`` holds, but for exact duplicates; returns how many there are now."""
+    order, rank, kept = scratch.order, scratch.rank, begin
+    for j in range(count):
+        i = order[j]
+        if (
+            j > 0
+            and rank[j] == rank[j - 1]
+            and out.easting[kept - 1] == points.easting[i]
+            and out.northing[kept - 1] == points.northing[i]
+            and out.upward[kept - 1] == points.upward[i]
+        ):
+            continue
+        out.easting[kept] = points.easting[i]
+        out.northing[kept] = points.northing[i]
+        out.upward[kept] = points.upward[i]
+        out.flag[kept] = points.flag[i]
+        kept += 1
+    return kept
+
+
+@kernel
+def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: MarkedPoints, scratch: SortScratch) -> None:
+    """Sort points inside their tiles by the hash of their coordinates (then by coordinates); drop exact duplicates.
+
+    Parameters
+    ----------
+    first : (257,) int64
+        Where each tile's points begin.
+    starts : (257,) int64
+        Filled: where each tile's points begin afterwards; last, the number of points that stay.
+    points : MarkedPoints
+        Tile by tile; sorted in place. Of twins, a flagged one stays.
+    tile : MarkedPoints
+        Scratch for the points of a tile.
+    scratch : SortScratch
+    """
+    key = scratch.key
+    kept = 0
+    for t in range(BLOCK_TILES * BLOCK_TILES):
+        starts[t] = kept
+        begin, count = first[t], first[t + 1] - first[t]
+        if count == 0:
+            continue
+        for j in range(count):
+            x, y, z = points.easting[begin + j], points.northing[begin + j], points.upward[begin + j]
+            tile.easting[j], tile.northing[j], tile.upward[j], tile.flag[j] = x, y, z, points.flag[begin + j]
+            key[j] = hash_point(x, y, z) >> np.uint64(64 - _KEY_BITS)
+        _fill_buckets(count, scratch)
+        _insert_by_key(tile, count, scratch.order, scratch.rank)
+        kept = _append_single(tile, count, scratch, kept, points)
+    starts[BLOCK_TILES * BLOCK_TILES] = kept
