@@ -9,8 +9,10 @@ import io
 import os
 import stat
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, UsageError
+from bumpymap.core import BadInputError, BumpymapError, FileHash, UsageError
 from bumpymap.readers._decoder_child import CallbackFile
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
@@ -56,8 +58,20 @@ _VERSIONS = (
     "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
 )  # fmt: skip
 """Keys under which servers report the version of a file."""
-_PINNED: ContextVar[tuple[Location, Version] | None] = ContextVar("_PINNED", default=None)
-"""See `pinned_version`."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pinned:
+    """The file that the body of `pinned_version` reads."""
+
+    location: Location
+    version: Version
+    file_hash: FileHash | None
+    jobs: list[Future[None]] = field(default_factory=list)
+    """Threads that still hash what was read."""
+
+
+_PINNED: ContextVar[_Pinned | None] = ContextVar("_PINNED", default=None)
 
 
 def is_url(location: object) -> bool:
@@ -82,8 +96,29 @@ def open_source(location: Location) -> BinaryIO:
             stream = io.BufferedReader(CallbackFile(partial(_read_remote, location), size), _BLOCK)
         else:
             _refuse_special(location)
-            stream = location.open("rb")
+            stream = io.BufferedReader(_HashedFile(location)) if _is_hashed(location) else location.open("rb")
     return stream
+
+
+class _HashedFile(io.FileIO):
+    """A file whose bytes are hashed as they are read, see `pinned_version`."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._path = path
+
+    def readinto(self, buffer: Any) -> int | None:
+        start = self.tell()
+        got = super().readinto(buffer)
+        # Copied: the caller reads the next bytes into the same buffer.
+        _hash(self._path, start, bytes(memoryview(buffer)[:got]))
+        return got
+
+    def readall(self) -> bytes:
+        start = self.tell()
+        data = super().readall()
+        _hash(self._path, start, data)
+        return data
 
 
 class OpenFile:
@@ -124,13 +159,18 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Read bytes from offset ``start`` into an array; return how many there were."""
+    """Read bytes from offset ``start`` into an array; return how many there were.
+
+    The array must not change in the body of `pinned_version`, whose threads may be hashing it.
+    """
     with _reading(location):
         if isinstance(location, str):
             return _from_server(location, start, data)
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
-            return _fill(stream, data)
+            filled = _fill(stream, data)
+        _hash(location, start, data[:filled])
+        return filled
 
 
 def size_of(location: Location) -> int:
@@ -157,8 +197,8 @@ def version_of(location: Location) -> Version:
 
 
 @contextmanager
-def pinned_version(location: Location, version: Version) -> Iterator[None]:
-    """Require that what the body reads of a file, in this thread, is of one version.
+def pinned_version(location: Location, version: Version, file_hash: FileHash | None = None) -> Iterator[None]:
+    """Require that what the body reads of a file, in this thread, is of one version; add it to a hash if one is given.
 
     Every response of a web server is checked. If the body raises BadInputError for another reason and the file has
     changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
@@ -168,7 +208,8 @@ def pinned_version(location: Location, version: Version) -> Iterator[None]:
     BadInputError
         The file has changed; see `require_unchanged`.
     """
-    token = _PINNED.set((location, version))
+    pinned = _Pinned(location, version, file_hash)
+    token = _PINNED.set(pinned)
     try:
         yield
     except StalledServerError:
@@ -178,6 +219,8 @@ def pinned_version(location: Location, version: Version) -> Iterator[None]:
         raise
     finally:
         _PINNED.reset(token)
+        for job in pinned.jobs:
+            job.result()
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
@@ -233,6 +276,19 @@ def identity(location: Location) -> dict[str, Any]:
     return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
+def _hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
+    """Add bytes of a file to the hash of `pinned_version`."""
+    pinned = _PINNED.get()
+    if pinned is not None and pinned.file_hash is not None and pinned.location == path:
+        pinned.jobs.extend(pinned.file_hash.add(start, data))
+
+
+def _is_hashed(path: Path) -> bool:
+    """Return whether the bytes of a file are to be hashed."""
+    pinned = _PINNED.get()
+    return pinned is not None and pinned.file_hash is not None and pinned.location == path
+
+
 def is_folder(url: str) -> bool:
     """Return whether a URL is a folder."""
     with _reading(url):
@@ -270,9 +326,9 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
 def _require_pinned(url: str, said: Mapping[str, Any]) -> None:
     """Check a response of a web server against the version that is being read; servers may omit some headers."""
     pinned = _PINNED.get()
-    if pinned is None or pinned[0] != url:
+    if pinned is None or pinned.location != url:
         return
-    before = pinned[1]
+    before = pinned.version
     now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
     key, _, value = before["version"].partition(" ")
     if now["size"] != before["size"] or (key and said.get(key, value) != value):
