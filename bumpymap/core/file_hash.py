@@ -5,8 +5,8 @@ order. A plain SHA-256 needs all bytes in order, so a file that is read in anoth
 several workers, what a resumed run has left to read) would have to be read again for it.
 
 Whole pieces are hashed by threads. Of a piece that is read in parts, the beginning is hashed as it grows; a part for
-which bytes before it are missing is copied until they come. The copies of all files together are limited; parts beyond
-the limit are read again at the end, as are bytes that no reader has asked for.
+which bytes before it are missing is copied until they come. The copies are limited: beyond that, the piece that was
+begun first is forgotten and read again at the end, as are bytes that no reader has asked for.
 """
 
 import hashlib
@@ -165,9 +165,11 @@ class FileHash:
             if at <= part.done:
                 part.take(at, data)
                 self._take_copies(part)
-            elif at not in part.copies and self._copied + len(data) <= MOST_COPIED:
+            elif at not in part.copies:
                 part.copies[at] = bytes(data)
                 self._copied += len(data)
+                while self._copied > MOST_COPIED:
+                    self._forget(next(iter(self._parts)))
         if part.done == self._length(piece):
             self._store(piece, part.digest.digest())
 
@@ -186,8 +188,13 @@ class FileHash:
                 self._digests[piece * _DIGEST : (piece + 1) * _DIGEST] = digest
                 self._known[piece] = 1
                 self._fresh += [piece] * fresh
-            part = self._parts.pop(piece, None)
-            self._copied -= 0 if part is None else sum(map(len, part.copies.values()))
+            self._forget(piece)
+
+    def _forget(self, piece: int) -> None:
+        """Forget the parts of a piece, if there are any; the caller holds the lock."""
+        part = self._parts.pop(piece, None)
+        if part is not None:
+            self._copied -= sum(map(len, part.copies.values()))
 
     def _complete(self, pieces: Iterable[int], read: Callable[[int, int], Buffer]) -> None:
         """Read what is missing of some pieces."""

@@ -9,10 +9,7 @@ import io
 import os
 import stat
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Future
 from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,6 +19,19 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError, FileHash, UsageError
 from bumpymap.readers._decoder_child import CallbackFile
+from bumpymap.readers.pinned import (
+    PINNED,
+    HashedFile,
+    Location,
+    PinnedFile,
+    Version,
+    add_to_hash,
+    difference,
+    file_changed,
+    is_hashed,
+    require_pinned,
+    version_text,
+)
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
@@ -42,36 +52,12 @@ __all__ = [
     "version_of",
 ]
 
-Location = Path | str
-"""A path, or a URL as a str."""
-Version = dict[str, Any]
-"""Distinguishes versions of a file without reading it: ``size`` in bytes, and ``mtime_ns`` of a local file or the
-``version`` that the server of a URL reports (empty if none), both as str."""
-
 _HEAD_BYTES = 65_536
 """Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
 """Bytes of each request while a header is read from a server."""
 _LARGEST_PAGE = 1 << 24
 """Largest page that is read as a list of files, bytes."""
-_VERSIONS = (
-    "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
-)  # fmt: skip
-"""Keys under which servers report the version of a file."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Pinned:
-    """The file that the body of `pinned_version` reads."""
-
-    location: Location
-    version: Version
-    file_hash: FileHash | None
-    jobs: list[Future[None]] = field(default_factory=list)
-    """Threads that still hash what was read."""
-
-
-_PINNED: ContextVar[_Pinned | None] = ContextVar("_PINNED", default=None)
 
 
 def is_url(location: object) -> bool:
@@ -96,29 +82,8 @@ def open_source(location: Location) -> BinaryIO:
             stream = io.BufferedReader(CallbackFile(partial(_read_remote, location), size), _BLOCK)
         else:
             _refuse_special(location)
-            stream = io.BufferedReader(_HashedFile(location)) if _is_hashed(location) else location.open("rb")
+            stream = io.BufferedReader(HashedFile(location)) if is_hashed(location) else location.open("rb")
     return stream
-
-
-class _HashedFile(io.FileIO):
-    """A file whose bytes are hashed as they are read, see `pinned_version`."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._path = path
-
-    def readinto(self, buffer: Any) -> int | None:
-        start = self.tell()
-        got = super().readinto(buffer)
-        # Copied: the caller reads the next bytes into the same buffer.
-        _hash(self._path, start, bytes(memoryview(buffer)[:got]))
-        return got
-
-    def readall(self) -> bytes:
-        start = self.tell()
-        data = super().readall()
-        _hash(self._path, start, data)
-        return data
 
 
 class OpenFile:
@@ -169,7 +134,7 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
             filled = _fill(stream, data)
-        _hash(location, start, data[:filled])
+        add_to_hash(location, start, data[:filled])
         return filled
 
 
@@ -193,7 +158,7 @@ def version_of(location: Location) -> Version:
         said = _server_info(location)
     if said.get("size") is None:
         raise BadInputError(f"the server of {location} does not report the size of the file. Download the file first")
-    return {"size": int(said["size"]), "version": _version_text(said)}
+    return {"size": int(said["size"]), "version": version_text(said)}
 
 
 @contextmanager
@@ -208,8 +173,8 @@ def pinned_version(location: Location, version: Version, file_hash: FileHash | N
     BadInputError
         The file has changed; see `require_unchanged`.
     """
-    pinned = _Pinned(location, version, file_hash)
-    token = _PINNED.set(pinned)
+    pinned = PinnedFile(location, version, file_hash)
+    token = PINNED.set(pinned)
     try:
         yield
     except StalledServerError:
@@ -218,7 +183,7 @@ def pinned_version(location: Location, version: Version, file_hash: FileHash | N
         require_unchanged(location, version, error)
         raise
     finally:
-        _PINNED.reset(token)
+        PINNED.reset(token)
         for job in pinned.jobs:
             job.result()
 
@@ -241,23 +206,7 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
             raise cause or error from error  # no response: the file may be unchanged
         raise file_changed(location, f"it was removed ({error})") from cause or error
     if now != version:
-        raise file_changed(location, _difference(version, now)) from cause
-
-
-def file_changed(location: Location, how: str) -> BadInputError:
-    """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
-    return BadInputError(
-        f"{location} changed while it was read: {how}. What was read may be a mixture of both versions and was "
-        "discarded. Run again once no program writes to it any more, or on a copy"
-    )
-
-
-def _difference(before: Version, now: Version) -> str:
-    if before["size"] != now["size"]:
-        return f"it had {before['size']:,} bytes and has {now['size']:,}"
-    if "mtime_ns" in before:
-        return "it has the same size, but was written again"
-    return f"the server reports version {now['version'] or '(none)'} after {before['version']}"
+        raise file_changed(location, difference(version, now)) from cause
 
 
 def identity(location: Location) -> dict[str, Any]:
@@ -274,19 +223,6 @@ def identity(location: Location) -> dict[str, Any]:
     with pinned_version(location, version):
         ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
     return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
-
-
-def _hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
-    """Add bytes of a file to the hash of `pinned_version`."""
-    pinned = _PINNED.get()
-    if pinned is not None and pinned.file_hash is not None and pinned.location == path:
-        pinned.jobs.extend(pinned.file_hash.add(start, data))
-
-
-def _is_hashed(path: Path) -> bool:
-    """Return whether the bytes of a file are to be hashed."""
-    pinned = _PINNED.get()
-    return pinned is not None and pinned.file_hash is not None and pinned.location == path
 
 
 def is_folder(url: str) -> bool:
@@ -314,25 +250,13 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
     files, name = _remote(url)
     if is_web(url):
         got, said = read_web(files, name, start, data)
-        _require_pinned(url, said)
+        require_pinned(url, said)
         return got
     found = files.cat_file(name, start=start, end=start + data.size)
     if len(found) > data.size:
         raise BadInputError(f"the server of {url} does not support range requests. Download the file first")
     data[: len(found)] = np.frombuffer(found, np.uint8)
     return len(found)
-
-
-def _require_pinned(url: str, said: Mapping[str, Any]) -> None:
-    """Check a response of a web server against the version that is being read; servers may omit some headers."""
-    pinned = _PINNED.get()
-    if pinned is None or pinned.location != url:
-        return
-    before = pinned.version
-    now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
-    key, _, value = before["version"].partition(" ")
-    if now["size"] != before["size"] or (key and said.get(key, value) != value):
-        raise file_changed(url, _difference(before, now))
 
 
 def _server_info(url: str) -> Mapping[str, Any]:
@@ -343,10 +267,6 @@ def _server_info(url: str) -> Mapping[str, Any]:
     files.invalidate_cache(name)
     said: Mapping[str, Any] = files.info(name)
     return said
-
-
-def _version_text(said: Mapping[str, Any]) -> str:
-    return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
 
 
 def _read_remote(url: str, start: int, buffer: memoryview) -> int:
