@@ -48,6 +48,12 @@ from .errors import (
     error_chain as error_chain,
     missing_resource as missing_resource,
 )
+from .file_hash import (
+    CHECKSUM_METHOD as CHECKSUM_METHOD,
+    FileHash as FileHash,
+    PieceRuns as PieceRuns,
+    hash_file as hash_file,
+)
 from .files import (
     STAGED as STAGED,
     atomic as atomic,

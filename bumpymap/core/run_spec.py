@@ -6,6 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from bumpymap.core.file_hash import CHECKSUM_METHOD, hash_file
+
 __all__ = ["differences", "flat_settings", "same_content", "spec_of_manifest"]
 
 _MOST_LISTED = 8
@@ -81,7 +83,8 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
     path : str
         Of the file, or a URL. A URL is never downloaded to compare checksums.
     known : mapping
-        ``bytes``, ``sha256`` and, if they were recorded, ``mtime_ns`` or the ``version`` reported by a server.
+        ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if they were recorded, ``mtime_ns`` or
+        the ``version`` reported by a server.
     here : mapping
         From `bumpymap.readers.source.identity`.
     """
@@ -90,10 +93,15 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
     for key in ("mtime_ns", "version"):
         if known.get(key) and known[key] == here.get(key):
             return True
-    if "://" in path or known.get("sha256") is None:
+    if "://" in path:
+        return False
+    checksum, sha256 = known.get("checksum"), known.get("sha256")
+    if checksum is not None:
+        return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hash_file(Path(path)) == checksum)
+    if sha256 is None:
         return False
     with Path(path).open("rb") as file:
-        return bool(hashlib.file_digest(file, "sha256").hexdigest() == known["sha256"])
+        return bool(hashlib.file_digest(file, "sha256").hexdigest() == sha256)
 
 
 def spec_of_manifest(

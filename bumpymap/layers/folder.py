@@ -20,7 +20,7 @@ from bumpymap.layers.geotiff import (
     write_obstacles,
     write_roughness,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, describe_input, write_manifest
+from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.summary import MapSummary, summarise
@@ -112,8 +112,7 @@ def write_products(
     local : bool
         Write cost.geojson in the survey's own coordinates if it has no CRS.
     manifest : mapping
-        The run's own entries for run.json, see `complete_manifest`; ``inputs`` are records with a ``path``, to which
-        size and checksum are added, see `describe_input`.
+        The run's own entries for run.json, see `complete_manifest`.
     progress : Progress, optional
         Counts the layers as they are written.
 
@@ -129,7 +128,7 @@ def write_products(
     OutputError
         A file cannot be written.
     BadInputError
-        The extent is too large for a raster; there is no CRS and ``local`` is False; an input is missing.
+        The extent is too large for a raster, or there is no CRS and ``local`` is False.
     """
     started = time.perf_counter()
     placement = Placement.of(table)
@@ -138,14 +137,12 @@ def write_products(
     progress = progress or SilentProgress()
     with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
         counting = background.submit(summarise, table)
-        inputs = [background.submit(describe_input, record) for record in manifest.get("inputs", ())]
         try:
             layers = _write_layers(_layers(table, coordinates, staged, _provenance(manifest)), staged, progress)
             summary = counting.result()
-            known = [future.result() for future in inputs]
         finally:
             background.shutdown(wait=False, cancel_futures=True)
-        record = complete_manifest(manifest, table, summary, known, layers)
+        record = complete_manifest(manifest, table, summary, layers)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)

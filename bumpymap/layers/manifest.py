@@ -59,7 +59,6 @@ def complete_manifest(
     manifest: Mapping[str, Any],
     table: CostTable,
     summary: MapSummary,
-    inputs: Sequence[Mapping[str, Any]],
     files: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Add the entries that follow from the map and its files to a run's own entries.
@@ -67,13 +66,13 @@ def complete_manifest(
     Parameters
     ----------
     manifest : mapping
-        The run's own entries: settings, model, calibration, timings. They are kept.
+        The run's own entries: inputs, settings, model, calibration, timings. They are kept.
     table : CostTable
         The map.
     summary : MapSummary
         Counts and medians of that map.
-    inputs, files : sequences of mappings
-        From `describe_input` and `describe_file`.
+    files : sequence of mappings
+        From `describe_file`.
 
     Returns
     -------
@@ -86,7 +85,6 @@ def complete_manifest(
         "format": MANIFEST_FORMAT,
         "version": _VERSION,
         **manifest,
-        "inputs": list(inputs),
         "versions": software_versions() | dict(manifest.get("versions", {})),
         "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
         "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
@@ -139,28 +137,23 @@ def describe_file(path: Path) -> dict[str, Any]:
 
 
 def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Add size and checksum to the record of an input.
-
-    If the record has both already (None if unknown, as for a URL), the file is not read.
+    """Add the SHA-256 to the record of an input.
 
     Parameters
     ----------
     record : mapping
-        ``path`` and, if known, ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it.
+        ``path``, and ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it.
 
     Raises
     ------
     BadInputError
         The file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
     """
-    known = dict(record)
-    if {"bytes", "sha256"} <= known.keys():
-        return known
-    path = Path(known["path"])
+    path = Path(record["path"])
     size, changed, digest = _hashed(path)
-    if known.get("bytes", size) != size or known.get("mtime_ns", changed) != changed:
+    if (record["bytes"], record["mtime_ns"]) != (size, changed):
         raise _changed(path)
-    return {"path": str(path), "bytes": size, "sha256": digest} | known
+    return {**record, "sha256": digest}
 
 
 def _hashed(path: Path) -> tuple[int, str, str]:

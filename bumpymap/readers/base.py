@@ -13,7 +13,7 @@ __all__ = ["SurveyBase"]
 
 
 class SurveyBase(ABC):
-    """A ``SurveyReader``; subclasses for the formats split, read and convert the chunks."""
+    """A ``SurveyReader`` without checksum; subclasses for the formats split, read and convert the chunks."""
 
     def __init__(self, info: SurveyInfo) -> None:
         self._info = info

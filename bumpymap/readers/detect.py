@@ -15,6 +15,7 @@ from bumpymap.readers.source import Location, OpenFile, open_source
 from bumpymap.readers.versioned import VersionedSurvey
 
 if TYPE_CHECKING:
+    from bumpymap.readers.base import SurveyBase
     from bumpymap.readers.point_table import PointTable, Wanted
 
 __all__ = ["detect_format", "open_survey", "read_columns", "reopen_survey"]
@@ -73,10 +74,10 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
-    return VersionedSurvey(path, partial(_reader, path, options))
+    return VersionedSurvey(path, partial(_reader, path, options), checksum=options.checksum)
 
 
-def _reader(path: Location, options: ReadOptions) -> SurveyReader:
+def _reader(path: Location, options: ReadOptions) -> "SurveyBase":
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey

@@ -3,7 +3,6 @@
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +186,7 @@ class LazStream(RecordSource):
         if stream is None or chunk.first < self._next:
             self._close()
             start, size = self._header.offset_to_points, self._header.size
-            stream = self._stream = decoder().stream(self._record, partial(read_into, self._path), start, size)
+            stream = self._stream = decoder().stream(self._record, self._supply, start, size)
             self._next = 0
         while self._next < chunk.first:
             skipped = min(_SKIPPED, chunk.first - self._next)
@@ -196,6 +195,12 @@ class LazStream(RecordSource):
         data = stream.read(chunk.points * self._header.point_size)
         self._next += chunk.points
         return data
+
+    def _supply(self, start: int, buffer: NDArray[np.uint8]) -> int:
+        """Read bytes into a buffer that is used again, so that threads cannot hash what is in it; see `read_into`."""
+        data = read_range(self._path, start, buffer.size)
+        buffer[: data.size] = data
+        return data.size
 
     def _close(self) -> None:
         stream, self._stream = self._stream, None

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from bumpymap.core import Georeference, PointCloud, ZUnit
+from bumpymap.core import Georeference, PieceRuns, PointCloud, ZUnit
 from bumpymap.readers.line_sums import LineCorrection, LineSums
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.source import Location, Version
@@ -32,6 +32,8 @@ class ReadOptions:
     """Whether sums are made to compare the heights of flight lines."""
     corrections: tuple[LineCorrection, ...] = ()
     """What is subtracted from the heights of flight lines."""
+    checksum: bool = False
+    """Whether the checksum of a local file is made while it is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,10 @@ class SurveyReader(Protocol):
     def lines(self) -> LineSums:
         """Sums to compare flight lines; complete when ``clouds`` is exhausted."""
 
+    @property
+    def checksum(self) -> str | None:
+        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None for a URL, or if not asked."""
+
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file into chunks of about ``points`` points; the result is the same on every machine.
 
@@ -139,6 +145,12 @@ class SurveyReader(Protocol):
         BadInputError
             The header and the points disagree, or points are not on Earth.
         """
+
+    def take_hashed(self) -> PieceRuns:
+        """Return what of the checksum is new since the last call, for a reader of the same file elsewhere or later."""
+
+    def put_hashed(self, pieces: PieceRuns) -> None:
+        """Take over what ``take_hashed`` of another reader returned."""
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.

@@ -10,7 +10,6 @@ import os
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,8 +17,21 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, UsageError
+from bumpymap.core import BadInputError, BumpymapError, FileHash, UsageError
 from bumpymap.readers._decoder_child import CallbackFile
+from bumpymap.readers.pinned import (
+    PINNED,
+    HashedFile,
+    Location,
+    PinnedFile,
+    Version,
+    add_to_hash,
+    difference,
+    file_changed,
+    is_hashed,
+    require_pinned,
+    version_text,
+)
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 
 __all__ = [
@@ -40,24 +52,12 @@ __all__ = [
     "version_of",
 ]
 
-Location = Path | str
-"""A path, or a URL as a str."""
-Version = dict[str, Any]
-"""Distinguishes versions of a file without reading it: ``size`` in bytes, and ``mtime_ns`` of a local file or the
-``version`` that the server of a URL reports (empty if none), both as str."""
-
 _HEAD_BYTES = 65_536
 """Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
 """Bytes of each request while a header is read from a server."""
 _LARGEST_PAGE = 1 << 24
 """Largest page that is read as a list of files, bytes."""
-_VERSIONS = (
-    "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
-)  # fmt: skip
-"""Keys under which servers report the version of a file."""
-_PINNED: ContextVar[tuple[Location, Version] | None] = ContextVar("_PINNED", default=None)
-"""See `pinned_version`."""
 
 
 def is_url(location: object) -> bool:
@@ -82,7 +82,7 @@ def open_source(location: Location) -> BinaryIO:
             stream = io.BufferedReader(CallbackFile(partial(_read_remote, location), size), _BLOCK)
         else:
             _refuse_special(location)
-            stream = location.open("rb")
+            stream = io.BufferedReader(HashedFile(location)) if is_hashed(location) else location.open("rb")
     return stream
 
 
@@ -124,13 +124,18 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Read bytes from offset ``start`` into an array; return how many there were."""
+    """Read bytes from offset ``start`` into an array; return how many there were.
+
+    The array must not change in the body of `pinned_version`, whose threads may be hashing it unless ``at_once``.
+    """
     with _reading(location):
         if isinstance(location, str):
             return _from_server(location, start, data)
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
-            return _fill(stream, data)
+            filled = _fill(stream, data)
+        add_to_hash(location, start, data[:filled])
+        return filled
 
 
 def size_of(location: Location) -> int:
@@ -153,12 +158,14 @@ def version_of(location: Location) -> Version:
         said = _server_info(location)
     if said.get("size") is None:
         raise BadInputError(f"the server of {location} does not report the size of the file. Download the file first")
-    return {"size": int(said["size"]), "version": _version_text(said)}
+    return {"size": int(said["size"]), "version": version_text(said)}
 
 
 @contextmanager
-def pinned_version(location: Location, version: Version) -> Iterator[None]:
-    """Require that what the body reads of a file, in this thread, is of one version.
+def pinned_version(
+    location: Location, version: Version, file_hash: FileHash | None = None, *, at_once: bool = False
+) -> Iterator[None]:
+    """Require that what the body reads of a file, in this thread, is of one version; add it to a hash if one is given.
 
     Every response of a web server is checked. If the body raises BadInputError for another reason and the file has
     changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
@@ -168,7 +175,8 @@ def pinned_version(location: Location, version: Version) -> Iterator[None]:
     BadInputError
         The file has changed; see `require_unchanged`.
     """
-    token = _PINNED.set((location, version))
+    pinned = PinnedFile(location, version, file_hash, at_once)
+    token = PINNED.set(pinned)
     try:
         yield
     except StalledServerError:
@@ -177,7 +185,9 @@ def pinned_version(location: Location, version: Version) -> Iterator[None]:
         require_unchanged(location, version, error)
         raise
     finally:
-        _PINNED.reset(token)
+        PINNED.reset(token)
+        for job in pinned.jobs:
+            job.result()
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
@@ -198,23 +208,7 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
             raise cause or error from error  # no response: the file may be unchanged
         raise file_changed(location, f"it was removed ({error})") from cause or error
     if now != version:
-        raise file_changed(location, _difference(version, now)) from cause
-
-
-def file_changed(location: Location, how: str) -> BadInputError:
-    """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
-    return BadInputError(
-        f"{location} changed while it was read: {how}. What was read may be a mixture of both versions and was "
-        "discarded. Run again once no program writes to it any more, or on a copy"
-    )
-
-
-def _difference(before: Version, now: Version) -> str:
-    if before["size"] != now["size"]:
-        return f"it had {before['size']:,} bytes and has {now['size']:,}"
-    if "mtime_ns" in before:
-        return "it has the same size, but was written again"
-    return f"the server reports version {now['version'] or '(none)'} after {before['version']}"
+        raise file_changed(location, difference(version, now)) from cause
 
 
 def identity(location: Location) -> dict[str, Any]:
@@ -258,25 +252,13 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
     files, name = _remote(url)
     if is_web(url):
         got, said = read_web(files, name, start, data)
-        _require_pinned(url, said)
+        require_pinned(url, said)
         return got
     found = files.cat_file(name, start=start, end=start + data.size)
     if len(found) > data.size:
         raise BadInputError(f"the server of {url} does not support range requests. Download the file first")
     data[: len(found)] = np.frombuffer(found, np.uint8)
     return len(found)
-
-
-def _require_pinned(url: str, said: Mapping[str, Any]) -> None:
-    """Check a response of a web server against the version that is being read; servers may omit some headers."""
-    pinned = _PINNED.get()
-    if pinned is None or pinned[0] != url:
-        return
-    before = pinned[1]
-    now = {"size": before["size"] if said["size"] is None else said["size"], "version": _version_text(said)}
-    key, _, value = before["version"].partition(" ")
-    if now["size"] != before["size"] or (key and said.get(key, value) != value):
-        raise file_changed(url, _difference(before, now))
 
 
 def _server_info(url: str) -> Mapping[str, Any]:
@@ -287,10 +269,6 @@ def _server_info(url: str) -> Mapping[str, Any]:
     files.invalidate_cache(name)
     said: Mapping[str, Any] = files.info(name)
     return said
-
-
-def _version_text(said: Mapping[str, Any]) -> str:
-    return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
 
 
 def _read_remote(url: str, start: int, buffer: memoryview) -> int:

@@ -4,26 +4,30 @@ The readers of the formats do not check this. If a file is replaced meanwhile, t
 best look like a damaged file, and at worst like a valid one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+from bumpymap.core import BadInputError, FileHash, PieceRuns
 from bumpymap.readers.base import SurveyBase
 from bumpymap.readers.point_stats import PointStats
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, SurveyReader
-from bumpymap.readers.source import Location, is_url, pinned_version, require_unchanged, version_of
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints
+from bumpymap.readers.source import Location, is_url, pinned_version, read_range, require_unchanged, version_of
 
 __all__ = ["VersionedSurvey"]
 
 
 class VersionedSurvey(SurveyBase):
-    """A ``SurveyReader`` that wraps another one and checks the version of its file.
+    """A ``SurveyReader`` that wraps another one, checks the version of its file, and makes its checksum.
 
     Parameters
     ----------
     path : Path or str
     open_reader : callable
         Opens the wrapped reader, which reads the header.
+    checksum : bool
+        Whether the checksum of the file is made from what is read; there is none for a URL.
 
     Raises
     ------
@@ -31,11 +35,19 @@ class VersionedSurvey(SurveyBase):
         Raised here and by ``fetch``, ``convert`` and ``verify`` if the file was changed or removed.
     """
 
-    def __init__(self, path: Location, open_reader: Callable[[], SurveyReader]) -> None:
+    def __init__(self, path: Location, open_reader: Callable[[], SurveyBase], *, checksum: bool = False) -> None:
         self._path, self._version = path, version_of(path)
-        with pinned_version(path, self._version):
+        self._hash = FileHash(self._version["size"]) if checksum and not is_url(path) else None
+        with pinned_version(path, self._version, self._hash):
             self._reader = open_reader()
+        if self._hash is not None:
+            self._hash.drop_copies()  # thousands of files may be open
         super().__init__(replace(self._reader.info, version=self._version))
+
+    @property
+    def checksum(self) -> str | None:
+        """See ``SurveyReader.checksum``."""
+        return None if self._hash is None else self._hash.checksum
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file into chunks; see ``SurveyReader.chunks``."""
@@ -43,18 +55,51 @@ class VersionedSurvey(SurveyBase):
 
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a chunk; see ``SurveyReader.fetch``."""
-        with pinned_version(self._path, self._version):
+        with self._may_be_bad(), pinned_version(self._path, self._version, self._hash):
             fetched = self._reader.fetch(chunk)
-        if not is_url(self._path):  # this would cost one more request for each chunk
-            require_unchanged(self._path, self._version)
+        self._require_unchanged()
         return fetched
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert a chunk to points in metres; see ``SurveyReader.convert``."""
-        with pinned_version(self._path, self._version):
-            return self._reader.convert(chunk, fetched)
+        with self._may_be_bad(), pinned_version(self._path, self._version, self._hash, at_once=True):
+            converted = self._reader.convert(chunk, fetched)
+        self._require_unchanged()
+        return converted
 
     def verify(self, stats: PointStats) -> None:
-        """Check all points against the header, and that the file is unchanged; see ``SurveyReader.verify``."""
-        require_unchanged(self._path, self._version)
-        self._reader.verify(stats)
+        """Check all points against the header, and that the file is unchanged; see ``SurveyReader.verify``.
+
+        Bytes that no reader has read are read here, for the checksum.
+        """
+        with self._may_be_bad():
+            require_unchanged(self._path, self._version)
+            self._reader.verify(stats)
+            if self._hash is not None and self._hash.checksum is None:
+                with pinned_version(self._path, self._version):
+                    self._hash.finish(lambda start, size: read_range(self._path, start, size))
+                require_unchanged(self._path, self._version)
+
+    def take_hashed(self) -> PieceRuns:
+        """See ``SurveyReader.take_hashed``."""
+        return () if self._hash is None else self._hash.take()
+
+    def put_hashed(self, pieces: PieceRuns) -> None:
+        """See ``SurveyReader.put_hashed``."""
+        if self._hash is not None:
+            self._hash.put(pieces)
+
+    def _require_unchanged(self) -> None:
+        """Check the version of a local file; for a URL this would cost one more request for each chunk."""
+        if not is_url(self._path):
+            require_unchanged(self._path, self._version)
+
+    @contextmanager
+    def _may_be_bad(self) -> Iterator[None]:
+        """Free memory if the file turns out to be bad."""
+        try:
+            yield
+        except BadInputError:
+            if self._hash is not None:
+                self._hash.drop_copies()
+            raise

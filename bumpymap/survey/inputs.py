@@ -21,7 +21,9 @@ _NAMED = 5
 def read_options(config: MapConfig) -> ReadOptions:
     """Return the settings that the readers need."""
     lines = config.align != "off"
-    return ReadOptions(config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory), lines)
+    return ReadOptions(
+        config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory), lines, checksum=True
+    )
 
 
 @dataclass(frozen=True, slots=True)

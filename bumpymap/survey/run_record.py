@@ -91,10 +91,12 @@ def run_manifest(
     lines: FlightLines,
 ) -> dict[str, Any]:
     """Return what ``run.json`` says beside the statistics of the tiles."""
-    read = zip(inputs.readers, measured.dropped, strict=True)
+    read = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
     calibration = models.calibration
     return {
-        "inputs": [_input_record(reader, dropped) for reader, dropped in read if dropped is not None],
+        "inputs": [
+            _input_record(reader, dropped, checksum) for reader, dropped, checksum in read if dropped is not None
+        ],
         "skipped": inputs.skipped,
         "skipped_inputs": [{"path": path, **_file_version(run_spec["inputs"][path])} for path in inputs.skipped],
         "settings": config,
@@ -126,7 +128,7 @@ def _file_version(known: Mapping[str, Any] | None) -> dict[str, Any]:
     return {key: known[key] for key in ("mtime_ns", "version") if key in known} if known else {}
 
 
-def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, Any]:
+def _input_record(reader: SurveyReader, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
     info = reader.info
     record = {
         "path": info.path,
@@ -136,6 +138,4 @@ def _input_record(reader: SurveyReader, dropped: dict[str, int]) -> dict[str, An
         "notes": info.notes,
     }
     version = dict(info.version or {})
-    record |= {"bytes": version.pop("size", info.size_bytes)} | version
-    # A file on a server is not read again for its checksum.
-    return record | ({"sha256": None} if isinstance(info.path, str) else {})
+    return record | {"bytes": version.pop("size", info.size_bytes)} | version | {"checksum": checksum}

@@ -204,16 +204,3 @@ def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
     with pytest.raises(KeyboardInterrupt):
         write(cost_map, tmp_path, progress=Impatient())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_inputs_get_size_and_checksum_unless_they_have_them(tmp_path, cost_map):
-    survey = tmp_path / "survey.laz"
-    survey.write_bytes(b"points")
-    url = {"path": "https://host/survey.laz", "bytes": 12, "sha256": None}
-    (tmp_path / "out").mkdir()
-    write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": survey}, url]})
-    first, second = json.loads((tmp_path / "out" / "run.json").read_text())["inputs"]
-    assert first == {"path": str(survey), "bytes": 6, "sha256": hashlib.sha256(b"points").hexdigest()}
-    assert second == url
-    with pytest.raises(BadInputError, match=r"gone\.laz"):
-        write(cost_map, tmp_path / "out", manifest={"inputs": [{"path": tmp_path / "gone.laz"}]})

@@ -43,14 +43,14 @@ def test_anything_becomes_plain_json(tmp_path):
     }
 
 
-def complete(cost_map, run=None, inputs=(), files=()):
+def complete(cost_map, run=None, files=()):
     table = CostTable.of(cost_map)
-    return complete_manifest(run or {}, table, summarise(table), inputs, files)
+    return complete_manifest(run or {}, table, summarise(table), files)
 
 
 def test_a_record_keeps_what_the_run_knows(cost_map):
-    run = {"inputs": [], "settings": {"a": 1}, "versions": {"model": "7"}}
-    record = complete(cost_map, run, [{"path": "a.laz", "bytes": 7}], [{"path": "class.tif"}])
+    run = {"inputs": [{"path": "a.laz", "bytes": 7}], "settings": {"a": 1}, "versions": {"model": "7"}}
+    record = complete(cost_map, run, [{"path": "class.tif"}])
     assert record["inputs"] == [{"path": "a.laz", "bytes": 7}]
     assert record["settings"] == {"a": 1}
     assert record["versions"]["model"] == "7"
@@ -58,14 +58,14 @@ def test_a_record_keeps_what_the_run_knows(cost_map):
     assert (record["format"], record["version"]) == ("bumpymap-run", 1)
 
 
-def test_inputs_get_size_and_checksum_and_keep_the_rest(tmp_path):
+def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path):
     survey = tmp_path / "survey.laz"
     survey.write_bytes(b"points" * 1000)
     digest = hashlib.sha256(b"points" * 1000).hexdigest()
-    found = describe_input({"path": survey, "points": 12})
-    assert found == {"path": survey, "points": 12, "bytes": 6000, "sha256": digest}
-    known = {"path": "s3://bucket/survey.laz", "bytes": None, "sha256": None}
-    assert describe_input(known) == known
+    record = {"path": survey, "points": 12, "bytes": 6000, "mtime_ns": str(survey.stat().st_mtime_ns)}
+    assert describe_input(record) == record | {"sha256": digest}
+    with pytest.raises(BadInputError, match="changed while"):
+        describe_input(record | {"mtime_ns": "1"})
 
 
 def test_counts_by_class_and_reason(make_map):

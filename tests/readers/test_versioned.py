@@ -1,4 +1,7 @@
-"""A file that does not stay the same while it is read: no mixture of two files comes of it, and no word of damage."""
+"""A file that does not stay the same while it is read: no mixture of two files comes of it, and no word of damage.
+
+And the checksum that is made of a file while it is read.
+"""
 
 import os
 
@@ -6,9 +9,10 @@ import numpy as np
 import pytest
 
 import bumpymap.readers.las as las_module
+from bumpymap.core import hash_file
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import PointSummaryBuilder, open_survey
+from bumpymap.readers import PointStats, PointSummaryBuilder, ReadOptions, open_survey, versioned
 from bumpytiles import Grid
 
 COUNT = 3000
@@ -123,3 +127,62 @@ def test_one_that_stays_the_same_is_read_and_says_which_version_it_is(las, laz):
     reader = open_survey(path)
     assert reader.info.version == {"size": path.stat().st_size, "mtime_ns": str(path.stat().st_mtime_ns)}
     assert PointSummaryBuilder(Grid(3.0, 15), FeatureSettings()).read(reader).summary().points == COUNT
+
+
+@pytest.fixture
+def read_again(monkeypatch):
+    """The number of bytes that were read only for a checksum."""
+    sizes, original = [], versioned.read_range
+
+    def read_range(path, start, size):
+        sizes.append(size)
+        return original(path, start, size)
+
+    monkeypatch.setattr(versioned, "read_range", read_range)
+    return sizes
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("points", [130, COUNT])
+def test_the_checksum_is_made_while_the_file_is_read(las, laz, kind, points, read_again):
+    path = FORMATS[kind](las, laz, POINTS)
+    reader = open_survey(path, ReadOptions(checksum=True))
+    assert reader.checksum is None
+    assert sum(cloud.easting.size for cloud in reader.clouds(points)) == COUNT
+    assert reader.checksum == hash_file(path)
+    # Copies of the chunk table and of the octree are freed when the file has been opened.
+    assert sum(read_again) <= (1 << 14 if kind in {"laz", "copc"} else 0)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_the_checksum_does_not_depend_on_the_order(las, laz, kind, read_again):
+    path = FORMATS[kind](las, laz, POINTS)
+    reader = open_survey(path, ReadOptions(checksum=True))
+    stats = PointStats()
+    for chunk in reader.chunks(500)[::-1]:
+        stats = stats.merge(reader.convert(chunk, reader.fetch(chunk)).stats)
+    reader.verify(stats)
+    assert reader.checksum == hash_file(path)
+    assert sum(read_again) <= 1 << 14
+
+
+def test_no_checksum_unless_it_is_asked_for(las, laz, read_again):
+    reader = open_survey(FORMATS["las"](las, laz, POINTS))
+    list(reader.clouds())
+    assert reader.checksum is None
+    assert read_again == []
+
+
+def test_a_change_before_the_checksum_is_complete(las, laz, monkeypatch):
+    path = FORMATS["laz"](las, laz, POINTS)
+    reader = open_survey(path, ReadOptions(checksum=True))
+    original = versioned.read_range
+
+    def read_range(*arguments):
+        later(path)
+        return original(*arguments)
+
+    monkeypatch.setattr(versioned, "read_range", read_range)
+    with pytest.raises(BadInputError, match="the same size, but was written again"):
+        list(reader.clouds())
+    assert path.exists()

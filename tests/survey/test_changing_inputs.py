@@ -1,6 +1,5 @@
 """Inputs that change under a run: one message, exit code 3, nothing written, no checksum of another file."""
 
-import hashlib
 import json
 import os
 from unittest.mock import Mock
@@ -12,6 +11,7 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.core import FileHash, hash_file
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, open_survey
 from bumpymap.readers.frames import kitti
@@ -92,23 +92,30 @@ def test_map_goes_on_without_it_where_it_may(lifted_when_read, tmp_path):
     assert "changed while it was read" in record["skipped"][str(lifted_when_read)]
 
 
-def test_map_refuses_one_that_changes_before_its_checksum_is_taken(survey, tmp_path, monkeypatch):
-    original = pipeline.write_products
+def test_map_refuses_one_that_changes_before_its_checksum_is_complete(survey, tmp_path, monkeypatch):
+    original = FileHash.finish
+
+    def finish(self, read):
+        again(survey, lambda path: write_survey(path, lift=5.0))
+        return original(self, read)
+
+    monkeypatch.setattr(FileHash, "finish", finish)
+    out = tmp_path / "layers"
+    refused(run("map", survey, "--out", out), survey, out)
+
+
+def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkeypatch):
+    """Also if another one is in its place when the layers are written."""
+    state, checksum, original = survey.stat(), hash_file(survey), pipeline.write_products
 
     def write_products(*arguments, **options):
         again(survey, lambda path: write_survey(path, lift=5.0))
         return original(*arguments, **options)
 
     monkeypatch.setattr(pipeline, "write_products", write_products)
-    out = tmp_path / "layers"
-    refused(run("map", survey, "--out", out), survey, out)
-
-
-def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path):
     assert run("map", survey, "--out", tmp_path / "layers").exit_code == 0
     (record,) = json.loads((tmp_path / "layers" / "run.json").read_text(encoding="utf-8"))["inputs"]
-    state = survey.stat()
-    assert record["sha256"] == hashlib.sha256(survey.read_bytes()).hexdigest()
+    assert record["checksum"] == checksum != hash_file(survey)
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 

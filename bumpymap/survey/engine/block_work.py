@@ -129,6 +129,8 @@ class MeasuredTiles:
     """Number of points used; duplicates are included."""
     lines: LineSums
     """Sums to compare the flight lines of these points."""
+    checksums: list[str | None]
+    """Of each input, see `bumpymap.core.FileHash`; None for a URL, and if it was skipped."""
 
     @classmethod
     def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
@@ -136,7 +138,8 @@ class MeasuredTiles:
         kind = "ground" if record["ground_only"] else "all"
         packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
         lines = LineSums.from_record(record["lines"])
-        return cls(TileTable(work.grid, packs), record["ground_only"], record["dropped"], record["points"], lines)
+        table, only = TileTable(work.grid, packs), record["ground_only"]
+        return cls(table, only, record["dropped"], record["points"], lines, record["checksums"])
 
 
 @contextmanager

@@ -63,6 +63,9 @@ class Checkpoints:
                 "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
                 "flagged": result.flagged,
                 "lines": result.lines.to_record(),
+                "hashed": {
+                    str(file): [(n, digests.hex()) for n, digests in own] for file, own in result.hashed.items()
+                },
                 "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
                 "early": early,
                 "seen": result.seen,
@@ -119,6 +122,10 @@ class Checkpoints:
             {int(file): PointStats.from_record(stats) for file, stats in record["stats"].items()},
             record["flagged"],
             LineSums.from_record(record["lines"]),
+            {
+                int(file): tuple((first, bytes.fromhex(digests)) for first, digests in own)
+                for file, own in record["hashed"].items()
+            },
             tuple((self._points(path), np.array(blocks, np.int64)) for path, blocks in record["packs"]),
             seen=None if record["seen"] is None else (record["seen"][0], record["seen"][1]),
         )

@@ -124,6 +124,8 @@ class ResultCollector:
         for file, first, stop in result.spans:
             stats = result.stats.get(file, PointStats())
             self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen))
+        for file, pieces in result.hashed.items():
+            self._readers[file].put_hashed(pieces)
 
     def _judge(self, files: Iterable[int]) -> None:
         """Judge files that are read completely; skip bad ones in file order, so that messages come in that order."""

@@ -89,6 +89,7 @@ class RangeReader:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
         self._progress, self._skip_bad = progress, False
         self._stream = ChunkStream(ranges, work.grid, threads)
+        self._readers = {source.range.file: source.reader for source in ranges}
         self._areas, bounds = _areas(ranges)
         others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
         self._completion = BlockCompletion(work.grid, [*bounds, *others])
@@ -184,7 +185,8 @@ class RangeReader:
             stats[file] = stats.get(file, PointStats()).merge(taken.stats)
             flagged |= taken.flagged
             lines = lines.merge(taken.lines)
-        return ReadResult(tuple(spans), stats, flagged, lines)
+        hashed = {file: self._readers[file].take_hashed() for file in stats}
+        return ReadResult(tuple(spans), stats, flagged, lines, hashed)
 
     def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
         """Drop the points of a bad file and yield its error; earlier results of the file become void."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, PieceRuns
 from bumpymap.readers import LineSums, PointStats, Version
 
 __all__ = ["FinishedTiles", "ReadResult", "Span"]
@@ -26,6 +26,8 @@ class ReadResult:
     """Whether any point is ground."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines."""
+    hashed: dict[int, PieceRuns] = field(default_factory=dict)
+    """What has been computed of the checksum of each file, see `SurveyReader.take_hashed`."""
     packs: tuple[tuple[Path, NDArray[np.int64]], ...] = ()
     """Packs of waiting points, each with the row, column and number of points of its blocks, (n, 3)."""
     tiles: tuple[tuple[Path, ...], ...] = ()

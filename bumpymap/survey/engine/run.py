@@ -99,7 +99,8 @@ def _read_and_measure(
     counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
     dropped = [None if n in collector.skipped else stats.dropped for n, stats in enumerate(collector.stats)]
     lines = collector.lines.to_record()
-    return {"ground_only": ground_only, "dropped": dropped, "points": counted, "lines": lines}
+    checksums = [reader.checksum for reader in inputs.readers]
+    return {"ground_only": ground_only, "dropped": dropped, "points": counted, "lines": lines, "checksums": checksums}
 
 
 def _read(

@@ -128,7 +128,8 @@ def _joined(results: Sequence[ReadResult], task: ReadTask) -> ReadResult:
         stats = stats.merge(result.stats.get(file, PointStats()))
         lines = lines.merge(result.lines)
     flagged = any(result.flagged for result in results)
-    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged, lines)
+    hashed = {file: tuple(run for result in results for run in result.hashed.get(file, ()))}
+    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged, lines, hashed)
 
 
 def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:

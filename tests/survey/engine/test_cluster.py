@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.core import processes
+from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.shared_memory import SharedMemory
@@ -68,6 +68,11 @@ def run(*arguments):
 
 def layers_of(folder):
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def inputs_of(folder):
+    """Checksums and all else that is recorded of the inputs."""
+    return json.loads((folder / "run.json").read_text(encoding="utf-8"))["inputs"]
 
 
 def write_las(path, columns, chosen, offset):
@@ -163,6 +168,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
     assert record["inputs"] == single["inputs"]
+    assert [entry["checksum"] for entry in record["inputs"]] == [hash_file(path) for path in sorted(surveys.iterdir())]
 
 
 @pytest.mark.realdata
@@ -274,6 +280,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
     assert read_range not in here.done
     assert (finish_group in here.done) == finished
     assert layers_of(left) == layers_of(plain / "auto")
+    assert inputs_of(left) == inputs_of(plain / "auto")
     assert not (left / ".bumpymap-run").exists()
 
 
@@ -294,6 +301,7 @@ def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here
     assert run(*arguments, "--out", tmp_path / "one", "--resume", "--workers", 3).exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")
+        assert inputs_of(tmp_path / name) == inputs_of(plain / "auto")
 
 
 def context_in(folder):

@@ -1,0 +1,137 @@
+"""The checksum of a file is the same whatever the order in which its bytes are read."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from bumpymap.core import BadInputError, FileHash, file_hash, hash_file, same_content
+
+PIECE = 1 << 20
+SIZES = [0, 1, 1000, PIECE - 1, PIECE, PIECE + 1, 5 * PIECE + 12_345]
+
+
+def content(size):
+    return np.random.default_rng(size).bytes(size)
+
+
+def expected(data):
+    digests = [hashlib.sha256(data[start : start + PIECE]).digest() for start in range(0, len(data), PIECE)]
+    return f"sha256-1MiB:{hashlib.sha256(b''.join(digests)).hexdigest()}"
+
+
+def add(made, data, start, stop):
+    for job in made.add(start, data[start:stop]):
+        job.result()
+
+
+class Rest:
+    """Gives the bytes that are missing at the end, and counts them."""
+
+    def __init__(self, data):
+        self.data, self.read = data, 0
+
+    def __call__(self, start, size):
+        self.read += size
+        return self.data[start : start + size]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_of_a_file_that_nobody_has_read(size, tmp_path):
+    data = content(size)
+    (tmp_path / "a").write_bytes(data)
+    assert hash_file(tmp_path / "a") == expected(data)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("step", [1 << 18, 3_000_000])
+def test_in_order_nothing_is_read_again(size, step):
+    data, made = content(size), FileHash(size)
+    for start in range(0, size, step):
+        add(made, data, start, start + step)
+    rest = Rest(data)
+    assert made.finish(rest) == made.checksum == expected(data)
+    assert rest.read == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    monkeypatch.setattr(file_hash, "MOST_COPIED", int(rng.choice([0, 300_000, 1 << 24])))
+    data = content(SIZES[-1])
+    made, seen = FileHash(len(data)), np.zeros(len(data), bool)
+    for start in rng.integers(0, len(data), int(rng.integers(0, 40))):
+        stop = start + int(rng.choice([10, 100_000, 1_500_000]))
+        add(made, data, start, stop)
+        seen[start:stop] = True
+    rest = Rest(data)
+    assert made.finish(rest) == expected(data)
+    assert rest.read >= np.count_nonzero(~seen)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_parts_in_any_order_are_read_once(seed):
+    data = content(3 * PIECE + 7)
+    cuts = np.sort(np.random.default_rng(seed).choice(len(data), 50, replace=False))
+    spans = list(zip([0, *cuts], [*cuts, len(data)], strict=True))
+    np.random.default_rng(seed).shuffle(spans)
+    made, rest = FileHash(len(data)), Rest(data)
+    for start, stop in spans[1:]:
+        add(made, data, start, stop)
+    assert made.finish(rest) == expected(data)
+    assert rest.read == spans[0][1] - spans[0][0]
+
+
+def test_freed_copies_are_read_again():
+    data, rest = content(PIECE), Rest(content(PIECE))
+    made = FileHash(PIECE)
+    add(made, data, 0, 1000)
+    add(made, data, 5000, 6000)
+    made.drop_copies()
+    assert made.finish(rest) == expected(data)
+    assert rest.read == PIECE - 1000
+
+
+def test_two_readers_share_a_file():
+    data = content(SIZES[-1])
+    one, two, both = (FileHash(len(data)) for _ in range(3))
+    middle = 2 * PIECE + 500_000
+    add(one, data, 0, middle)
+    add(two, data, middle, len(data))
+    for made in (one, two):
+        both.put(made.take())
+        assert made.take() == ()
+    assert both.take() == (), "what was put is not new"
+    rest = Rest(data)
+    assert both.finish(rest) == expected(data)
+    assert rest.read == PIECE
+
+
+def test_pieces_can_be_taken_after_the_end():
+    data = content(SIZES[-1])
+    made, other = FileHash(len(data)), FileHash(len(data))
+    made.finish(Rest(data))
+    other.put(made.take())
+    rest = Rest(data)
+    assert other.finish(rest) == made.checksum
+    assert rest.read == 0
+
+
+def test_a_file_that_ends_early():
+    data = content(2 * PIECE)
+    with pytest.raises(BadInputError, match="ends before byte 2,100,000"):
+        FileHash(2_100_000).finish(Rest(data))
+
+
+def test_content_is_compared_by_the_method_of_the_record(tmp_path):
+    path = tmp_path / "site.las"
+    path.write_bytes(content(PIECE + 5))
+    here = {"size": PIECE + 5, "mtime_ns": "2"}
+    data = path.read_bytes()
+    for known in ({"checksum": expected(data)}, {"sha256": hashlib.sha256(data).hexdigest()}):
+        assert same_content(str(path), {"bytes": PIECE + 5, "mtime_ns": "1", **known}, here)
+        (name,) = known
+        assert not same_content(str(path), {"mtime_ns": "1", name: known[name][:-1] + "x"}, here)
+    assert not same_content(str(path), {"mtime_ns": "1", "checksum": "other:12"}, here)
+    assert not same_content(str(path), {"mtime_ns": "1", "checksum": None}, here)
+    assert not same_content(str(path), {"mtime_ns": "1"}, here)
