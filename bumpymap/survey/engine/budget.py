@@ -6,14 +6,21 @@ older half is written to disk.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from bumpymap.core import UsageError
+from bumpymap.core import MapConfig, UsageError
+from bumpymap.survey.engine.free_memory import free_memory
 
-__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
+__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes", "with_memory"]
 
 LEAST_MEMORY = 128 << 20
 """Smallest budget, bytes: one chunk of a file alone needs this much."""
+_AUTO = "auto"
+_FREE_SHARE = 0.25
+_LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
+"""Limits of ``auto`` for each process, bytes."""
+_ELSEWHERE = 1 << 30
+"""``auto`` for a worker of a scheduler, bytes: it may be on another machine."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 POINT_BYTES = 26
 """Size of a waiting point, in memory or on disk."""
@@ -36,8 +43,29 @@ def memory_bytes(text: str) -> int:
     size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
     if size < LEAST_MEMORY:
         least = f"at least {LEAST_MEMORY >> 20} MB"
-        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB")
+        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
     return int(size)
+
+
+def with_memory(config: MapConfig) -> MapConfig:
+    """Return settings of which ``memory`` is a size: ``auto`` is replaced by that of this machine at this moment.
+
+    It is a quarter of the free memory, divided by the number of local workers, within the limits above; for the
+    workers of a scheduler it is always the same.
+
+    Raises
+    ------
+    UsageError
+        ``memory`` is neither a size nor ``auto``.
+    """
+    if config.memory.strip().lower() != _AUTO:
+        memory_bytes(config.memory)
+        return config
+    free = None if config.scheduler is not None else free_memory()
+    size = _ELSEWHERE
+    if free is not None:
+        size = min(max(int(_FREE_SHARE * free / (config.workers or 1)), _LEAST_AUTO), _MOST_AUTO)
+    return replace(config, memory=f"{size >> 20}MB")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +94,7 @@ class Budget:
 
     def most_bytes(self, points: int) -> int:
         """Return the most bytes of the budget that a survey of this many points can take."""
-        waiting = int(1.5 * POINT_BYTES * min(points, self.waiting_points))
+        waiting = POINT_BYTES * min(points, int(1.5 * self.waiting_points))
         reading = _READING_BYTES * min(points, self.chunk_points * (self.threads + 1))
         sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
         return max(reading, min(self.memory, waiting + reading + sorting))
