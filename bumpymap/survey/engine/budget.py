@@ -5,13 +5,14 @@ its index in a block), one that is being sorted 63. Waiting points may reach one
 older half is written to disk.
 """
 
+import math
 import re
 from dataclasses import dataclass, replace
 
 from bumpymap.core import MapConfig, UsageError
 from bumpymap.survey.engine.free_memory import free_memory
 
-__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes", "with_memory"]
+__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes", "requests_at_once", "with_memory"]
 
 LEAST_MEMORY = 128 << 20
 """Smallest budget, bytes: one chunk of a file alone needs this much."""
@@ -25,9 +26,13 @@ _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 <<
 POINT_BYTES = 26
 """Size of a waiting point, in memory or on disk."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
+_DECODING_BYTES = 45
+"""Size of a point that is being decoded: its record, compressed and not."""
 _MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
 _PIECE_POINTS = 500_000
 _LEAST_PIECE = 50_000
+_LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
+"""Usual points of a LAZ chunk, which one thread decodes; how many of them are decoded at a time."""
 
 
 def memory_bytes(text: str) -> int:
@@ -68,6 +73,12 @@ def with_memory(config: MapConfig) -> MapConfig:
     return replace(config, memory=f"{size >> 20}MB")
 
 
+def requests_at_once(points: int, threads: int) -> int:
+    """Return how many chunks of so many points are fetched at a time, so that every thread has LAZ chunks to decode."""
+    wanted = math.ceil(_LAZ_CHUNKS_A_THREAD * threads * _LAZ_CHUNK / max(points, 1))
+    return max(min(wanted, threads, _MOST_REQUESTS), 1)
+
+
 @dataclass(frozen=True, slots=True)
 class Budget:
     """Shares of a memory budget, in points."""
@@ -88,7 +99,7 @@ class Budget:
 
     @property
     def chunk_points(self) -> int:
-        """Points in a chunk of a file; each thread holds one chunk, and one is being decoded."""
+        """Points in a chunk of a file; each thread holds one chunk, and one or more are being decoded."""
         fitting = int(_READING * self.memory / _READING_BYTES / (self.threads + 1))
         return max(_LEAST_PIECE, min(_PIECE_POINTS, fitting))
 
@@ -96,5 +107,7 @@ class Budget:
         """Return the most bytes of the budget that a survey of this many points can take."""
         waiting = POINT_BYTES * min(points, int(1.5 * self.waiting_points))
         reading = _READING_BYTES * min(points, self.chunk_points * (self.threads + 1))
+        further = requests_at_once(self.chunk_points, self.threads) - 1
+        reading += _DECODING_BYTES * min(points, self.chunk_points * further)
         sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
         return max(reading, min(self.memory, waiting + reading + sorting))

@@ -8,7 +8,7 @@ import pytest
 from bumpymap.core import MapConfig, UsageError
 from bumpymap.survey import Budget, memory_bytes, with_memory
 from bumpymap.survey.engine import budget
-from bumpymap.survey.engine.budget import POINT_BYTES
+from bumpymap.survey.engine.budget import POINT_BYTES, requests_at_once
 from bumpymap.survey.engine.free_memory import free_memory
 
 GIB = 1 << 30
@@ -110,3 +110,11 @@ def test_points_that_fit_take_their_own_size_and_no_more():
     assert POINT_BYTES * 10_000_000 <= more <= (POINT_BYTES + 63) * 10_000_000
     small = Budget(GIB, 2)
     assert small.most_bytes(10**9) == small.most_bytes(10**10) <= GIB
+
+
+@pytest.mark.parametrize(
+    ("points", "threads", "requests"),
+    [(500_000, 1, 1), (500_000, 2, 1), (50_000, 2, 2), (500_000, 4, 2), (500_000, 16, 5), (50_000, 16, 8)],
+)
+def test_small_chunks_are_fetched_several_at_a_time(points, threads, requests):
+    assert requests_at_once(points, threads) == requests
