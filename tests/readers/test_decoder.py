@@ -187,6 +187,8 @@ def test_threads_share_a_child(survey, child):
 
 def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):
     reader = open_survey(survey("chunks"))
+    assert reader.info.parallel
+    assert not open_survey(survey("stream", "stream.las")).info.parallel
     chunks = reader.chunks(700)[:3]
     expected = [reader.fetch(chunk).copy() for chunk in chunks]
     meeting = threading.Barrier(3, timeout=60)

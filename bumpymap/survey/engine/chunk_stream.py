@@ -128,7 +128,7 @@ class ChunkStream:
 
     def _at_once(self, source: OpenRange) -> int:
         """Return how many chunks of a range are fetched at a time."""
-        if source.reader.info.sequential:
+        if not source.reader.info.parallel:
             return 1
         return requests_at_once(max((chunk.points for chunk in source.chunks), default=1), self._threads)
 
