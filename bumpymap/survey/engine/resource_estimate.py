@@ -9,13 +9,15 @@ from dataclasses import dataclass
 
 from bumpymap.core import neighbour_columns, rated_columns
 from bumpymap.readers import SurveyInfo
-from bumpymap.survey.engine.budget import POINT_BYTES, Budget
+from bumpymap.survey.engine.budget import POINT_BYTES, Budget, requests_at_once
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 __all__ = ["Estimate", "estimate", "most_tiles"]
 
 _READING_BASE = 330 << 20
 """Interpreter, libraries and decoder while points are read and measured, bytes."""
+_DECODER = 10 << 20
+"""Each further decoder process (measured: 9 MB), bytes."""
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
 _STRIP_COPIES = 2
@@ -80,10 +82,11 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
+    further = requests_at_once(budget.chunk_points, budget.threads) - 1
     return Estimate(
         points=points,
         tiles=most,
-        memory=max(_READING_BASE + budget.most_bytes(points), _WRITING_BASE + strip),
+        memory=max(_READING_BASE + further * _DECODER + budget.most_bytes(points), _WRITING_BASE + strip),
         scratch=scratch,
         out=None if most is None else most * tile_bytes,
         seconds=_seconds(infos, scratch // POINT_BYTES, most or 0, budget.threads),
