@@ -41,7 +41,7 @@ _BAD_INPUT = 3
 @click.option(
     "--pixels", type=int, default=15, metavar="N", help="Heightmap pixels along a side of a tile [default: 15]."
 )
-@click.option("--memory", default="1GB", metavar="SIZE", help="As for map, for the estimate [default: 1GB].")
+@click.option("--memory", default="auto", metavar="SIZE", help="As for map, for the estimate [default: auto].")
 @click.option("--threads", type=int, metavar="N", help="As for map, for the estimate [default: all cores].")
 @click.option("--quick", is_flag=True, help="Read only the headers, no points.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
@@ -61,7 +61,7 @@ def command(
     from bumpymap.cli._info_report import as_record, estimated, run_record
     from bumpymap.core import FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
-    from bumpymap.survey import Budget, memory_bytes
+    from bumpymap.survey import Budget, memory_bytes, with_memory
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
@@ -69,7 +69,8 @@ def command(
     count = (os.cpu_count() or 1) if given["threads"] is None else given["threads"]
     # Checks that the settings are valid for a run.
     sizes = {name: given[name] for name in ("tile_size", "pixels", "memory")}
-    run, ground, as_json = MapConfig(surveys, Path(), threads=count, **sizes), given["ground"], given["as_json"]
+    run = with_memory(MapConfig(surveys, Path(), threads=count, **sizes))
+    ground, as_json = given["ground"], given["as_json"]
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
     options = ReadOptions(given["crs"], given["z_unit"], given["trust_points"], budget.memory, lines=True)
@@ -86,7 +87,8 @@ def command(
     else:
         _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
-            _show_run(forecast, grid, run.memory, budget.threads)
+            memory = run.memory if run.memory == given["memory"] else f"{given['memory']} ({run.memory} now)"
+            _show_run(forecast, grid, memory, budget.threads)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 

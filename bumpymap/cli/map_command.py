@@ -36,7 +36,9 @@ _PARTLY_DONE = 4
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
 @click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --workers [default: all cores].")
 @click.option(
-    "--memory", metavar="SIZE", help="Memory limit in addition to the interpreter's, per worker [default: 1GB]."
+    "--memory",
+    metavar="SIZE",
+    help="Memory limit in addition to the interpreter's, per worker [default: auto, a quarter of what is free].",
 )
 @workers_option("none, one process with threads")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")

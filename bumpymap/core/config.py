@@ -162,8 +162,10 @@ class MapConfig:
     """Continue an interrupted run."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads on this machine; with ``workers``, they are divided among them."""
-    memory: str = "1GB"
-    """Memory to use beyond that of the interpreter and its libraries; with workers, for each of them."""
+    memory: str = "auto"
+    """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; with workers, for each of them.
+    ``auto``: a quarter of the memory that is free when the run starts, divided by the number of ``workers``, at least
+    512 MB and at most 8 GB; 1 GB for each worker of a ``scheduler``."""
     scratch: Path | None = None
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
     workers: int | None = None

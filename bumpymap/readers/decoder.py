@@ -1,7 +1,8 @@
-"""The LAZ decoder. It runs in a child process, since a damaged file may crash it.
+"""The LAZ decoder. It runs in child processes, since a damaged file may crash it.
 
-It handles one request at a time, because each uses all cores. If the child crashes, the file is refused, and the next
-request starts a new child. If no child can be started, the same functions run in this process.
+A child handles one request at a time, on all cores. A request for few LAZ chunks cannot use them all, so LAZ chunks
+that another thread requests meanwhile are decoded by a further child. If a child crashes, the file is refused, and the
+next request starts a new child. If no child can be started, the same functions run in this process.
 """
 
 import itertools
@@ -40,6 +41,9 @@ Table = Sequence[tuple[int, int]]
 
 SECONDS, SECONDS_PER_BYTE = 4.0, 1e-7
 """CPU time limit of a request, and for each byte of input and output: ten times what real files need."""
+_MOST_FURTHER = 7
+_MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
+"""Makes glibc keep the memory that lazrs allocates for each LAZ chunk; else it comes from the system each time."""
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 
 
@@ -52,15 +56,24 @@ class StreamLostError(Exception):
 
 
 class Decoder:
-    """Calls lazrs in a child process. Thread-safe. Methods except ``allocate`` and ``close`` may raise DecoderError."""
+    """Calls lazrs in child processes. Thread-safe. Methods except ``allocate`` and ``close`` may raise DecoderError.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    further : int
+        Number of further children that may decode LAZ chunks while the first one is busy.
+    """
+
+    def __init__(self, further: int = _MOST_FURTHER) -> None:
         self._lock = threading.Lock()
         self.child: Child | None = None
-        """The process that decodes, once there is one."""
+        """The process that decodes, once there is one. All streams are decoded by this one."""
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Open streams of the running child."""
+        self._further, self._adding = further, threading.Lock()
+        self._next: Decoder | None = None
+        """A decoder with a child of its own, for LAZ chunks that are requested while this one is busy."""
 
     def allocate(self, size: int) -> SharedBytes:
         """Allocate memory for bytes that the decoder will read."""
@@ -79,9 +92,13 @@ class Decoder:
 
     def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int) -> Bytes:
         """Decode adjacent LAZ chunks to ``size`` bytes."""
-        out = self.allocate(size)
-        with self._lock:
+        if not self._lock.acquire(blocking=not self._further):
+            return self._another().chunks(record, table, data, size)
+        try:
+            out = self.allocate(size)
             self._call("decode_chunks", record, table, shared=(data, out))
+        finally:
+            self._lock.release()
         return out.data
 
     def stream(self, record: bytes, read_at: ReadAt, start: int, file_size: int) -> "Stream":
@@ -109,10 +126,18 @@ class Decoder:
             self._streams.discard(number)
 
     def close(self) -> None:
-        """End the child and free unused memory, until the next request. Arrays in use stay valid."""
+        """End the children and free unused memory, until the next request. Arrays in use stay valid."""
+        if self._next is not None:
+            self._next.close()
         with self._lock:
             self._end()
             trim_shared()
+
+    def _another(self) -> "Decoder":
+        with self._adding:
+            if self._next is None:
+                self._next = Decoder(self._further - 1)
+            return self._next
 
     def _call(
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
@@ -141,7 +166,7 @@ class Decoder:
             self._end()
             # Not all of site-packages: its .pth files would run at every start.
             folders = [str(Path(__file__).parent), module_folder("lazrs")]
-            self.child = Child("to decode LAZ", "_decoder_child", folders)
+            self.child = Child("to decode LAZ", "_decoder_child", folders, _MALLOC)
         return self.child
 
     def _end(self) -> None:
@@ -153,6 +178,9 @@ class Decoder:
 
 class LocalDecoder(Decoder):
     """A decoder that runs in this process."""
+
+    def __init__(self) -> None:
+        super().__init__(further=0)  # lazrs holds the GIL
 
     def _call(
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
@@ -217,7 +245,7 @@ current: Decoder | None = None
 
 def decoder() -> Decoder:
     """Return the decoder of this process."""
-    global current  # noqa: PLW0603 (one for all readers: it uses all cores)
+    global current  # noqa: PLW0603 (one for all readers: they share its children)
     with _lock:
         if current is None:
             current = Decoder() if can_start_children() else LocalDecoder()

@@ -55,10 +55,9 @@ class LasSurvey(SurveyBase):
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
-        sequential = isinstance(self._source, LazStream)
-        super().__init__(
-            SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes, sequential=sequential)
-        )
+        sequential, parallel = isinstance(self._source, LazStream), isinstance(self._source, LazChunks)
+        info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
+        super().__init__(replace(info, sequential=sequential, parallel=parallel))
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree."""

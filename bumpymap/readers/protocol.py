@@ -58,6 +58,8 @@ class SurveyInfo:
     """Version of the file that is read, see `bumpymap.readers.source.version_of`; None if changes are not detected."""
     sequential: bool = False
     """Whether the points can only be decoded sequentially from the start of the file."""
+    parallel: bool = False
+    """Whether several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,9 @@ class SurveyReader(Protocol):
         """
 
     def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode a chunk. Call it from one thread at a time; any order is allowed, reading order is fastest.
+        """Read and decode a chunk, in any order; reading order is fastest.
+
+        Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set.
 
         Raises
         ------

@@ -30,6 +30,7 @@ from bumpymap.survey.engine import (
     engine_errors,
     memory_bytes,
     run_engine,
+    with_memory,
 )
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.neighbour_rating import NeighbourRating
@@ -59,6 +60,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
 
 def _map(config: MapConfig, progress: Progress) -> MapResult:
     clock = Stopwatch()
+    config = with_memory(config)
     budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"):
         is_done = _check_out(config)

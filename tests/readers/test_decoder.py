@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,43 @@ def test_threads_share_a_child(survey, child):
         thread.join()
     for index, tables in enumerate(expected):
         assert all(np.array_equal(a, b) for a, b in zip(found[index], tables, strict=True))
+
+
+def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):
+    reader = open_survey(survey("chunks"))
+    assert reader.info.parallel
+    assert not open_survey(survey("stream", "stream.las")).info.parallel
+    chunks = reader.chunks(700)[:3]
+    expected = [reader.fetch(chunk).copy() for chunk in chunks]
+    meeting = threading.Barrier(3, timeout=60)
+    processes_used, finish = set(), Child.finish
+
+    def together(used, read_at=None):
+        meeting.wait()  # every request has begun
+        processes_used.add(used.process.pid)
+        return finish(used, read_at)
+
+    monkeypatch.setattr(Child, "finish", together)
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(reader.fetch, chunks))
+    monkeypatch.undo()
+    monkeypatch.setattr(decoder, "current", child)
+    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
+    assert len(processes_used) == 3
+    child.close()
+    assert all(ended(pid) for pid in processes_used)
+
+
+def test_no_more_children_are_started_than_allowed(survey, monkeypatch):
+    only = Decoder(further=0)
+    monkeypatch.setattr(decoder, "current", only)
+    reader = open_survey(survey("chunks"))
+    first = pid_of(only)
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(reader.fetch, reader.chunks(700)))
+    assert sum(map(len, found)) == 4000
+    assert pid_of(only) == first
+    only.close()
 
 
 def test_a_fork_has_a_child_of_its_own(survey, child):

@@ -69,20 +69,23 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
         assert list(scratch.iterdir())
 
 
-@pytest.mark.parametrize("offsets", [(0.0,), (0.0, 7.5)])
-def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets):
-    """Those of one file as integers, those of several in metres."""
+@pytest.mark.parametrize(("offsets", "together"), [((0.0,), True), ((0.0, 7.5), True), ((0.0, 7.5), False)])
+def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets, together):
+    """As integers, but in metres if those of several files must stay together."""
     buckets, plain = TileBuckets(GRID, MemoryLimits(14 * 500, 10_000, tmp_path)), TileBuckets(GRID)
     for number, offset in enumerate(offsets):
         rng = np.random.default_rng(number)
         x, y, z = rng.integers(-7000, 7000, (3, 1000)).astype(np.int32)
         scaling = Scaling((0.01,) * 3, (offset,) * 3, (1.0,) * 3)
         points = ScaledPoints(x, y, z, rng.random(1000) < 0.3, scaling)
-        buckets.add_chunk(group_scaled_points(GRID, points), 0)
+        buckets.add_chunk(group_scaled_points(GRID, points), 0 if together else number)
         plain.add(*points.coordinates(), points.flag)
-    buckets.spill()
+    while not buckets.is_empty:
+        buckets.spill()
     buckets.wait()
-    assert [column.dtype for column in buckets.packs[0].columns][:3] == ["<i4" if len(offsets) == 1 else "<f8"] * 3
+    mixed = together and len(offsets) > 1
+    assert len(buckets.packs) == (1 if together else len(offsets))
+    assert {column.dtype for pack in buckets.packs for column in pack.columns[:3]} == {"<f8" if mixed else "<i4"}
     again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
     assert flat(again.blocks()) == flat(plain.blocks())
 

@@ -264,16 +264,16 @@ class TileBuckets:
         return self._waiting.index.get(key, [])
 
     def _oldest(self) -> list[tuple[int, GroupedPoints]]:
-        """Choose the oldest chunks, about half of the limit; never split a number, never mix final and other chunks."""
+        """Choose the oldest chunks, about half of the limit: all of a number, of one grid, and final or not, each."""
         chosen: list[tuple[int, GroupedPoints]] = []
-        is_final, held = False, 0
+        is_final, held, scaling = False, 0, None
         for number, chunk in self._waiting.chunks:
             same = self.final is None or number < self.final
-            full = self.limits is not None and held >= self.limits.waiting_bytes // 2 and number != chosen[-1][0]
-            if chosen and (is_final != same or full):
+            full = self.limits is not None and held >= self.limits.waiting_bytes // 2
+            if chosen and (is_final != same or (number != chosen[-1][0] and (full or chunk.scaling != scaling))):
                 break
             chosen.append((number, chunk))
-            is_final, held = same, held + chunk.size_bytes
+            is_final, held, scaling = same, held + chunk.size_bytes, chunk.scaling
         return chosen
 
 

@@ -1,26 +1,48 @@
 """How a memory budget is divided: how many points may wait, and how many are read and sorted at a time.
 
-The shares were measured: a waiting point takes 26 bytes, one that is being read up to 95 (its record, its coordinates,
-its index in a block), one that is being sorted 63. Waiting points may reach one and a half times their limit while the
-older half is written to disk.
+The shares were measured: a waiting point takes 14 or 26 bytes, one that is being read up to 95 (its record, its
+coordinates, its index in a block), one that is being sorted 63. Waiting points may reach one and a half times their
+limit while the older half is written to disk.
 """
 
+import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from bumpymap.core import UsageError
+from bumpymap.core import MapConfig, UsageError
+from bumpymap.survey.engine.free_memory import free_memory
 
-__all__ = ["LEAST_MEMORY", "POINT_BYTES", "Budget", "memory_bytes"]
+__all__ = [
+    "FLOAT_POINT_BYTES",
+    "LEAST_MEMORY",
+    "POINT_BYTES",
+    "Budget",
+    "memory_bytes",
+    "requests_at_once",
+    "with_memory",
+]
 
 LEAST_MEMORY = 128 << 20
 """Smallest budget, bytes: one chunk of a file alone needs this much."""
+_AUTO = "auto"
+_FREE_SHARE = 0.25
+_LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
+"""Limits of ``auto`` for each process, bytes."""
+_ELSEWHERE = 1 << 30
+"""``auto`` for a worker of a scheduler, bytes: it may be on another machine."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 POINT_BYTES = 14
-"""Size of a waiting point of LAS or LAZ, in memory or on disk; others take 26 bytes."""
+"""Size of a waiting point of LAS or LAZ, in memory or on disk."""
+FLOAT_POINT_BYTES = 26
+"""The same for points whose coordinates are no integers: of PLY and PCD, and corrected ones."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
+_DECODING_BYTES = 45
+"""Size of a point that is being decoded: its record, compressed and not."""
 _MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
 _PIECE_POINTS = 500_000
 _LEAST_PIECE = 50_000
+_LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
+"""Usual points of a LAZ chunk, which one thread decodes; how many of them are decoded at a time."""
 
 
 def memory_bytes(text: str) -> int:
@@ -36,8 +58,35 @@ def memory_bytes(text: str) -> int:
     size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
     if size < LEAST_MEMORY:
         least = f"at least {LEAST_MEMORY >> 20} MB"
-        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB")
+        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
     return int(size)
+
+
+def with_memory(config: MapConfig) -> MapConfig:
+    """Return settings of which ``memory`` is a size: ``auto`` is replaced by that of this machine at this moment.
+
+    It is a quarter of the free memory, divided by the number of local workers, within the limits above; for the
+    workers of a scheduler it is always the same.
+
+    Raises
+    ------
+    UsageError
+        ``memory`` is neither a size nor ``auto``.
+    """
+    if config.memory.strip().lower() != _AUTO:
+        memory_bytes(config.memory)
+        return config
+    free = None if config.scheduler is not None else free_memory()
+    size = _ELSEWHERE
+    if free is not None:
+        size = min(max(int(_FREE_SHARE * free / (config.workers or 1)), _LEAST_AUTO), _MOST_AUTO)
+    return replace(config, memory=f"{size >> 20}MB")
+
+
+def requests_at_once(points: int, threads: int) -> int:
+    """Return how many chunks of so many points are fetched at a time, so that every thread has LAZ chunks to decode."""
+    wanted = math.ceil(_LAZ_CHUNKS_A_THREAD * threads * _LAZ_CHUNK / max(points, 1))
+    return max(min(wanted, threads, _MOST_REQUESTS), 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +99,7 @@ class Budget:
 
     @property
     def waiting_points(self) -> int:
-        """Most points that wait in memory until their block is complete."""
+        """Most points of LAS or LAZ that wait in memory until their block is complete."""
         return int(_MOST_WAITING / 1.5 * self.memory / POINT_BYTES)
 
     @property
@@ -65,13 +114,15 @@ class Budget:
 
     @property
     def chunk_points(self) -> int:
-        """Points in a chunk of a file; each thread holds one chunk, and one is being decoded."""
+        """Points in a chunk of a file; each thread holds one chunk, and one or more are being decoded."""
         fitting = int(_READING * self.memory / _READING_BYTES / (self.threads + 1))
         return max(_LEAST_PIECE, min(_PIECE_POINTS, fitting))
 
-    def most_bytes(self, points: int) -> int:
-        """Return the most bytes of the budget that a survey of this many points can take."""
-        waiting = int(1.5 * POINT_BYTES * min(points, self.waiting_points))
+    def most_bytes(self, points: int, waiting: int) -> int:
+        """Return the most bytes of the budget that a survey can take; ``waiting``: those of all its points."""
+        waiting = min(waiting, int(1.5 * self.waiting_bytes))
         reading = _READING_BYTES * min(points, self.chunk_points * (self.threads + 1))
+        further = requests_at_once(self.chunk_points, self.threads) - 1
+        reading += _DECODING_BYTES * min(points, self.chunk_points * further)
         sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
         return max(reading, min(self.memory, waiting + reading + sorting))

@@ -1,8 +1,8 @@
 """A stream of chunks in file order: chunks are fetched ahead while earlier ones are converted and grouped.
 
-The decoder runs in its own process and uses every core; conversion and grouping are compiled and release the GIL. One
-thread fetches the next chunk, other threads convert and group the chunks before it, and the caller receives them in
-order.
+The decoder runs in its own processes and uses every core; conversion and grouping are compiled and release the GIL. One
+thread fetches the next chunk, or several threads the next chunks if one is too small to keep every core busy; other
+threads convert and group the chunks before, and the caller receives them in order.
 """
 
 from collections import deque
@@ -15,6 +15,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError
 from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
+from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.plan import ChunkRange
 from bumpytiles import Grid, GroupedPoints
 
@@ -79,6 +80,8 @@ class ChunkStream:
     def __init__(self, ranges: Sequence[OpenRange], grid: Grid, threads: int) -> None:
         self._ranges, self._grid, self._threads = ranges, grid, threads
         self._skipped: set[int] = set()
+        self._fetchers: dict[int, ThreadPoolExecutor] = {}
+        """By the number of chunks that are fetched at a time."""
 
     def skip(self, file: int) -> None:
         """Stop reading a file."""
@@ -88,9 +91,9 @@ class ChunkStream:
         """Yield the chunks in order; for a file that cannot be read, yield one `BadFile` after its good chunks."""
         np.empty(_LARGEST_KEPT, np.uint8)
         pending: _Pending = deque()
-        fetcher, pool = ThreadPoolExecutor(1), ThreadPoolExecutor(self._threads)
+        pool = ThreadPoolExecutor(self._threads)
         try:
-            for source, chunk, fetching in self._fetched(fetcher):
+            for source, chunk, fetching in self._fetched():
                 if source.range.file in self._skipped:
                     continue  # found to be bad while this chunk was fetched
                 try:
@@ -104,21 +107,30 @@ class ChunkStream:
                 yield from self._ready(pending, self._threads)
             yield from self._ready(pending, 0)
         finally:
-            fetcher.shutdown(cancel_futures=True)
+            for fetcher in self._fetchers.values():
+                fetcher.shutdown(cancel_futures=True)
             pool.shutdown(cancel_futures=True)
             close_decoder()
 
-    def _fetched(self, fetcher: ThreadPoolExecutor) -> Iterator[tuple[OpenRange, Chunk, Future[Any]]]:
-        """Yield chunks in order, each with the future of its data; one chunk is fetched ahead."""
+    def _fetched(self) -> Iterator[tuple[OpenRange, Chunk, Future[Any]]]:
+        """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead."""
         ahead: deque[tuple[OpenRange, Chunk, Future[Any]]] = deque()
         for source in self._ranges:
+            at_once = self._at_once(source)
+            fetcher = self._fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
             for chunk in source.chunks:
                 if source.range.file in self._skipped:
                     break
                 ahead.append((source, chunk, fetcher.submit(source.reader.fetch, chunk)))
-                if len(ahead) > 1:
+                while len(ahead) > at_once:
                     yield ahead.popleft()
         yield from ahead
+
+    def _at_once(self, source: OpenRange) -> int:
+        """Return how many chunks of a range are fetched at a time."""
+        if not source.reader.info.parallel:
+            return 1
+        return requests_at_once(max((chunk.points for chunk in source.chunks), default=1), self._threads)
 
     def _grouped(self, source: OpenRange, chunk: Chunk, fetched: Any) -> ReadChunk:
         batch = source.reader.convert(chunk, fetched)

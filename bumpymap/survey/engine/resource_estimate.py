@@ -9,13 +9,15 @@ from dataclasses import dataclass
 
 from bumpymap.core import neighbour_columns, rated_columns
 from bumpymap.readers import SurveyInfo
-from bumpymap.survey.engine.budget import POINT_BYTES, Budget
+from bumpymap.survey.engine.budget import FLOAT_POINT_BYTES, POINT_BYTES, Budget, requests_at_once
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 __all__ = ["Estimate", "estimate", "most_tiles"]
 
 _READING_BASE = 330 << 20
 """Interpreter, libraries and decoder while points are read and measured, bytes."""
+_DECODER = 10 << 20
+"""Each further decoder process (measured: 9 MB), bytes."""
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
 _STRIP_COPIES = 2
@@ -74,19 +76,21 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     boxes = [info.bounds for info in infos]
     most = tiles if tiles is not None else most_tiles(boxes, points, grid)
     blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
-    scratch = _scratch(points, blocks if blocks is not None else most, len(infos), budget)
+    waiting = sum(info.point_count * _point_bytes(info.format) for info in infos)
+    scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
     cols = max((_sides(box, grid)[0] for box in _around(boxes)), default=0)
     strip = _STRIP_COPIES * BLOCK_TILES * grid.pixels**2 * 4 * min(cols, points)
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
+    further = requests_at_once(budget.chunk_points, budget.threads) - 1
     return Estimate(
         points=points,
         tiles=most,
-        memory=max(_READING_BASE + budget.most_bytes(points), _WRITING_BASE + strip),
+        memory=max(_READING_BASE + further * _DECODER + budget.most_bytes(points, waiting), _WRITING_BASE + strip),
         scratch=scratch,
         out=None if most is None else most * tile_bytes,
-        seconds=_seconds(infos, scratch // POINT_BYTES, most or 0, budget.threads),
+        seconds=_seconds(infos, points if scratch else 0, most or 0, budget.threads),
     )
 
 
@@ -117,14 +121,18 @@ def _sides(box: Bounds, grid: Grid) -> tuple[int, int]:
     return cols, rows
 
 
-def _scratch(points: int, blocks: int | None, files: int, budget: Budget) -> int:
+def _scratch(points: int, waiting: int, blocks: int | None, files: int, budget: Budget) -> int:
     """Return the bytes of the packs if every block waits until the end; 0 if all points fit into memory."""
-    if points <= budget.waiting_points:
+    if waiting <= budget.waiting_bytes:
         return 0
     # Each pack holds half of what may wait, but for the last one of each file.
-    packs = 2 * points // budget.waiting_points + 1 + files
+    packs = 2 * waiting // budget.waiting_bytes + 1 + files
     entries = points if blocks is None else min(points, packs * blocks)
-    return points * POINT_BYTES + packs * (_PACK_BYTES + files * _ENTRY_BYTES) + entries * _ENTRY_BYTES
+    return waiting + packs * (_PACK_BYTES + files * _ENTRY_BYTES) + entries * _ENTRY_BYTES
+
+
+def _point_bytes(kind: str) -> int:
+    return POINT_BYTES if kind.startswith(("LAS", "LAZ", "COPC")) else FLOAT_POINT_BYTES
 
 
 def _seconds(infos: Sequence[SurveyInfo], spilled: int, tiles: int, cores: int) -> float:

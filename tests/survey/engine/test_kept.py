@@ -1,7 +1,9 @@
 """What a run keeps that ends early, by how it ended: finished tiles are not lost to a helper or a disk that fails."""
 
 import errno
+import json
 import os
+import re
 import shutil
 
 import numpy as np
@@ -142,6 +144,31 @@ def test_what_nobody_expected_keeps_everything(surveys, plain, tmp_path, monkeyp
     assert result.exit_code != 0
     assert GO_ON in as_options(result.output + "".join(getattr(result.exception, "__notes__", [])))
     goes_on(surveys, tmp_path / "out", plain, monkeypatch)
+
+
+def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, tmp_path, monkeypatch):
+    """Under another limit, which `auto` may give any time, files would be cut into other chunks."""
+    out = tmp_path / "out"
+
+    def fail(*_, **__):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", fail)
+    run("map", surveys, "--out", out, "--memory", "128MB")
+    monkeypatch.undo()
+    fetched, fetch = [], LasSurvey.fetch
+
+    def counted(reader, chunk):
+        fetched.append(chunk.points)
+        return fetch(reader, chunk)
+
+    monkeypatch.setattr(LasSurvey, "fetch", counted)
+    result = run("map", surveys, "--out", out, "--resume")
+    assert result.exit_code == 0, result.output
+    assert sum(fetched) <= 60_000, "chunks that are on disk are read again"
+    assert layers_of(out) == plain
+    record = json.loads((out / "run.json").read_text())
+    assert re.fullmatch(r"\d+MB", record["settings"]["memory"])
 
 
 def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypatch):

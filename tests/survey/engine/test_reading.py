@@ -25,6 +25,7 @@ class Info:
     path: str
     bounds: None = None
     sequential: bool = False
+    parallel: bool = False
 
 
 @dataclass
@@ -38,20 +39,21 @@ class Reader:
     bad_verify: bool = False
     log: list = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
+    parallel: bool = False
     under_way: int = 0
     most_under_way: int = 0
     reading: int = 0
 
     @property
     def info(self):
-        return Info(self.name)
+        return Info(self.name, parallel=self.parallel)
 
     def chunks(self, points):
         return [Chunk(index, 10 * index, 10) for index in range(self.pieces_held)]
 
     def fetch(self, chunk):
         with self.lock:
-            assert self.reading == 0, "two threads fetch at once"
+            assert self.parallel or self.reading == 0, "two threads fetch at once"
             self.reading += 1
             self.under_way += 1
             self.most_under_way = max(self.most_under_way, self.under_way)
@@ -121,6 +123,24 @@ def test_chunks_are_taken_in_order_and_fetched_a_little_ahead(threads):
     assert max(reader.most_under_way for reader in readers) <= threads + 3
 
 
+def test_small_chunks_are_fetched_at_once_and_taken_in_order():
+    readers = [Reader("a", 20, parallel=True), Reader("b", 30)]
+    meeting = threading.Barrier(3, timeout=60)
+    fetch = readers[0].fetch
+
+    def together(chunk):
+        if chunk.index < 3:
+            meeting.wait()  # three threads are here
+        return fetch(chunk)
+
+    readers[0].fetch = together
+    stats, calls, _ = read(readers, skip_bad=False, threads=3)
+    assert calls == list(range(50))
+    assert {file: own.points for file, own in stats.items()} == {0: 200, 1: 300}
+    # Those that are prepared, one in hand, and those that are fetched or wait for it.
+    assert readers[0].most_under_way <= 3 + 3 + 2
+
+
 @pytest.mark.parametrize(
     ("faults", "says"),
     [
@@ -134,9 +154,10 @@ def test_chunks_are_taken_in_order_and_fetched_a_little_ahead(threads):
     ],
 )
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads):
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_bad_file_is_refused_once_for_its_first_fault(faults, says, threads, parallel):
     def readers():
-        return [Reader("a", 3), Reader("b", 10, **faults), Reader("c", 3)]
+        return [Reader("a", 3), Reader("b", 10, **faults, parallel=parallel), Reader("c", 3, parallel=parallel)]
 
     stats, calls, bad = read(readers(), skip_bad=True, threads=threads)
     assert bad == {1: says}
