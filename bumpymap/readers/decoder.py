@@ -9,7 +9,8 @@ import os
 import sys
 import threading
 from atexit import register as at_exit
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -30,7 +31,16 @@ from bumpymap.core import (
 )
 from bumpymap.readers import _decoder_child
 
-__all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close_decoder", "decoder"]
+__all__ = [
+    "Decoder",
+    "DecoderError",
+    "LocalDecoder",
+    "Stream",
+    "StreamLostError",
+    "close_decoder",
+    "decoder",
+    "start_decoder",
+]
 
 Bytes = NDArray[np.uint8]
 ReadAt = Callable[[int, Bytes], int]
@@ -61,6 +71,11 @@ class Decoder:
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Open streams of the running child."""
+
+    def start(self) -> None:
+        """Start the child now, so that it is ready when it is needed; a failure shows in the first request."""
+        with self._lock, suppress(UsageError, OSError):
+            self._live_child()
 
     def allocate(self, size: int) -> SharedBytes:
         """Allocate memory for bytes that the decoder will read."""
@@ -154,6 +169,9 @@ class Decoder:
 class LocalDecoder(Decoder):
     """A decoder that runs in this process."""
 
+    def start(self) -> None:
+        """Do nothing: there is no child."""
+
     def _call(
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
@@ -222,6 +240,12 @@ def decoder() -> Decoder:
         if current is None:
             current = Decoder() if can_start_children() else LocalDecoder()
         return current
+
+
+def start_decoder(surveys: Iterable[Path | str]) -> None:
+    """Start the decoder's child process if some surveys look like LAZ files; it starts while other things are done."""
+    if any(str(survey).lower().endswith(".laz") for survey in surveys):
+        decoder().start()
 
 
 def close_decoder() -> None:
