@@ -40,6 +40,8 @@ _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 compressed: compressing them took a third of the time of a dense raster and two thirds of that of an empty one."""
 SMALL = 128 << 20
 """Largest scratch raster that is kept in memory, bytes; a file takes twice the time, as it is read back."""
+_SPARSE_FROM = 16 << 20
+"""Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 _gdal = threading.Lock()
 """Held while GDAL makes a raster, see `_integrity`."""
 _EXTRA_SAMPLES = 338
@@ -79,14 +81,16 @@ def write_cog(
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
-        if pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL:
+        size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
+        sparse = pieces is not None and size > _SPARSE_FROM
+        if size <= SMALL and not sparse:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 for _ in _write_scratch(scratch.name, placement, spec, paint, side):
                     pass  # memory loses nothing
                 _convert(scratch.name, layer.name, temporary, spec)
                 _copy_names(layer.name, temporary, spec)
                 temporary.write_bytes(layer.getbuffer())
-        elif pieces is not None:
+        elif sparse and pieces is not None:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 open_raster(scratch.name, placement, spec, (1, 1)).close()
                 _convert(scratch.name, layer.name, temporary, replace(spec, write_empty=True))
