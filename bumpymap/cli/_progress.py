@@ -1,6 +1,5 @@
 """Progress of a run: bars on a terminal, lines in the log of a batch system, or JSON events."""
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -144,7 +143,7 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _calling_every(events.tick, _EVENT_SECONDS):
             yield events
         return
-    console = None if is_plain(sys.stderr) else error_console()
+    console = None if is_plain(error=True) else error_console()
     if console is None or not console.is_terminal:
         lines = LineProgress()
         with _calling_every(lines.tick, _LINE_SECONDS):

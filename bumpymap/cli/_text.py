@@ -86,7 +86,7 @@ def _escaped(letter: str) -> str:
 
 def print_line(text: str = "", style: str = "") -> None:
     """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
-    if is_plain(sys.stdout):
+    if is_plain():
         _write(_as_shown(text) + "\n")
         return
     from rich.text import Text
@@ -103,7 +103,7 @@ def print_labelled(label: str, text: str, style: str) -> None:
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
     """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
-    if titles and is_plain(sys.stdout):
+    if titles and is_plain():
         lines = _laid_out([titles, *([_as_shown(cell) for cell in row] for row in rows)])
         _write("".join(f"{line}\n" for line in lines))
         return
@@ -150,11 +150,12 @@ def flush() -> None:
         raise _stdout_error(error) from error
 
 
-def is_plain(stream: TextIO | None) -> bool:
-    """Return whether a stream is no terminal, nor to be treated as one: text needs neither colours nor bars there.
+def is_plain(*, error: bool = False) -> bool:
+    """Return whether standard output (or error) is no terminal, nor to be treated as one: no colours, no bars.
 
     Then rich, which takes as long to import as the command line itself, is not needed.
     """
+    stream = sys.stderr if error else sys.stdout
     return not (any(map(os.environ.get, _AS_TERMINAL)) or (stream is not None and stream.isatty()))
 
 
