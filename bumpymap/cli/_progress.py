@@ -4,14 +4,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
-from typing import Any, Protocol
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.cli._events import emit
-from bumpymap.cli._text import error_console, escape, print_error
+from bumpymap.cli._text import error_console, escape, is_plain, print_error
 from bumpymap.core import Progress as BaseProgress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 __all__ = ["Clock", "CommandProgress", "EventProgress", "LineProgress", "show_progress"]
 
@@ -42,7 +43,7 @@ class _Quiet:
 class _Bars:
     """One bar per stage, with the remaining time."""
 
-    def __init__(self, bars: Progress) -> None:
+    def __init__(self, bars: "Progress") -> None:
         self._bars = bars
         self._task: TaskID | None = None
 
@@ -142,8 +143,8 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _calling_every(events.tick, _EVENT_SECONDS):
             yield events
         return
-    console = error_console()
-    if not console.is_terminal:
+    console = None if is_plain(error=True) else error_console()
+    if console is None or not console.is_terminal:
         lines = LineProgress()
         with _calling_every(lines.tick, _LINE_SECONDS):
             yield lines
@@ -153,7 +154,9 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
 
 
 @contextmanager
-def moving_bars(console: Console) -> Iterator[_Bars]:
+def moving_bars(console: "Console") -> Iterator[_Bars]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     name = TextColumn("{task.description}", markup=False)
     bars = Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console)
     with suppress(RuntimeError):  # no thread can be started: the run goes on with still bars

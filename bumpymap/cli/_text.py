@@ -27,6 +27,7 @@ __all__ = [
     "error_console",
     "escape",
     "flush",
+    "is_plain",
     "print_error",
     "print_json",
     "print_labelled",
@@ -38,6 +39,8 @@ _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
 
 
+_AS_TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+"""Environment variables by which rich treats a file as a terminal."""
 BROKEN_PIPE = 141
 """Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 
@@ -83,6 +86,9 @@ def _escaped(letter: str) -> str:
 
 def print_line(text: str = "", style: str = "") -> None:
     """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
+    if is_plain():
+        _write(_as_shown(text) + "\n")
+        return
     from rich.text import Text
 
     _print(Text(_as_shown(text), style))
@@ -97,6 +103,10 @@ def print_labelled(label: str, text: str, style: str) -> None:
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
     """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
+    if titles and is_plain():
+        lines = _laid_out([titles, *([_as_shown(cell) for cell in row] for row in rows)])
+        _write("".join(f"{line}\n" for line in lines))
+        return
     from rich.table import Table
     from rich.text import Text
 
@@ -138,6 +148,24 @@ def flush() -> None:
             sys.stdout.flush()
     except OSError as error:
         raise _stdout_error(error) from error
+
+
+def is_plain(*, error: bool = False) -> bool:
+    """Return whether standard output (or error) is no terminal, nor to be treated as one: no colours, no bars.
+
+    Then rich, which takes as long to import as the command line itself, is not needed.
+    """
+    stream = sys.stderr if error else sys.stdout
+    return not (any(map(os.environ.get, _AS_TERMINAL)) or (stream is not None and stream.isatty()))
+
+
+def _laid_out(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table: the first column to the left, the others to the right."""
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    return [
+        "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], others, strict=True))])
+        for row in rows
+    ]
 
 
 def error_console() -> "Console":

@@ -5,6 +5,7 @@ from typing import Any, get_args
 
 import click
 
+from bumpymap.cli._ahead import import_ahead, start_ahead
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
@@ -60,10 +61,6 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    from bumpymap.cli._summary import show
-    from bumpymap.layers import import_without_pandas
-    from bumpymap.survey import map_surveys, require_known
-
     set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}
     settings = merge_settings(from_file, given_options(given), CLASHES)
@@ -71,11 +68,17 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
         if name not in settings:
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
     config = MapConfig(**settings)
+    if ctx.obj:  # this process runs nothing else
+        start_ahead(config.surveys)
+    from bumpymap.survey import map_surveys, require_known
+
     if ctx.obj:
-        import_without_pandas("pyogrio.raw")
+        import_ahead()
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = map_surveys(config, progress)
     if not quiet:
+        from bumpymap.cli._summary import show
+
         show(result, config, as_json=log_json)
     require_known(result, config, explain=quiet or log_json)
     if result.skipped:

@@ -76,6 +76,7 @@ from .lock import (
 )
 from .onnx_file import (
     metadata_of as metadata_of,
+    onnx_runtime as onnx_runtime,
     read_network as read_network,
     session as session,
     shipped_network as shipped_network,

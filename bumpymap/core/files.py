@@ -174,7 +174,8 @@ def _move(temporary: Path, target: Path) -> None:
     if side.exists():
         _sync(side)
         os.replace(side, old_side)  # noqa: PTH105
-    _sync_folder(target.parent)
+    if not target.parent.name.startswith(STAGED):  # what is staged is moved, and its new folder synced
+        _sync_folder(target.parent)
 
 
 def _sync(path: Path) -> None:

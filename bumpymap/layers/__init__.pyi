@@ -10,8 +10,6 @@ from .completed_run import (
     verified_record as verified_record,
 )
 from .folder import (
-    PRODUCT_NAMES as PRODUCT_NAMES,
-    check_folder as check_folder,
     write_products as write_products,
 )
 from .geotiff import (
@@ -43,6 +41,10 @@ from .placement import (
     MAX_TILES as MAX_TILES,
     Placement as Placement,
     check_extent as check_extent,
+)
+from .products import (
+    PRODUCT_NAMES as PRODUCT_NAMES,
+    check_folder as check_folder,
 )
 from .regions import (
     dissolve as dissolve,

@@ -8,7 +8,7 @@ is mostly empty is written by `write_sparse_cog`.
 import os
 import struct
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -38,8 +38,12 @@ _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_Base
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 """The block cache, MB: time and bytes are the same from 16 to 256 (236 million pixels). Temporary overviews are not
 compressed: compressing them took a third of the time of a dense raster and two thirds of that of an empty one."""
-SMALL = 16 << 20
-"""Largest scratch raster that is kept in memory, bytes."""
+SMALL = 128 << 20
+"""Largest scratch raster that is kept in memory, bytes; a file takes twice the time, as it is read back."""
+_SPARSE_FROM = 16 << 20
+"""Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
+_gdal = threading.Lock()
+"""Held while GDAL makes a raster, see `_integrity`."""
 _EXTRA_SAMPLES = 338
 """TIFF tag ExtraSamples, the meaning of further bands: 0 is "unspecified", 2 is "unassociated alpha"."""
 
@@ -77,25 +81,30 @@ def write_cog(
     """
     with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
-        if pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL:
-            with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
-                _write_scratch(scratch.name, placement, spec, paint, None)
+        size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
+        sparse = pieces is not None and size > _SPARSE_FROM
+        if size <= SMALL and not sparse:
+            with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+                for _ in _write_scratch(scratch.name, placement, spec, paint, side):
+                    pass  # memory loses nothing
                 _convert(scratch.name, layer.name, temporary, spec)
                 _copy_names(layer.name, temporary, spec)
                 temporary.write_bytes(layer.getbuffer())
-        elif pieces is not None:
-            with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+        elif sparse and pieces is not None:
+            with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 open_raster(scratch.name, placement, spec, (1, 1)).close()
                 _convert(scratch.name, layer.name, temporary, replace(spec, write_empty=True))
                 _copy_names(layer.name, temporary, spec)
-            write_sparse_cog(temporary, placement, spec, pieces)
+            write_sparse_cog(temporary, placement, spec, pieces, _gdal)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
-            painted = _write_scratch(str(waiting), placement, spec, paint, side)
-            require_disk_space(path.parent, waiting.stat().st_size)
-            _convert(str(waiting), str(temporary), temporary, spec)
-            waiting.unlink()
-            require_intact(temporary, painted)
+            with _gdal:
+                written = _write_scratch(str(waiting), placement, spec, paint, side)
+                painted = [(window, checksum(canvas)) for window, canvas in written]
+                require_disk_space(path.parent, waiting.stat().st_size)
+                _convert(str(waiting), str(temporary), temporary, spec)
+                waiting.unlink()
+                require_intact(temporary, painted)
         names = temporary.with_name(f"{temporary.name}.aux.xml")
         if names.exists():
             ET.parse(names)  # noqa: S314 (GDAL has just written it; fails if a full disk cut it short)
@@ -150,25 +159,19 @@ def _write_scratch(
     placement: Placement,
     spec: RasterSpec,
     paint: Callable[[RasterWindow], NDArray[np.generic] | None],
-    side: int | None,
-) -> list[tuple[Window, int]]:
-    """Fill the scratch raster window by window; return the windows that were written, with their checksums.
-
-    If ``side`` is None, the raster is written in one call, which cannot lose a part, and the list is empty.
-    """
+    side: int,
+) -> Iterator[tuple[Window, NDArray[np.generic]]]:
+    """Fill the scratch raster window by window; yield each window that was written, and its pixels."""
     pixels = spec.pixels
-    painted: list[tuple[Window, int]] = []
     size = (placement.window.cols * pixels, placement.window.rows * pixels)
     with open_raster(scratch, placement, spec, size) as file:
-        longest = max(placement.window.cols, placement.window.rows)
-        for window in placement.windows(side or longest, aligned=side is not None):
+        for window in placement.windows(side, aligned=True):
             canvas = paint(window)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
                 place = Window(window.column * pixels, window.line * pixels, across, down)
                 file.write(canvas, window=place)
-                painted += [] if side is None else [(place, checksum(canvas))]
-    return painted
+                yield place, canvas
 
 
 def _name_categories(scratch: str, virtual: Path, bands: Sequence[BandSpec]) -> str:

@@ -9,10 +9,11 @@ metadata, colours) of a raster of one pixel, which are copied. The file is a Big
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -44,6 +45,8 @@ _EVERYWHERE = {320, 42113}
 """Tags copied from GDAL's raster to all levels: colours, nodata."""
 _KEPT = _EVERYWHERE | {33550, 33922, 34264, 34735, 34736, 34737, 42112}
 """Tags copied to the full level: also scale, tie point, transformation, geographic keys, metadata."""
+_ADLER = 65521
+"""The prime of Adler-32."""
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 11: 4, 12: 8, 13: 4, 16: 8}
 
 Tag = tuple[int, int, bytes]
@@ -105,7 +108,7 @@ class _Statistics:
         return {f"STATISTICS_{name}": f"{value:.14g}" for name, value in named.items()} | share
 
 
-def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces) -> None:
+def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces, gdal: Lock) -> None:
     """Write a COG of one float32 or uint8 band; time and memory do not grow with its empty parts.
 
     Parameters
@@ -115,6 +118,8 @@ def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces:
         ``spec.worst`` among them.
     pieces : callable
         Returns line and column, in a window, of its tiles, (n,), and their values, (n, pixels, pixels).
+    gdal : lock
+        Held while GDAL makes the tags.
     """
     width, height = (side * spec.pixels for side in (placement.window.cols, placement.window.rows))
     levels = [_Level(width, height)]
@@ -136,7 +141,8 @@ def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces:
             for level in levels[_HALVINGS:]:
                 _keep(level, rest, side, spec, pack)
                 rest = _halved(rest, spec)
-        tags = _tags_of(placement, spec, statistics.tags(width * height))
+        with gdal:
+            tags = _tags_of(placement, spec, statistics.tags(width * height))
         with path.open("wb") as file:
             _assemble(file, levels, tags, side, spec)
     waiting.unlink()
@@ -187,14 +193,26 @@ def _keep(level: _Level, pixels: _Pixels, side: BinaryIO, spec: RasterSpec, pack
     block = (pixels.line // _BLOCK) * level.across + pixels.column // _BLOCK
     order = np.argsort(block, kind="stable")
     block, line, column = block[order], pixels.line[order] % _BLOCK, pixels.column[order] % _BLOCK
-    new = np.concatenate(([True], (np.diff(block) != 0) | (np.diff(line) != 0)))
+    row = block * _BLOCK + line
+    new = np.concatenate(([True], row[1:] != row[:-1]))
     lines = np.full((np.count_nonzero(new), _BLOCK), spec.nodata, spec.dtype)
     lines[np.cumsum(new) - 1, column] = pixels.value[order]
-    used, block, stored = line[new], block[new], _predicted(lines)
-    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
-        data = pack(used[start:stop], stored[start:stop])
-        level.blocks[int(block[start])] = (side.tell(), len(data))
-        side.write(data)
+    row, block = row[new], block[new]
+    # Runs of adjacent lines of a block, and which runs make up each block.
+    runs = _changes((block[1:] != block[:-1]) | (row[1:] != row[:-1] + 1))
+    first, stored = row[runs[:-1]] % _BLOCK, _predicted(lines)
+    pieces = list(zip(first.tolist(), runs[:-1].tolist(), runs[1:].tolist(), strict=True))
+    owner = block[runs[:-1]]
+    at = side.tell()
+    for start, stop in pairwise(_changes(owner[1:] != owner[:-1]).tolist()):
+        data = pack(pieces[start:stop], stored)
+        level.blocks[int(owner[start])] = (at, len(data))
+        at += side.write(data)
+
+
+def _changes(differ: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return where runs of equal neighbours start, and the end, of what changes where neighbours ``differ``."""
+    return np.concatenate(([0], np.flatnonzero(differ) + 1, [len(differ) + 1]))
 
 
 class _BlockPacker:
@@ -206,33 +224,41 @@ class _BlockPacker:
     def __init__(self, spec: RasterSpec) -> None:
         self._level = spec.level
         self._empty = np.repeat(_predicted(np.full((1, _BLOCK), spec.nodata, spec.dtype)), _BLOCK, axis=0)
-        self._whole = self._empty.copy()
+        self._width = self._empty.shape[1]
         self._runs = [b"", *(self._piece(self._empty[:count]) for count in range(1, _BLOCK + 1))]
+        self._sums = [zlib.adler32(self._empty[:count].data) for count in range(_BLOCK + 1)]
 
-    def __call__(self, used: NDArray[np.int64], lines: NDArray[np.uint8]) -> bytes:
-        """Return the bytes of a block whose lines ``used``, in increasing order, hold values."""
-        self._whole[used] = lines
-        cuts = [0, *(np.flatnonzero(np.diff(used) > 1) + 1).tolist(), len(used)]
-        data = (
-            self._joined(used, lines, cuts)
-            if len(cuts) <= _MOST_PIECES
-            else zlib.compress(self._whole.data, self._level)
-        )
-        self._whole[used] = self._empty[used]
-        return data
+    def __call__(self, pieces: Sequence[tuple[int, int, int]], lines: NDArray[np.uint8]) -> bytes:
+        """Return the bytes of a block; of each piece: its first line in it, its start and stop in ``lines``."""
+        if len(pieces) < _MOST_PIECES:
+            return self._joined(pieces, lines)
+        whole = self._empty.copy()
+        for first, start, stop in pieces:
+            whole[first : first + stop - start] = lines[start:stop]
+        return zlib.compress(whole.data, self._level)
 
-    def _joined(self, used: NDArray[np.int64], lines: NDArray[np.uint8], cuts: list[int]) -> bytes:
-        pieces, end = [b"\x78\x01"], 0
-        for start, stop in pairwise(cuts):
-            first = int(used[start])
-            pieces += [self._runs[first - end], self._piece(lines[start:stop])]
+    def _joined(self, pieces: Sequence[tuple[int, int, int]], lines: NDArray[np.uint8]) -> bytes:
+        parts, end, total = [b"\x78\x01"], 0, 1
+        for first, start, stop in pieces:
+            some = lines[start:stop]
+            parts += [self._runs[first - end], self._piece(some)]
+            total = _joined_sum(total, self._sums[first - end], (first - end) * self._width)
+            total = zlib.adler32(some.data, total)
             end = first + stop - start
-        pieces += [self._runs[_BLOCK - end], b"\x03\x00", struct.pack(">I", zlib.adler32(self._whole.data))]
-        return b"".join(pieces)
+        total = _joined_sum(total, self._sums[_BLOCK - end], (_BLOCK - end) * self._width)
+        parts += [self._runs[_BLOCK - end], b"\x03\x00", struct.pack(">I", total)]
+        return b"".join(parts)
 
     def _piece(self, lines: NDArray[np.uint8]) -> bytes:
         stream = zlib.compressobj(self._level, wbits=-15)
         return stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
+
+
+def _joined_sum(one: int, other: int, size: int) -> int:
+    """Return the Adler-32 of two texts, joined, from those of each and the size of the second, bytes (RFC 1950)."""
+    low = (one & 0xFFFF) + (other & 0xFFFF) - 1
+    high = (one >> 16) + (other >> 16) + size * ((one & 0xFFFF) - 1)
+    return (high % _ADLER) << 16 | low % _ADLER
 
 
 def _predicted(lines: NDArray[Any]) -> NDArray[np.uint8]:

@@ -1,17 +1,15 @@
-"""The output folder of a map: check it before the run, write all files after it, the manifest last."""
+"""Write all files of a map to its folder, the manifest last."""
 
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
-from os.path import lexists
 from pathlib import Path
 from threading import Event
 from typing import Any
-from uuid import uuid4
 
-from bumpymap.core import STAGED, CostTable, OutputError, Progress, SilentProgress, remove_path, write_together
+from bumpymap.core import CostTable, Progress, SilentProgress, write_together
 from bumpymap.layers.geotiff import (
     write_barred,
     write_classes,
@@ -22,77 +20,15 @@ from bumpymap.layers.geotiff import (
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.placement import Placement
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
-__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "check_folder", "write_products"]
-
-PRODUCT_NAMES: tuple[str, ...] = (
-    "roughness.tif",
-    "class.tif",
-    "cost.tif",
-    "barred.tif",
-    "heightmap.tif",
-    "obstacle.tif",
-    "tiles.parquet",
-    "cost.geojson",
-    "cost.fgb",
-    MANIFEST_NAME,
-)
-"""Files of a run."""
-NAMED_RASTERS = ("class.tif", "barred.tif", "obstacle.tif")
-"""Rasters beside which GDAL writes the names of their values, to ``class.tif.aux.xml`` and so on."""
+__all__ = ["write_products"]
 
 _log = logging.getLogger(__name__)
-
-
-def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
-    """Check that the files of a run can be written to a folder; create the folder if it is missing.
-
-    Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
-    it. A file that is a symbolic link will be replaced as a link; its target is not touched.
-
-    Parameters
-    ----------
-    folder : Path
-        The output folder.
-    overwrite : bool
-        Allow files of any earlier run to be replaced.
-    resume : bool
-        Allow files of an incomplete run (without run.json) to be replaced.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be created or written, or holds files that must not be replaced.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".bumpymap-{uuid4().hex}"
-        probe.touch()
-        probe.unlink()
-        for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
-            remove_path(left)
-        present = [name for name in PRODUCT_NAMES if lexists(folder / name)]
-    except OSError as error:
-        raise OutputError(
-            f"cannot write to the folder {folder}: {error.strerror or error}. "
-            "Choose one that can be written, with `out`"
-        ) from error
-    blocked = [name for name in present if not (folder / name).is_symlink() and not (folder / name).is_file()]
-    if blocked:
-        raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
-    finished = MANIFEST_NAME in present
-    if present and not overwrite and (finished or not resume):
-        unfinished = "" if finished else " of a run that did not end"
-        raise OutputError(
-            f"{folder} already holds {', '.join(present)}{unfinished}. Choose another `out`, "
-            "or pass `overwrite=True` to replace them"
-        )
 
 
 def write_products(
@@ -154,13 +90,15 @@ def _layers(
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
-    All rasters are in one group: GDAL loses pixels if two threads write rasters, see `_integrity`.
+    Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = {key: str(value) for key, value in provenance.items()}
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
             ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
+        },
+        {
             ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),

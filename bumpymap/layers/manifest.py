@@ -7,12 +7,12 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from pyproj import CRS, proj_version_str
 
 from bumpymap.core import BadInputError, CostTable, atomic
@@ -115,6 +115,14 @@ def complete_manifest(
 
 def software_versions() -> dict[str, str]:
     """Return the versions of Python, GDAL, PROJ and the packages that the results depend on."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Look the versions up, once: that takes 20 ms."""
+    import rasterio
+
     versions = {"python": platform.python_version(), "gdal": rasterio.__gdal_version__, "proj": proj_version_str}
     for package in _PACKAGES:
         try:

@@ -3,14 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
-from rasterio.transform import Affine
 
 from bumpymap.core import BadInputError, CostTable, Georeference
 from bumpytiles import Grid, TileWindow
+
+if TYPE_CHECKING:
+    from rasterio.transform import Affine
 
 __all__ = ["MAX_PIXELS", "MAX_SIDE", "MAX_TILES", "Placement", "RasterWindow", "check_extent"]
 
@@ -93,8 +96,10 @@ class Placement:
         """Convert grid coordinates (1 = one tile, 0 = the CRS origin) to units of the CRS."""
         return np.asarray(tiles * self.grid.tile_size / self.georeference.metres_per_unit, dtype=np.float64)
 
-    def transform(self, pixels: int) -> Affine:
+    def transform(self, pixels: int) -> "Affine":
         """Return the affine transform of a raster with ``pixels`` x ``pixels`` pixels per tile, in units of the CRS."""
+        from rasterio.transform import Affine
+
         west, north = self.to_crs(np.array([self.window.col, self.window.row + self.window.rows]))
         step = self.grid.tile_size / self.georeference.metres_per_unit / pixels
         return Affine(step, 0.0, float(west), 0.0, -step, float(north))

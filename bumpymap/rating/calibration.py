@@ -159,7 +159,8 @@ class Calibration:
 
     def _record(self) -> dict[str, Any]:
         """Return the fields; optional ones that are None are left out, so that older files keep their ``id``."""
-        return {key: value for key, value in asdict(self).items() if key not in _OPTIONAL or value is not None}
+        known = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {key: value for key, value in known.items() if key not in _OPTIONAL or value is not None}
 
     def to_json(self) -> str:
         """Return the text of the calibration file."""

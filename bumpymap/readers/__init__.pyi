@@ -4,6 +4,7 @@ from ._line_kernel import (
 )
 from .decoder import (
     close_decoder as close_decoder,
+    start_decoder as start_decoder,
 )
 from .detect import (
     open_survey as open_survey,

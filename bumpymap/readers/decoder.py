@@ -10,7 +10,8 @@ import os
 import sys
 import threading
 from atexit import register as at_exit
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -31,7 +32,16 @@ from bumpymap.core import (
 )
 from bumpymap.readers import _decoder_child
 
-__all__ = ["Decoder", "DecoderError", "LocalDecoder", "Stream", "StreamLostError", "close_decoder", "decoder"]
+__all__ = [
+    "Decoder",
+    "DecoderError",
+    "LocalDecoder",
+    "Stream",
+    "StreamLostError",
+    "close_decoder",
+    "decoder",
+    "start_decoder",
+]
 
 Bytes = NDArray[np.uint8]
 ReadAt = Callable[[int, Bytes], int]
@@ -74,6 +84,11 @@ class Decoder:
         self._further, self._adding = further, threading.Lock()
         self._next: Decoder | None = None
         """A decoder with a child of its own, for LAZ chunks that are requested while this one is busy."""
+
+    def start(self) -> None:
+        """Start the child now, so that it is ready when it is needed; a failure shows in the first request."""
+        with self._lock, suppress(UsageError, OSError):
+            self._live_child()
 
     def allocate(self, size: int) -> SharedBytes:
         """Allocate memory for bytes that the decoder will read."""
@@ -182,6 +197,9 @@ class LocalDecoder(Decoder):
     def __init__(self) -> None:
         super().__init__(further=0)  # lazrs holds the GIL
 
+    def start(self) -> None:
+        """Do nothing: there is no child."""
+
     def _call(
         self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), read_at: ReadAt | None = None
     ) -> Any:
@@ -250,6 +268,12 @@ def decoder() -> Decoder:
         if current is None:
             current = Decoder() if can_start_children() else LocalDecoder()
         return current
+
+
+def start_decoder(surveys: Iterable[Path | str]) -> None:
+    """Start the decoder's child process if some surveys look like LAZ files; it starts while other things are done."""
+    if any(str(survey).lower().endswith(".laz") for survey in surveys):
+        decoder().start()
 
 
 def close_decoder() -> None:

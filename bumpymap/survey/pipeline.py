@@ -13,7 +13,7 @@ from bumpymap.core import (
     rated_columns,
     remove_empty_on_error,
 )
-from bumpymap.layers import check_folder, is_complete, write_products
+from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter
 from bumpymap.readers import ReadOptions
 from bumpymap.survey.align import AlignedInputs
@@ -88,6 +88,8 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines)
         with clock.stage("write"):
+            from bumpymap.layers import write_products  # brings GDAL and Arrow, for which reading need not wait
+
             files, summary = write_products(table, config.out, local=config.local, manifest=manifest, progress=progress)
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin

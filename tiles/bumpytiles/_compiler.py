@@ -1,8 +1,10 @@
 """From a kernel to machine code (numba and LLVM), and from machine code to an address (LLVM alone)."""
 
 import ctypes
+import hashlib
 import importlib.util
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -186,8 +188,11 @@ def compile_source(source: KernelSource, helpers: Helpers) -> Code:
     outside |= {g.name for g in module.global_variables if g.is_declaration}
     if not linkable(outside):
         raise TypeError(f"the kernel {source.name} cannot be kept: it calls {', '.join(sorted(outside))}")
+    # All kernels are linked together, and numba's names of two with equal parameters may be the same.
+    symbol = f"{source.name}_{hashlib.sha256(str(module).encode()).hexdigest()}"
+    module.get_function(compiled.native_name).name = symbol
     code: bytes = _target().emit_object(module)
-    return Code(compiled.native_name, sorted(outside), code)
+    return Code(symbol, sorted(outside), code)
 
 
 _registered: set[Callable[..., Any]] = set()
@@ -249,12 +254,14 @@ def _llvm() -> Any:
     return llvm
 
 
+@cache
 def machine() -> bytes:
     """Say which processor this is."""
     llvm = _llvm()
     return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}".encode()
 
 
+@cache
 def versions() -> bytes:
     """Say which compiler would be at work, without importing it."""
     import llvmlite
@@ -288,15 +295,22 @@ def linkable(outside: Iterable[str]) -> bool:
     return True
 
 
-_engines: list[Any] = []
-"""Hold the machine code in memory for as long as the process lives."""
+_linking = threading.Lock()
+_linked: dict[str, int] = {}
+"""Addresses of what is linked, by symbol."""
+
+
+@cache
+def _engine() -> Any:
+    """Hold the machine code of all kernels in memory for as long as the process lives; an engine takes 1 ms to make."""
+    return _llvm().create_mcjit_compiler(_llvm().parse_assembly(""), _target())
 
 
 def link(code: Code) -> int:
     """Load machine code; returns the address of its C function."""
-    llvm = _llvm()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code.code))
-    engine.finalize_object()
-    _engines.append(engine)
-    return int(engine.get_function_address(code.symbol))
+    with _linking:
+        if code.symbol not in _linked:
+            _engine().add_object_file(_llvm().ObjectFileRef.from_data(code.code))
+            _engine().finalize_object()
+            _linked[code.symbol] = int(_engine().get_function_address(code.symbol))
+        return _linked[code.symbol]

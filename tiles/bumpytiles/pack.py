@@ -14,8 +14,9 @@ import math
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import FileIO
 from itertools import groupby
 from pathlib import Path
@@ -43,7 +44,7 @@ class PackError(Exception):
     """A file is not a pack, or is damaged."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Column:
     """One column: ``(n, *tail)`` values of ``dtype`` in a block of n rows."""
 
@@ -52,7 +53,7 @@ class Column:
     """As NumPy writes it, such as ``<f8``."""
     tail: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def row_bytes(self) -> int:
         """Bytes of one row."""
         return math.prod(self.tail, start=np.dtype(self.dtype).itemsize)
@@ -101,7 +102,7 @@ class PackWriter:
         sizes = counts * sum(column.row_bytes for column in self._columns)
         starts = np.cumsum(sizes) - sizes
         span = np.empty(int(sizes.sum()), np.uint8)
-        for column, places in _row_places(self._columns, counts, starts):
+        for column, places in _row_places(self._columns, counts, starts, columns):
             values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
             if values.shape != (len(places), *column.tail):
                 raise ValueError(f"column {column.name} has shape {values.shape}, not {(len(places), *column.tail)}")
@@ -256,10 +257,9 @@ class Pack:
         span = np.empty(int(at[-1] + rows[-1] * bytes_each - at[0]), np.uint8)
         self._fill(file, span, int(at[0]))
         goal = np.repeat(starts - (np.cumsum(rows) - rows), rows) + np.arange(int(rows.sum()))
-        for column, begins in _row_places(self.columns, rows, at - at[0]):
-            if column.name in found:
-                pieces = sliding_window_view(span, column.row_bytes)[begins]
-                found[column.name][goal] = pieces.view(column.dtype).reshape(len(goal), *column.tail)
+        for column, begins in _row_places(self.columns, rows, at - at[0], found):
+            pieces = sliding_window_view(span, column.row_bytes)[begins]
+            found[column.name][goal] = pieces.view(column.dtype).reshape(len(goal), *column.tail)
 
     def _fill(self, file: FileIO, array: NDArray[Any], at: int) -> None:
         view, done = _bytes(array), 0
@@ -272,14 +272,16 @@ class Pack:
 
 
 def _row_places(
-    columns: Sequence[Column], rows: NDArray[np.int64], at: NDArray[np.int64]
+    columns: Sequence[Column], rows: NDArray[np.int64], at: NDArray[np.int64], wanted: Container[str]
 ) -> Iterator[tuple[Column, NDArray[np.int64]]]:
-    """Yield, for each column that is not empty, where each of its rows begins, in blocks that begin at bytes ``at``."""
+    """Yield, for each wanted column that is not empty, where its rows begin, in blocks that begin at bytes ``at``."""
     nth = np.arange(int(rows.sum())) - np.repeat(np.cumsum(rows) - rows, rows)
+    before = 0
     for column in columns:
-        if column.row_bytes:
-            yield column, np.repeat(at, rows) + nth * column.row_bytes
-        at = at + rows * column.row_bytes
+        size = column.row_bytes
+        if size and column.name in wanted:
+            yield column, np.repeat(at + rows * before, rows) + nth * size
+        before += size
 
 
 def _codes(keys: NDArray[np.int64]) -> NDArray[np.int64]:

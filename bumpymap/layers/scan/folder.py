@@ -11,7 +11,7 @@ import pyarrow as pa
 from rasterio.errors import RasterioError
 
 from bumpymap.core import OutputError, remove_path
-from bumpymap.layers.folder import NAMED_RASTERS, PRODUCT_NAMES, check_folder
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
 __all__ = [
