@@ -21,13 +21,13 @@ from bumpymap.core import Progress
 from bumpymap.survey.engine import TileSink
 from bumpytiles import BLOCK_TILES, BlockKey, Column, JoinedPack, Pack, TileTable, run_blocks
 
-__all__ = ["RING", "NeighbourRater", "NeighbourWindow", "add_neighbours"]
+__all__ = ["KEPT_BYTES", "RING", "NeighbourRater", "NeighbourWindow", "add_neighbours"]
 
 RING = 1
 """Width of the ring around a block, tiles."""
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
-_KEPT_BYTES = 8 << 20
+KEPT_BYTES = 8 << 20
 """Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
 _SIDE = BLOCK_TILES + 2 * RING
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
@@ -69,7 +69,10 @@ class NeighbourRater(Protocol):
         """Columns that it returns."""
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
-        """Return the columns of the tiles of a block, (n, ...) each, if neighbours do not matter to any; else None."""
+        """Return the columns of the tiles of a block, (n, ...) each, if neighbours do not matter to any; else None.
+
+        ``own`` may lack the maps of heights.
+        """
 
     def __call__(self, window: NeighbourWindow) -> dict[str, NDArray[Any]]:
         """Return the columns of the inner tiles, (16, 16, ...) each; those of missing tiles are ignored."""
@@ -132,7 +135,7 @@ class _Blocks:
             if key not in self._kept:
                 self._kept[key] = found
                 self._bytes += _size(found)
-            while self._bytes > _KEPT_BYTES:
+            while self._bytes > KEPT_BYTES:
                 self._bytes -= _size(self._kept.popitem(last=False)[1])
         return found
 
