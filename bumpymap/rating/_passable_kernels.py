@@ -6,17 +6,17 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN, squared_distances
+from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN
 from bumpytiles import helper, kernel
 
-__all__ = ["GrowScratch", "InnerTiles", "Mosaic", "find_ways", "settle"]
+__all__ = ["GrowScratch", "InnerTiles", "Mosaic", "find_ways", "grow_scratch", "settle"]
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int32]
 Booleans = NDArray[np.bool_]
 
 _NORTH, _EAST, _SOUTH, _WEST = 1, 2, 4, 8
+_FAR = 0xFFFF - 1
 
 
 class Mosaic(NamedTuple):
@@ -35,8 +35,10 @@ class InnerTiles(NamedTuple):
 
     edges: Annotated[Booleans, 3]
     """(tiles - 2, tiles - 2, 4) which edges can be crossed: north, east, south, west."""
+    wanted: Annotated[Booleans, 2]
+    """(tiles - 2, tiles - 2) which tiles to look at; in the others, the arrays that follow are filled with False."""
     passable: Annotated[Booleans, 2]
-    """(tiles - 2, tiles - 2) filled: whether there is a way through the tile."""
+    """The same shape, filled: whether there is a way through the tile."""
     blocked: Annotated[Booleans, 2]
     """The same shape, filled: whether there would be none if every edge could be crossed."""
     near_obstacle: Annotated[Booleans, 2]
@@ -44,12 +46,23 @@ class InnerTiles(NamedTuple):
 
 
 class GrowScratch(NamedTuple):
-    """Scratch of the size of the mosaic's pixels, and a stack of the pixels of a tile."""
+    """Scratch, see `grow_scratch`."""
 
     mask: Annotated[Bytes, 2]
-    near: Annotated[Floats, 2]
-    far: Annotated[Floats, 2]
+    """(rows, cols) of pixels: where the middle of the vehicle cannot be."""
+    near: Annotated[NDArray[np.uint16], 2]
+    """(rows, cols + 2 * reach) distance along the column to what it cannot touch, px; large at both ends."""
     stack: Annotated[Integers, 1]
+    """(pixels^2,) of a tile."""
+
+
+def grow_scratch(rows: int, cols: int, pixels: int, radius: float) -> GrowScratch:
+    """Make scratch for a mosaic of so many pixels, a tile of ``pixels`` squared, and a radius [px]."""
+    return GrowScratch(
+        np.empty((rows, cols), np.uint8),
+        np.empty((rows, cols + 2 * math.ceil(radius)), np.uint16),
+        np.empty(pixels * pixels, np.int32),
+    )
 
 
 @helper
@@ -75,16 +88,47 @@ def settle(objects: Annotated[Bytes, 2], pixels: int, out: Annotated[Bytes, 2]) 
 
 
 @helper
+def _fill_near(objects: Bytes, margin: int, near: NDArray[np.uint16]) -> None:
+    """Distance of each pixel to the nearest obstacle or unseen pixel of its column."""
+    rows, cols = objects.shape
+    far, step = np.uint16(_FAR), np.uint16(1)
+    for r in range(rows):
+        for c in range(near.shape[1]):
+            near[r, c] = far
+    for r in range(rows):
+        line, mine = near[r, margin : margin + cols], objects[r]
+        before = near[max(r - 1, 0), margin : margin + cols]
+        for c in range(cols):
+            taken = (mine[c] == OBSTACLE) | (mine[c] == UNSEEN)
+            line[c] = np.uint16(0) if taken else min(far, np.uint16(before[c] + step))
+    for k in range(1, rows):
+        line = near[rows - 1 - k, margin : margin + cols]
+        behind = near[rows - k, margin : margin + cols]
+        for c in range(cols):
+            line[c] = min(line[c], np.uint16(behind[c] + step))
+
+
+@helper
 def _grow(mosaic: Mosaic, scratch: GrowScratch) -> None:
-    """Mark in ``scratch.mask`` where the middle of the vehicle cannot be."""
+    """Mark in ``scratch.mask`` where the middle of the vehicle cannot be: within a disc of what it cannot touch."""
     rows, cols = mosaic.objects.shape
+    reach = math.ceil(mosaic.radius)
+    _fill_near(mosaic.objects, reach, scratch.near)
     for r in range(rows):
+        mask = scratch.mask[r]
         for c in range(cols):
-            scratch.mask[r, c] = mosaic.objects[r, c] == OBSTACLE or mosaic.objects[r, c] == UNSEEN
-    squared_distances(scratch.mask, math.ceil(mosaic.radius), scratch.near, scratch.far)
-    for r in range(rows):
-        for c in range(cols):
-            scratch.mask[r, c] = scratch.far[r, c] < mosaic.radius * mosaic.radius
+            mask[c] = 0
+    for across in range(-reach, reach + 1):
+        up = -1
+        while (up + 1) * (up + 1) + across * across < mosaic.radius * mosaic.radius:
+            up += 1
+        if up < 0:
+            continue
+        most = np.uint16(up)
+        for r in range(rows):
+            mask, near = scratch.mask[r], scratch.near[r, reach + across : reach + across + cols]
+            for c in range(cols):
+                mask[c] |= np.uint8(near[c] <= most)
 
 
 @helper
@@ -127,29 +171,42 @@ def _near_obstacle(mosaic: Mosaic, top: int, left: int) -> bool:
     return False
 
 
+@helper
+def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: GrowScratch) -> None:
+    """Fill what is asked of one tile."""
+    pixels = mosaic.pixels
+    top, left = (row + 1) * pixels, (col + 1) * pixels
+    mask = scratch.mask[top : top + pixels, left : left + pixels]
+    own = mosaic.objects[top : top + pixels, left : left + pixels]
+    usable, empty, free = 0, True, 0
+    for k in range(4):
+        usable |= (1 << k) if tiles.edges[row, col, k] else 0
+    for r in range(pixels):
+        for c in range(pixels):
+            empty = empty and own[r, c] != OBSTACLE and own[r, c] != UNSEEN
+            free += mask[r, c] == 0
+    least = 1 if empty else 2
+    if free == pixels * pixels:
+        tiles.passable[row, col], tiles.blocked[row, col] = _count(usable) >= least, False
+        tiles.near_obstacle[row, col] = False
+        return
+    passable, blocked = False, True
+    for start in range(pixels * pixels):
+        if mask[start // pixels, start % pixels] == 0:
+            sides = _sides_reached(mask, start, scratch.stack)
+            passable = passable or _count(sides & usable) >= least
+            blocked = blocked and _count(sides) < least
+    tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
+    tiles.near_obstacle[row, col] = blocked and _near_obstacle(mosaic, top, left)
+
+
 @kernel
 def find_ways(mosaic: Mosaic, tiles: InnerTiles, scratch: GrowScratch) -> None:
-    """Fill ``passable``, ``blocked`` and ``near_obstacle`` of the inner tiles."""
-    pixels = mosaic.pixels
+    """Fill ``passable``, ``blocked`` and ``near_obstacle`` of the inner tiles that are wanted."""
     _grow(mosaic, scratch)
     for row in range(tiles.passable.shape[0]):
         for col in range(tiles.passable.shape[1]):
-            top, left = (row + 1) * pixels, (col + 1) * pixels
-            mask = scratch.mask[top : top + pixels, left : left + pixels]
-            own = mosaic.objects[top : top + pixels, left : left + pixels]
-            usable, empty, least = 0, True, 2
-            for k in range(4):
-                usable |= (1 << k) if tiles.edges[row, col, k] else 0
-            for r in range(pixels):
-                for c in range(pixels):
-                    empty = empty and own[r, c] != OBSTACLE and own[r, c] != UNSEEN
-            if empty:
-                least = 1
-            passable, blocked = False, True
-            for start in range(pixels * pixels):
-                if mask[start // pixels, start % pixels] == 0:
-                    sides = _sides_reached(mask, start, scratch.stack)
-                    passable = passable or _count(sides & usable) >= least
-                    blocked = blocked and _count(sides) < least
-            tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
-            tiles.near_obstacle[row, col] = blocked and _near_obstacle(mosaic, top, left)
+            if tiles.wanted[row, col]:
+                _find_way(mosaic, row, col, tiles, scratch)
+                continue
+            tiles.passable[row, col] = tiles.blocked[row, col] = tiles.near_obstacle[row, col] = False

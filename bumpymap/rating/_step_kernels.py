@@ -18,6 +18,7 @@ __all__ = [
     "RawSteps",
     "RowScratch",
     "StepMosaic",
+    "find_gradients",
     "find_highest",
     "find_quantiles",
     "find_raw_steps",
@@ -30,6 +31,10 @@ RUN = 4
 """Pixels before and after the middle one of a run."""
 REACH = 4
 """Pixels on each side of a step that are looked at."""
+SIDE = 2
+"""Pixels from a step to what counts as its sides."""
+UNKNOWN_NOISE = 0.15
+"""Steps below this do not count where the noise of both sides is unknown, m."""
 _RAMP = 0.4
 _RUN_LENGTH = 2 * RUN + 1
 
@@ -105,21 +110,66 @@ def _smallest(values: Floats, place: int) -> float:
             return float(pivot)
 
 
+@helper
+def _take_known(values: Floats, n: int, out: Floats) -> int:
+    """Put the known ones of some values behind the first n of a list; returns how many it then holds."""
+    for i in range(len(values)):
+        out[n] = values[i]
+        n += not math.isnan(values[i])
+    return n
+
+
+@helper
+def _quantile(values: Floats, n: int, share: float, least: int) -> float:
+    """Value with a share of the first n at or below it; NaN with fewer than ``least``. Their order is changed."""
+    return _smallest(values[:n], int(share * (n - 1))) if n >= least else np.nan
+
+
 @kernel
-def find_quantiles(values: Annotated[Floats, 3], share: float, least: int, out: Annotated[Floats, 2]) -> None:
+def find_quantiles(
+    across: Annotated[Floats, 3],
+    along: Annotated[Floats, 3],
+    share: float,
+    least: int,
+    out: Annotated[Floats, 2],
+    scratch: Annotated[Floats, 1],
+) -> None:
     """Fill, for each tile, the value with a share of the known ones at or below it; NaN with fewer than ``least``.
 
-    ``values`` is (tiles, tiles, n); their order within a tile is changed.
+    ``across`` is (tiles, tiles, n), ``along`` the same with rows and columns of tiles exchanged; ``scratch`` takes
+    2 n + 1 numbers.
     """
     for row in range(out.shape[0]):
         for col in range(out.shape[1]):
-            mine, n = values[row, col], 0
-            for i in range(len(mine)):
-                value = mine[i]
-                mine[i] = mine[n]
-                mine[n] = value
-                n += not math.isnan(value)
-            out[row, col] = _smallest(mine[:n], int(share * (n - 1))) if n >= least else np.nan
+            n = _take_known(along[col, row], _take_known(across[row, col], 0, scratch), scratch)
+            out[row, col] = _quantile(scratch, n, share, least)
+
+
+@kernel
+def find_gradients(
+    heights: Annotated[Floats, 2],
+    pixels: int,
+    least: int,
+    middle: Annotated[Floats, 2],
+    spread: Annotated[Floats, 2],
+    scratch: Annotated[Floats, 1],
+) -> None:
+    """Fill, for each tile, the median difference from a pixel to its eastern neighbour, m; 0 where there is none.
+
+    ``spread`` takes the median distance of the differences from it, m; NaN with fewer than ``least``. ``scratch`` takes
+    pixels^2 numbers.
+    """
+    for row in range(middle.shape[0]):
+        for col in range(middle.shape[1]):
+            n = 0
+            for r in range(row * pixels, (row + 1) * pixels):
+                for c in range(col * pixels, (col + 1) * pixels - 1):
+                    scratch[n] = heights[r, c + 1] - heights[r, c]
+                    n += not math.isnan(scratch[n])
+            usual = _quantile(scratch, n, 0.5, 1) if n > 0 else 0.0
+            for i in range(n):
+                scratch[i] = abs(scratch[i] - usual)
+            middle[row, col], spread[row, col] = usual, _quantile(scratch, n, 0.5, least)
 
 
 @helper
@@ -221,17 +271,34 @@ def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
             highest[c] = felt
 
 
+@helper
+def _limit_of_sides(before: float, behind: float) -> float:
+    """Root mean square of the limits of both sides of a pixel, m; of the known one, if one is."""
+    known = int(math.isfinite(before)) + int(math.isfinite(behind))
+    first = 0.0 if math.isnan(before) else before * before
+    second = 0.0 if math.isnan(behind) else behind * behind
+    return math.sqrt((first + second) / known) if known > 0 else UNKNOWN_NOISE
+
+
 @kernel
 def find_highest(
-    least: Annotated[Floats, 2], limit: Annotated[Floats, 2], pixels: int, highest: Annotated[Floats, 2]
+    least: Annotated[Floats, 2],
+    limit: Annotated[Floats, 2],
+    pixels: int,
+    highest: Annotated[Floats, 2],
+    scratch: Annotated[Floats, 1],
 ) -> None:
     """Fill the highest step of each column of pixels in each row of tiles, (tiles, cols) m; NaN if none is known.
 
-    ``limit`` is of the same shape: steps of that height do not count, m.
+    ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
+    pixels before and behind it. ``scratch`` takes a row of pixels.
     """
     for row in range(highest.shape[0]):
-        mine = highest[row]
-        for c in range(len(mine)):
+        mine, cols = highest[row], highest.shape[1]
+        for c in range(cols):
+            before = limit[row, (c - SIDE) // pixels] if c >= SIDE else np.nan
+            behind = limit[row, (c + SIDE) // pixels] if c + SIDE < cols else np.nan
+            scratch[c] = _limit_of_sides(before, behind)
             mine[c] = np.nan
         for r in range(row * pixels, (row + 1) * pixels):
-            _take_highest(least[r], limit[row], mine)
+            _take_highest(least[r], scratch, mine)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, VehicleBody
-from bumpymap.rating._passable_kernels import GrowScratch, InnerTiles, Mosaic, find_ways, settle
+from bumpymap.rating._passable_kernels import InnerTiles, Mosaic, find_ways, grow_scratch, settle
 
 __all__ = ["MARGIN_M", "find_passable", "settle_objects"]
 
@@ -65,20 +65,19 @@ def find_passable(
     uint8 (tiles - 2, tiles - 2)
         What bars the inner tiles, a `Barred`.
     """
+    wanted = alone == Barred.NO
+    if not wanted.any():
+        return alone.copy()
     pixels = len(objects) // (len(alone) + 2)
     found = InnerTiles(
-        np.ascontiguousarray(edge_usable, np.bool_), *(np.empty(alone.shape, np.bool_) for _ in range(3))
+        np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
     radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
-    scratch = GrowScratch(
-        np.empty(objects.shape, np.uint8),
-        np.empty(objects.shape),
-        np.empty(objects.shape),
-        np.empty(pixels * pixels, np.int32),
-    )
-    find_ways(Mosaic(np.ascontiguousarray(objects), pixels, radius), found, scratch)
+    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius)
+    rows, cols = objects.shape
+    find_ways(mosaic, found, grow_scratch(rows, cols, pixels, radius))
     return np.select(
-        [alone != Barred.NO, found.near_obstacle, found.blocked, ~found.passable],
+        [~wanted, found.near_obstacle, found.blocked, ~found.passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
         np.uint8(Barred.NO),
     )

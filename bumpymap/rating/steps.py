@@ -27,6 +27,7 @@ from bumpymap.rating._step_kernels import (
     RUN,
     RawSteps,
     StepMosaic,
+    find_gradients,
     find_highest,
     find_quantiles,
     find_raw_steps,
@@ -45,8 +46,6 @@ _MEDIAN_DIFFERENCE = 0.9539
 """Median size of the difference of two numbers from a standard normal distribution."""
 _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
-_UNKNOWN_NOISE = 0.15
-"""Steps below this do not count where the noise of both sides is unknown, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,16 +93,17 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
     ValueError
         The sides of ``heights`` are not multiples of ``pixels``, or there are fewer than 3 x 3 tiles or 10 pixels.
     """
-    z = np.asarray(heights, np.float64)
-    if pixels < 2 * REACH + 2 or z.ndim != 2 or min(z.shape) < 3 * pixels or any(n % pixels for n in z.shape):
-        raise ValueError(f"heights of shape {z.shape} are not those of tiles with {pixels} pixels and a ring of them")
-    (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(z.T, pixels)
+    sides = heights.shape
+    if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
+        raise ValueError(f"heights of shape {sides} are not those of tiles with {pixels} pixels and a ring of them")
+    z, turned = _with_margin(heights), _with_margin(heights.T)
+    (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
     across = _raw(z, east, south.T, pixels)  # walls that run north to south
-    along = _raw(z.T, south, east.T, pixels)
+    along = _raw(turned, south, east.T, pixels)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
     west_east = _highest(across.least, limit, pixels)
-    north_south = _highest(along.least, limit.T, pixels)
+    north_south = _highest(along.least, np.ascontiguousarray(limit.T), pixels)
     inner = np.fmax(_inner(west_east), _inner(north_south).T)
     rim = np.fmax(_rim(west_east), _rim(north_south).T)
     west, east = _borders(west_east)
@@ -112,57 +112,50 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
     return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
 
 
+def _with_margin(heights: NDArray[np.floating]) -> Floats:
+    """Put rows of NaN before and after the heights, as a `StepMosaic` has them."""
+    rows, cols = heights.shape
+    out = np.empty((rows + 2 * RUN, cols))
+    out[:RUN] = out[-RUN:] = np.nan
+    out[RUN:-RUN] = heights
+    return out
+
+
 def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
     """Return the median difference from a pixel to its eastern neighbour in each tile, m; 0 where there is none.
 
     The second array is the median distance of the differences from it, m; NaN with too few.
     """
-    rows, cols = (length // pixels for length in z.shape)
-    tiles = z.reshape(rows, pixels, cols, pixels).transpose(0, 2, 1, 3)
-    steps = (tiles[..., 1:] - tiles[..., :-1]).reshape(rows, cols, -1)
-    middle = np.nan_to_num(_quantiles(steps, 0.5, 1))
-    return middle, _quantiles(np.abs(steps - middle[..., None]), 0.5, _LEAST_STEPS)
-
-
-def _quantiles(values: Floats, share: float, least: int) -> Floats:
-    """Return the value of each tile with a share of the known ones at or below it; NaN with fewer than ``least``."""
-    found = np.empty(values.shape[:2])
-    find_quantiles(np.ascontiguousarray(values), share, least, found)
-    return found
+    heights = z[RUN:-RUN]
+    middle, spread = (np.empty((len(heights) // pixels, heights.shape[1] // pixels)) for _ in range(2))
+    find_gradients(heights, pixels, _LEAST_STEPS, middle, spread, np.empty(pixels * pixels))
+    return middle, spread
 
 
 def _raw(z: Floats, east: Floats, south: Floats, pixels: int) -> RawSteps:
     """Return the steps from west to east; ``east`` and ``south`` are the gradients of the tiles, m per pixel."""
-    heights = np.full((z.shape[0] + 2 * RUN, z.shape[1]), np.nan)
-    heights[RUN:-RUN] = z
-    mosaic = StepMosaic(heights, pixels, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
+    mosaic = StepMosaic(z, pixels, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
     inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
-    found = RawSteps(np.empty(z.shape), np.empty((*east.shape, inside)))
-    find_raw_steps(mosaic, found, row_scratch(z.shape[1]))
+    rows, cols = z.shape
+    found = RawSteps(np.empty((rows - 2 * RUN, cols)), np.empty((*east.shape, inside)))
+    find_raw_steps(mosaic, found, row_scratch(cols))
     return found
 
 
 def _usual(across: RawSteps, along: RawSteps) -> Floats:
     """Return a low quantile of the size of the steps in each tile whose support lies in the tile; NaN with too few."""
-    both = np.concatenate([across.inside, along.inside.transpose(1, 0, 2)], axis=-1)
-    return _quantiles(both, _QUANTILE, _LEAST_STEPS)
+    rows, cols, steps = across.inside.shape
+    found = np.empty((rows, cols))
+    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, found, np.empty(2 * steps + 1))
+    return found
 
 
 def _highest(least: Floats, limit: Floats, pixels: int) -> Floats:
     """Return the highest step of each column of pixels of each tile that stands out, (tiles, tiles, pixels)."""
-    found = np.empty((len(limit), least.shape[1]))
-    find_highest(least, _limit_of_pixels(limit, pixels), pixels, found)
+    cols = least.shape[1]
+    found = np.empty((len(limit), cols))
+    find_highest(least, limit, pixels, found, np.empty(cols))
     return found.reshape(*limit.shape, pixels)
-
-
-def _limit_of_pixels(limit: Floats, pixels: int) -> Floats:
-    """Return the limit for every column of pixels, (tiles, cols): of the tiles two pixels before and behind, m."""
-    tiles = np.repeat(limit, pixels, axis=1)
-    sides = np.full((2, *tiles.shape), np.nan)
-    sides[0, :, 2:], sides[1, :, :-2] = tiles[:, :-2], tiles[:, 2:]
-    count = np.isfinite(sides).sum(axis=0)
-    square = np.nansum(sides**2, axis=0) / np.maximum(count, 1)
-    return np.where(count == 0, _UNKNOWN_NOISE, np.sqrt(square))
 
 
 def _inner(highest: Floats) -> Floats:

@@ -98,13 +98,11 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
     -------
     array (n, pixels, pixels) float32
     """
-    heights = patches.astype(np.float64)
-    low = heights.min(axis=(1, 2), keepdims=True)
-    span = heights.max(axis=(1, 2), keepdims=True) - low
-    scaled: NDArray[np.float32] = np.divide(heights - low, span, out=np.zeros_like(heights), where=span > 0).astype(
-        "f4"
-    )
-    return scaled
+    low = patches.min(axis=(1, 2), keepdims=True).astype(np.float64)  # extremes need no double precision
+    span = patches.max(axis=(1, 2), keepdims=True) - low
+    scaled: _Floats = patches - low
+    scaled /= np.where(span > 0, span, 1.0)
+    return scaled.astype(np.float32)
 
 
 def remove_plane(patches: NDArray[np.floating]) -> _Floats:

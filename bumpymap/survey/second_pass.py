@@ -6,10 +6,12 @@ with a ring of tiles around it. What is added to a tile depends on the finished 
 divided among files, tasks or machines.
 """
 
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,12 +21,14 @@ from bumpymap.core import Progress
 from bumpymap.survey.engine import TileSink
 from bumpytiles import BLOCK_TILES, BlockKey, Column, JoinedPack, Pack, TileTable, run_blocks
 
-__all__ = ["RING", "NeighbourRater", "NeighbourWindow", "add_neighbours"]
+__all__ = ["KEPT_BYTES", "RING", "NeighbourRater", "NeighbourWindow", "add_neighbours"]
 
 RING = 1
 """Width of the ring around a block, tiles."""
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
+KEPT_BYTES = 8 << 20
+"""Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
 _SIDE = BLOCK_TILES + 2 * RING
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
 """Value of a missing tile, by the kind of a column."""
@@ -65,7 +69,10 @@ class NeighbourRater(Protocol):
         """Columns that it returns."""
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
-        """Return the columns of the tiles of a block, (n, ...) each, if neighbours do not matter to any; else None."""
+        """Return the columns of the tiles of a block, (n, ...) each, if neighbours do not matter to any; else None.
+
+        ``own`` may lack the maps of heights.
+        """
 
     def __call__(self, window: NeighbourWindow) -> dict[str, NDArray[Any]]:
         """Return the columns of the inner tiles, (16, 16, ...) each; those of missing tiles are ignored."""
@@ -84,7 +91,8 @@ def add_neighbours(
     keys = sorted(table.pack_of)
     progress.start("comparing neighbours", len(keys))
     sink = TileSink(folder, "neighbours", rating.columns)
-    for rated in run_blocks(lambda group: _rate_group(table, rating, group), _groups(table, keys), threads):
+    blocks = _Blocks(table, rating.needs)
+    for rated in run_blocks(lambda group: _rate_group(blocks, rating, group), _groups(table, keys), threads):
         for key, columns in rated:
             sink.add(key, columns)
         progress.advance(len(rated))
@@ -106,18 +114,54 @@ def _groups(table: TileTable, keys: Sequence[BlockKey]) -> Iterator[list[BlockKe
     yield group
 
 
+class _Blocks:
+    """Reads blocks of a table, and keeps the last few: the windows of two blocks side by side have six in common."""
+
+    def __init__(self, table: TileTable, names: Sequence[str]) -> None:
+        self.table = table
+        self._names = ("col", "row", *names)
+        self._kept: OrderedDict[BlockKey, dict[str, NDArray[Any]]] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def read(self, key: BlockKey) -> dict[str, NDArray[Any]]:
+        """Read the columns of a block."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        found = self.table.pack_of[key].read(key, self._names)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = found
+                self._bytes += _size(found)
+            while self._bytes > KEPT_BYTES:
+                self._bytes -= _size(self._kept.popitem(last=False)[1])
+        return found
+
+    def read_together(self, keys: Sequence[BlockKey]) -> dict[str, NDArray[Any]]:
+        """Read the columns of some blocks without maps of heights, joined."""
+        if len(keys) == 1:
+            return self.read(keys[0])
+        return self.table.read_blocks(keys, [name for name in self._names if name != "heights"])
+
+
+def _size(columns: Mapping[str, NDArray[Any]]) -> int:
+    return sum(array.nbytes for array in columns.values())
+
+
 def _rate_group(
-    table: TileTable, rating: NeighbourRater, keys: Sequence[BlockKey]
+    blocks: _Blocks, rating: NeighbourRater, keys: Sequence[BlockKey]
 ) -> list[tuple[BlockKey, dict[str, NDArray[Any]]]]:
     """Return the new columns of some blocks, in the order of their tiles."""
-    own = table.read_blocks(keys, ("col", "row", *(name for name in rating.needs if name != "heights")))
+    own = blocks.read_together(keys)
     place = {name: own[name] for name in ("col", "row")}
     if (left := rating.leaves(own)) is None:
         if len(keys) > 1:
-            return [rated for key in keys for rated in _rate_group(table, rating, [key])]
-        return [(keys[0], _rate_block(table, rating, keys[0], place))]
+            return [rated for key in keys for rated in _rate_group(blocks, rating, [key])]
+        return [(keys[0], _rate_block(blocks, rating, keys[0], place))]
     columns = left | place
-    ends = np.cumsum([table.pack_of[key].rows(key) for key in keys]).tolist()
+    ends = np.cumsum([blocks.table.pack_of[key].rows(key) for key in keys]).tolist()
     return [
         (key, {name: array[start:stop] for name, array in columns.items()})
         for key, (start, stop) in zip(keys, pairwise([0, *ends]), strict=True)
@@ -125,10 +169,10 @@ def _rate_group(
 
 
 def _rate_block(
-    table: TileTable, rating: NeighbourRater, key: BlockKey, own: dict[str, NDArray[Any]]
+    blocks: _Blocks, rating: NeighbourRater, key: BlockKey, own: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
     """Return the new columns of a block, in the order of its tiles, of which ``own`` are column and row."""
-    rated = rating(_read_window(table, rating.needs, key))
+    rated = rating(_read_window(blocks, rating.needs, key))
     line, column = _cells(key, own)
     return {part.name: rated[part.name][line - RING, column - RING] for part in rating.columns} | own
 
@@ -139,24 +183,22 @@ def _cells(key: BlockKey, tiles: Mapping[str, NDArray[np.int64]]) -> tuple[NDArr
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(table: TileTable, names: Sequence[str], key: BlockKey) -> NeighbourWindow:
-    """Read a block and of its neighbours the rows from the first to the last one that lies in the ring."""
+def _read_window(blocks: _Blocks, names: Sequence[str], key: BlockKey) -> NeighbourWindow:
+    """Put the tiles of a block and of the ring around it together."""
     columns: dict[str, NDArray[Any]] = {}
     present = np.zeros((_SIDE, _SIDE), np.bool_)
     around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    for beside in (found for found in around if found in table.pack_of):
-        pack = table.pack_of[beside]
-        line, column = _cells(key, pack.read(beside, ("col", "row")))
+    for beside in (found for found in around if found in blocks.table.pack_of):
+        part = blocks.read(beside)
+        line, column = _cells(key, part)
         inside = np.flatnonzero((line >= 0) & (line < _SIDE) & (column >= 0) & (column < _SIDE))
         if not len(inside):
             continue
-        first = int(inside[0])
-        part = pack.read(beside, names, first, int(inside[-1]) + 1)
         cells = line[inside], column[inside]
         present[cells] = True
         for name in names:
-            values = part[name][inside - first]
+            values = part[name]
             if name not in columns:
                 columns[name] = np.full((_SIDE, _SIDE, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
-            columns[name][cells] = values
+            columns[name][cells] = values if beside == key else values[inside]
     return NeighbourWindow(columns, present)

@@ -1,7 +1,10 @@
 """Ways through tiles: made-up mosaics of pixels, closed forms, and any division into blocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, Barred, VehicleBody
 from bumpymap.rating.passable import find_passable, settle_objects
@@ -143,3 +146,28 @@ def test_a_tile_depends_on_its_neighbours_alone():
             one = np.s_[row : row + 1, col : col + 1]
             own = find_passable(part, alone[one], edges[one], BODY, 3.0)
             assert own[0, 0] == whole[row, col]
+
+
+@pytest.mark.parametrize("width", [0.3, 1.0, 1.7, 4.0])
+def test_random_obstacles_bar_as_distances_and_regions_tell(width):
+    rng = np.random.default_rng(int(10 * width))
+    body = replace(BODY, width_m=width)
+    inner = rng.choice([FREE, OBSTACLE, UNSEEN, CANOPY], (4 * PIXELS,) * 2, p=[0.97, 0.01, 0.005, 0.015])
+    inner = inner.astype(np.uint8)
+    usable = rng.random((4, 4, 4)) < 0.7
+    found = judged(inner, edges=usable, body=body)
+    objects = np.pad(inner, PIXELS, constant_values=FREE)
+    radius = (0.5 * width + 0.1) * 5
+    bad = np.isin(objects, (OBSTACLE, UNSEEN))
+    open_ground = ndimage.distance_transform_edt(~bad) >= radius if bad.any() else ~bad
+    near = ndimage.distance_transform_edt(objects != OBSTACLE) < radius
+    for row, col in np.ndindex(4, 4):
+        part = np.s_[(row + 1) * PIXELS : (row + 2) * PIXELS, (col + 1) * PIXELS : (col + 2) * PIXELS]
+        regions, number = ndimage.label(open_ground[part])
+        least = 2 if bad[part].any() else 1
+        sides = [{0: regions[0], 1: regions[:, -1], 2: regions[-1], 3: regions[:, 0]}[side] for side in range(4)]
+        touched = np.array([[n in side for side in sides] for n in range(1, number + 1)], bool).reshape(-1, 4)
+        passes = (touched & usable[row, col]).sum(axis=1) >= least
+        blocked = not (touched.sum(axis=1) >= least).any()
+        reason = Barred.OBSTACLE if near[part].any() else Barred.UNKNOWN
+        assert found[row, col] == (Barred.NO if passes.any() else reason if blocked else Barred.STEP)

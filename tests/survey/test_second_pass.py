@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.progress import SilentProgress
+from bumpymap.survey import second_pass
 from bumpymap.survey.second_pass import RING, add_neighbours
 from bumpytiles import BLOCK_TILES, Column, Grid, TileTable
 
@@ -77,8 +78,9 @@ def expected(tiles):
         )
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_every_tile_sees_its_neighbours(tmp_path, tiles, threads):
+@pytest.mark.parametrize(("threads", "kept"), [(1, second_pass.KEPT_BYTES), (3, second_pass.KEPT_BYTES), (3, 30_000)])
+def test_every_tile_sees_its_neighbours(tmp_path, tiles, threads, kept, monkeypatch):
+    monkeypatch.setattr(second_pass, "KEPT_BYTES", kept)
     table = add_neighbours(TileTable.of(GRID, tiles), Neighbours(), tmp_path, threads, SilentProgress())
     names = ("north", "south", "west_pixel", "number", "kinds")
     found = table.read((*names, "height"))

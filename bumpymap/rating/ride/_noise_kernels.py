@@ -7,11 +7,25 @@ wherever it stands among others.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.rating.ride._lanes import (
+    LANES,
+    Lanes,
+    add,
+    add_part,
+    add_square,
+    each2,
+    each3,
+    each4,
+    load,
+    same,
+    store,
+)
+from bumpymap.rating.ride._spreads import pixel_noise, point_noise
 from bumpytiles import helper, kernel
 
 __all__ = ["DenoisedPatches", "PatchesToDenoise", "Spectrum", "SpectrumScratch", "denoise_patches", "spectrum_scratch"]
@@ -19,17 +33,12 @@ __all__ = ["DenoisedPatches", "PatchesToDenoise", "Spectrum", "SpectrumScratch",
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
+Patches = NDArray[np.float64]
+"""(pixels, pixels, group)."""
 
-_LEAST_FREEDOM = 10.0
-"""Points beyond one a pixel, that many at least, or the noise of a tile cannot be told."""
 _SIGNIFICANT = 9.0
 """A coefficient whose square is that many times its noise is ground, whatever its neighbours say (p = 0.003)."""
 _ROUNDS = 12
-_MOST_NOISE = 0.01
-"""Variance, m^2. Points that scatter by more than 0.1 m inside a pixel are leaves over ground, or blocks: a scanner is
-better than that. What is beyond stays in the ground."""
-_FILLED = 0.4
-"""Noise variance of a pixel that was filled, over that of one that was seen: a mean of some neighbours."""
 _TINY = 1e-12
 
 
@@ -51,6 +60,8 @@ class Spectrum(NamedTuple):
 
     basis: Annotated[Floats, 2]
     """(pixels, pixels) orthonormal cosines."""
+    turned: Annotated[Floats, 2]
+    """The same, rows and columns exchanged."""
     band: Annotated[Integers, 2]
     """(pixels, pixels) band of each coefficient; -1 for the mean."""
     shapes: Annotated[Floats, 2]
@@ -67,181 +78,186 @@ class DenoisedPatches(NamedTuple):
 
 
 class SpectrumScratch(NamedTuple):
-    """Scratch, see `spectrum_scratch`."""
+    """Scratch, see `spectrum_scratch`; ``group`` are the patches that are treated side by side."""
 
-    bands: Annotated[Floats, 2]
-    """(2, bands) mean square of the coefficients, and their number."""
-    ground: Annotated[Floats, 1]
-    """(bands,) likeliest power of the ground, m^2."""
+    members: Annotated[NDArray[np.int64], 1]
+    """(group,) which patches these are."""
+    noise: Annotated[Floats, 1]
+    """(group,) noise variance of a pixel's height, m^2."""
+    number: Annotated[Floats, 1]
+    """(bands,) coefficients of each band."""
+    powers: Annotated[Floats, 2]
+    """(bands, group) mean square of the coefficients."""
+    strengths: Annotated[Floats, 2]
+    """(spectra, group) likeliest strength of each spectrum."""
+    ground: Annotated[Floats, 2]
+    """(bands, group) likeliest power of the ground, m^2."""
     spreads: Annotated[Floats, 2]
-    """(2, pixels^2) variances of pixels and their weights, sorted."""
-    work: Annotated[Floats, 3]
-    """(3, pixels, pixels) a patch, half transformed, transformed."""
+    """(2, pixels^2) variances of the pixels of one patch, and their weights."""
+    work: Annotated[Floats, 4]
+    """(3, pixels, pixels, group) patches, half transformed, transformed."""
 
 
-def spectrum_scratch(pixels: int, bands: int) -> SpectrumScratch:
+def spectrum_scratch(pixels: int, spectra: int, bands: int) -> SpectrumScratch:
     """Make scratch for patches of so many pixels along a side."""
     return SpectrumScratch(
-        np.empty((2, bands)), np.empty(bands), np.empty((2, pixels * pixels)), np.empty((3, pixels, pixels))
+        np.empty(LANES, np.int64),
+        np.ones(LANES),
+        np.empty(bands),
+        np.empty((bands, LANES)),
+        np.empty((spectra, LANES)),
+        np.empty((bands, LANES)),
+        np.empty((2, pixels * pixels)),
+        np.ones((3, pixels, pixels, LANES)),
     )
 
 
 @helper
-def _sift_down(values: Floats, weights: Floats, start: int, end: int) -> None:
-    root = start
-    while 2 * root + 1 <= end:
-        child = 2 * root + 1
-        if child < end and values[child] < values[child + 1]:
-            child += 1
-        if values[root] >= values[child]:
-            return
-        values[root], values[child] = values[child], values[root]
-        weights[root], weights[child] = weights[child], weights[root]
-        root = child
-
-
-@helper
-def _sort_together(values: Floats, weights: Floats, n: int) -> None:
-    """Heap sort of the first n values; the weights go with them."""
-    for start in range(n // 2 - 1, -1, -1):
-        _sift_down(values, weights, start, n - 1)
-    for end in range(n - 1, 0, -1):
-        values[0], values[end] = values[end], values[0]
-        weights[0], weights[end] = weights[end], weights[0]
-        _sift_down(values, weights, 0, end - 1)
-
-
-@helper
-def _point_noise(count: Integers, variance: Singles, values: Floats, weights: Floats) -> float:
-    """Noise variance of a single point, m^2; NaN where too few pixels hold two points.
-
-    The median of the pixels' own variances, each as often as it has degrees of freedom: an edge inside some pixels
-    does not move it. A median of chi-square numbers is too low by (1 - 2 / (9 k))^3.
-    """
-    size = count.shape[0]
-    n = 0
-    total = squares = 0.0
-    for r in range(size):
-        for c in range(size):
-            if count[r, c] > 1:
-                weight = np.float64(count[r, c] - 1)
-                values[n] = variance[r, c] * (weight + 1.0) / weight
-                weights[n] = weight
-                total += weight
-                squares += weight * weight
-                n += 1
-    if total < _LEAST_FREEDOM:
-        return np.nan
-    _sort_together(values, weights, n)
-    below = 0.0
-    median = values[n - 1]
-    for i in range(n):
-        below += weights[i]
-        if below >= 0.5 * total:
-            median = values[i]
-            break
-    return min(median / (1.0 - 2.0 * total / (9.0 * squares)) ** 3, _MOST_NOISE)
-
-
-@helper
-def _pixel_noise(count: Integers, point: float) -> float:
-    """Mean noise variance of the pixels' heights, m^2."""
-    size = count.shape[0]
-    seen, total = 0, 0.0
-    for r in range(size):
-        for c in range(size):
-            if count[r, c] > 0:
-                seen += 1
-                total += point / count[r, c]
-    if seen == 0:
-        return np.nan
-    filled = size * size - seen
-    return (total + filled * _FILLED * total / seen) / (size * size)
-
-
-@helper
-def _turn(basis: Floats, patch: Floats, middle: Floats, out: Floats, forward: bool) -> None:
-    """Cosine transform of a patch, or back."""
-    size = basis.shape[0]
+def _turn(left: Floats, right: Floats, patches: Patches, middle: Patches, out: Patches) -> None:
+    """Multiply patches by a matrix from the left and by one from the right: the cosine transform, or back."""
+    size = left.shape[0]
     for i in range(size):
         for j in range(size):
-            total = 0.0
+            total = same(0.0)
             for k in range(size):
-                total += (basis[i, k] if forward else basis[k, i]) * patch[k, j]
-            middle[i, j] = total
+                total = add_part(total, left[i, k], load(patches[k, j], 0))
+            store(total, middle[i, j], 0)
     for i in range(size):
         for j in range(size):
-            total = 0.0
+            total = same(0.0)
             for k in range(size):
-                total += middle[i, k] * (basis[j, k] if forward else basis[k, j])
-            out[i, j] = total
+                total = add_part(total, right[k, j], load(middle[i, k], 0))
+            store(total, out[i, j], 0)
 
 
 @helper
-def _fit_strength(bands: Floats, noise: float, shape: Floats) -> float:
+def _difference(power: Any, noise: Any) -> Any:
+    return power - noise
+
+
+@helper
+def _first_strength(power: Any, noise: Any, shapes: Any) -> Any:
+    return max(power, 0.01 * noise) / shapes
+
+
+@helper
+def _weight(strength: Any, noise: Any, number: Any, shape: Any) -> Any:
+    """Precision of a band's power over that of the strength."""
+    share = shape / (strength * shape + noise)
+    return number * share * share
+
+
+@helper
+def _add_strength(top: Any, weight: Any, excess: Any, shape: Any) -> Any:
+    return top + weight * excess / shape
+
+
+@helper
+def _strength(top: Any, bottom: Any) -> Any:
+    return max(top / bottom, _TINY)
+
+
+@helper
+def _fit_strength(shape: Floats, scratch: SpectrumScratch) -> Lanes:
     """Strength A of a ground spectrum A * shape beside white noise, by weighted steps (Whittle's likelihood)."""
-    power = shapes = 0.0
-    for b in range(bands.shape[1]):
-        power += bands[1, b] * (bands[0, b] - noise)
-        shapes += bands[1, b] * shape[b]
-    strength = max(power, 0.01 * noise) / shapes
+    powers, number, noise = scratch.powers, scratch.number, load(scratch.noise, 0)
+    power, shapes = same(0.0), 0.0
+    for b in range(len(number)):
+        power = add_part(power, number[b], each2(_difference, load(powers[b], 0), noise))
+        shapes += number[b] * shape[b]
+    strength = each3(_first_strength, power, noise, same(shapes))
     for _ in range(_ROUNDS):
-        top = bottom = 0.0
-        for b in range(bands.shape[1]):
-            share = shape[b] / (strength * shape[b] + noise)
-            weight = bands[1, b] * share * share
-            top += weight * (bands[0, b] - noise) / shape[b]
-            bottom += weight
-        strength = max(top / bottom, _TINY)
+        top = bottom = same(0.0)
+        for b in range(len(number)):
+            weight = each4(_weight, strength, noise, same(number[b]), same(shape[b]))
+            excess = each2(_difference, load(powers[b], 0), noise)
+            top, bottom = each4(_add_strength, top, weight, excess, same(shape[b])), add(bottom, weight)
+        strength = each2(_strength, top, bottom)
     return strength
 
 
 @helper
-def _fit_spectrum(bands: Floats, noise: float, shapes: Floats, ground: Floats) -> None:
-    """Fill ``ground`` with the likeliest power of each band, m^2."""
-    best = np.inf
-    for s in range(shapes.shape[0]):
-        strength = _fit_strength(bands, noise, shapes[s])
-        score = 0.0
-        for b in range(bands.shape[1]):
-            power = strength * shapes[s, b] + noise
-            score += bands[1, b] * (bands[0, b] / power + math.log(power))
-        if score < best:
-            best = score
-            for b in range(bands.shape[1]):
-                ground[b] = strength * shapes[s, b]
+def _misfit(lane: int, s: int, shapes: Floats, scratch: SpectrumScratch) -> float:
+    """How unlikely the powers of a patch are with one of the spectra."""
+    score = 0.0
+    for b in range(len(scratch.number)):
+        power = scratch.strengths[s, lane] * shapes[s, b] + scratch.noise[lane]
+        score += scratch.number[b] * (scratch.powers[b, lane] / power + math.log(power))
+    return score
 
 
 @helper
-def _band_powers(waves: Floats, band: Integers, bands: Floats) -> None:
+def _fit_spectra(shapes: Floats, scratch: SpectrumScratch) -> None:
+    """Fill ``ground`` with the likeliest power of each band, m^2."""
+    for s in range(shapes.shape[0]):
+        store(_fit_strength(shapes[s], scratch), scratch.strengths[s], 0)
+    for lane in range(LANES):
+        best, likeliest = np.inf, 0
+        for s in range(shapes.shape[0]):
+            score = _misfit(lane, s, shapes, scratch)
+            if score < best:
+                best, likeliest = score, s
+        for b in range(shapes.shape[1]):
+            scratch.ground[b, lane] = scratch.strengths[likeliest, lane] * shapes[likeliest, b]
+
+
+@helper
+def _band_powers(waves: Patches, band: Integers, scratch: SpectrumScratch) -> None:
     """Mean square of the coefficients of each band, and their number."""
-    for b in range(bands.shape[1]):
-        bands[0, b] = bands[1, b] = 0.0
+    powers, number = scratch.powers, scratch.number
+    for b in range(len(number)):
+        number[b] = 0.0
+        store(same(0.0), powers[b], 0)
     size = waves.shape[0]
     for i in range(size):
         for j in range(size):
             b = band[i, j]
             if b >= 0:
-                bands[0, b] += waves[i, j] * waves[i, j]
-                bands[1, b] += 1.0
-    for b in range(bands.shape[1]):
-        bands[0, b] /= bands[1, b]
+                store(add_square(load(powers[b], 0), load(waves[i, j], 0)), powers[b], 0)
+                number[b] += 1.0
+    for b in range(len(number)):
+        store(each2(_ratio, load(powers[b], 0), same(number[b])), powers[b], 0)
 
 
 @helper
-def _shrink(waves: Floats, band: Integers, ground: Floats, noise: float) -> None:
-    """Shrink each coefficient to the power that is ground's."""
-    size = waves.shape[0]
+def _ratio(a: Any, b: Any) -> Any:
+    return a / b
+
+
+@helper
+def _shrunk(wave: Any, ground: Any, noise: Any) -> Any:
+    """Return a coefficient shrunk to the power that is ground's."""
+    power = wave * wave
+    stands_out = power > _SIGNIFICANT * noise
+    kept = (power - noise) / power if stands_out else ground / (ground + noise)
+    return wave * math.sqrt(kept)
+
+
+@helper
+def _shrink(waves: Patches, band: Integers, scratch: SpectrumScratch) -> None:
+    """Shrink each coefficient, the mean to nothing."""
+    size, noise = waves.shape[0], load(scratch.noise, 0)
     for i in range(size):
         for j in range(size):
             b = band[i, j]
-            if b < 0:
-                waves[i, j] = 0.0
-                continue
-            power = waves[i, j] * waves[i, j]
-            stands_out = power > _SIGNIFICANT * noise
-            kept = (power - noise) / power if stands_out else ground[b] / (ground[b] + noise)
-            waves[i, j] *= math.sqrt(kept)
+            shrunk = each3(_shrunk, load(waves[i, j], 0), load(scratch.ground[max(b, 0)], 0), noise)
+            store(shrunk if b >= 0 else same(0.0), waves[i, j], 0)
+
+
+@helper
+def _clean_group(held: int, spectrum: Spectrum, out: DenoisedPatches, scratch: SpectrumScratch) -> None:
+    """Take the noise out of the patches of a group."""
+    patch, middle, waves = scratch.work[0], scratch.work[1], scratch.work[2]
+    _turn(spectrum.basis, spectrum.turned, patch, middle, waves)
+    _band_powers(waves, spectrum.band, scratch)
+    _fit_spectra(spectrum.shapes, scratch)
+    _shrink(waves, spectrum.band, scratch)
+    _turn(spectrum.turned, spectrum.basis, waves, middle, patch)
+    size = patch.shape[0]
+    for lane in range(held):
+        for i in range(size):
+            for j in range(size):
+                out.clean[scratch.members[lane], i, j] = patch[i, j, lane]
 
 
 @kernel
@@ -249,25 +265,19 @@ def denoise_patches(
     patches: PatchesToDenoise, spectrum: Spectrum, out: DenoisedPatches, scratch: SpectrumScratch
 ) -> None:
     """Take the scan's noise out of patches."""
-    size = spectrum.basis.shape[0]
-    patch, middle, waves = scratch.work[0], scratch.work[1], scratch.work[2]
+    size, held = spectrum.basis.shape[0], 0
     for t in range(len(patches.known)):
-        if not patches.known[t]:
-            continue
-        for i in range(size):
-            for j in range(size):
-                out.clean[t, i, j] = patches.relief[t, i, j]
-                patch[i, j] = patches.relief[t, i, j]
-        point = _point_noise(patches.pixel_count[t], patches.variance[t], scratch.spreads[0], scratch.spreads[1])
-        pixel = _pixel_noise(patches.pixel_count[t], point)
-        out.noise[0, t], out.noise[1, t] = math.sqrt(point), math.sqrt(pixel)
-        if not pixel > _TINY:
-            continue
-        _turn(spectrum.basis, patch, middle, waves, True)
-        _band_powers(waves, spectrum.band, scratch.bands)
-        _fit_spectrum(scratch.bands, pixel, spectrum.shapes, scratch.ground)
-        _shrink(waves, spectrum.band, scratch.ground, pixel)
-        _turn(spectrum.basis, waves, middle, patch, False)
-        for i in range(size):
-            for j in range(size):
-                out.clean[t, i, j] = patch[i, j]
+        if patches.known[t]:
+            point = point_noise(patches.pixel_count[t], patches.variance[t], scratch.spreads[0], scratch.spreads[1])
+            pixel = pixel_noise(patches.pixel_count[t], point)
+            out.noise[0, t], out.noise[1, t] = math.sqrt(point), math.sqrt(pixel)
+            for i in range(size):
+                for j in range(size):
+                    out.clean[t, i, j] = patches.relief[t, i, j]
+                    scratch.work[0, i, j, held] = patches.relief[t, i, j]
+            scratch.members[held], scratch.noise[held] = t, pixel
+            # Without noise the patch stays as it is; the next one takes its place in the group.
+            held += pixel > _TINY
+        if held == LANES or (held > 0 and t == len(patches.known) - 1):
+            _clean_group(held, spectrum, out, scratch)
+            held = 0

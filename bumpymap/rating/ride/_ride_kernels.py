@@ -5,11 +5,24 @@ same bits wherever it stands among others.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.rating.ride._lanes import (
+    LANES,
+    Lanes,
+    add_part,
+    add_size,
+    add_square,
+    each2,
+    each3,
+    each4,
+    load,
+    same,
+    store,
+)
 from bumpymap.rating.ride.operator import PitchSamples, Poses, WheelShape
 from bumpytiles import helper, kernel
 
@@ -19,8 +32,8 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
 
-_GROUP = 8
-"""Patches that ride side by side: their envelopes lie together, so a processor adds for all of them at once."""
+_GROUP = 2 * LANES
+"""Patches that ride side by side: their heights lie together, so a processor computes all of them at once."""
 
 
 class PatchesToRide(NamedTuple):
@@ -45,143 +58,185 @@ class VehicleGeometry(NamedTuple):
 
 
 class RideScratch(NamedTuple):
-    """Scratch, see `ride_scratch`."""
+    """Scratch for a group of patches, see `ride_scratch`; the last axis of heights is the patch."""
 
-    wide: Annotated[Singles, 2]
-    """(nodes + 2 margin,) twice: heights at the nodes with a mirrored margin."""
-    top: Annotated[Singles, 2]
-    """(nodes, nodes) envelope of one patch."""
+    relief: Annotated[Singles, 3]
+    """(pixels, pixels, group) m."""
+    wide: Annotated[Singles, 3]
+    """(nodes + 2 margin,) twice and group: heights at the nodes with a mirrored margin, m."""
     envelope: Annotated[Singles, 2]
-    """(nodes^2, group) envelopes of a group of patches."""
+    """(nodes^2, group) heights of the lowest point of a wheel, m."""
     bare: Annotated[Singles, 2]
-    """The same of the bare ground."""
+    """(nodes^2, group) heights at the nodes, m."""
     members: Annotated[NDArray[np.int64], 1]
     """(group,) which patches these are."""
-    sums: Annotated[Floats, 2]
-    """(2, group) sums over samples."""
+    rides: Annotated[Floats, 2]
+    """(6, group) what a group's rides are."""
 
 
-def ride_scratch(nodes: int, margin: int) -> RideScratch:
-    """Make scratch for patches of so many nodes along a side."""
+def ride_scratch(pixels: int, nodes: int, margin: int) -> RideScratch:
+    """Make scratch for patches of so many pixels and nodes along a side."""
     wide = nodes + 2 * margin
     return RideScratch(
-        np.empty((wide, wide), np.float32),
-        np.empty((nodes, nodes), np.float32),
-        np.zeros((nodes * nodes, _GROUP), np.float32),
-        np.zeros((nodes * nodes, _GROUP), np.float32),
+        np.zeros((pixels, pixels, _GROUP), np.float32),
+        np.empty((wide, wide, _GROUP), np.float32),
+        np.empty((nodes * nodes, _GROUP), np.float32),
+        np.empty((nodes * nodes, _GROUP), np.float32),
         np.empty(_GROUP, np.int64),
-        np.empty((2, _GROUP)),
+        np.empty((6, _GROUP)),
     )
 
 
 @helper
-def _lay_nodes(patch: Singles, fine: int, wide: Singles, margin: int) -> None:
-    """Bilinear heights at the nodes of a patch, with a mirrored margin around them."""
-    pixels = patch.shape[0]
-    nodes = pixels * fine + 1
-    period = 2 * (nodes - 1)
-    for r in range(wide.shape[0]):
-        row = (r - margin) % period
-        row = min(row, period - row)
+def _between(a: Any, b: Any, share: Any) -> Any:
+    return a + (b - a) * share
+
+
+@helper
+def _higher(low: Any, ground: Any, lift: Any) -> Any:
+    return max(low, ground + lift)
+
+
+@helper
+def _pitch(fl: Any, fr: Any, rl: Any, rr: Any) -> Any:
+    return fl + fr - rl - rr
+
+
+@helper
+def _roll(fl: Any, fr: Any, rl: Any, rr: Any) -> Any:
+    return fl - fr + rl - rr
+
+
+@helper
+def _twist(fl: Any, fr: Any, rl: Any, rr: Any) -> Any:
+    return fl - fr - rl + rr
+
+
+@helper
+def _sum(fl: Any, fr: Any, rl: Any, rr: Any) -> Any:
+    return fl + fr + rl + rr
+
+
+@helper
+def _over(a: Any, b: Any) -> Any:
+    return a / b
+
+
+@helper
+def _above(ground: Any, level: Any, ahead: Any, pitch: Any) -> Any:
+    return ground - level - ahead * pitch
+
+
+@helper
+def _larger(least: Any, above: Any, clearance: Any) -> Any:
+    return max(least, above / clearance)
+
+
+@helper
+def _lay_nodes(fine: int, nodes: int, scratch: RideScratch) -> None:
+    """Bilinear heights at the nodes of a group of patches, with a mirrored margin around them."""
+    relief, wide = scratch.relief, scratch.wide
+    pixels, sides = relief.shape[0], wide.shape[0]
+    margin, period = (sides - nodes) // 2, 2 * (nodes - 1)
+    for row in range(nodes):
         y = row / fine - 0.5
         j = min(max(math.floor(y), 0), pixels - 2)
         up = np.float32(min(max(y - j, 0.0), 1.0))
-        for c in range(wide.shape[1]):
-            col = (c - margin) % period
-            col = min(col, period - col)
+        for col in range(nodes):
             x = col / fine - 0.5
             i = min(max(math.floor(x), 0), pixels - 2)
             right = np.float32(min(max(x - i, 0.0), 1.0))
-            north = patch[j, i] + (patch[j, i + 1] - patch[j, i]) * right
-            south = patch[j + 1, i] + (patch[j + 1, i + 1] - patch[j + 1, i]) * right
-            wide[r, c] = north + (south - north) * up
+            for first in (0, LANES):
+                share = same(right)
+                north = each3(_between, load(relief[j, i], first), load(relief[j, i + 1], first), share)
+                south = each3(_between, load(relief[j + 1, i], first), load(relief[j + 1, i + 1], first), share)
+                height = each3(_between, north, south, same(up))
+                store(height, wide[row + margin, col + margin], first)
+                store(height, scratch.bare[row * nodes + col], first)
+    for r in range(sides):
+        row = (r - margin) % period
+        row = min(row, period - row) + margin
+        for c in range(sides):
+            col = (c - margin) % period
+            col = min(col, period - col) + margin
+            if row != r or col != c:
+                for lane in range(_GROUP):
+                    wide[r, c, lane] = wide[row, col, lane]
 
 
 @helper
-def _roll_wheel(wide: Singles, margin: int, wheel: WheelShape, top: Singles, out: Singles, lane: int) -> None:
-    """Height of the lowest point of a wheel that touches the ground, at every node, into a lane of ``out``."""
-    nodes = top.shape[0]
+def _roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
+    """Height of the lowest point of a wheel that touches the ground, at every node of a group of patches."""
+    wide, margin = scratch.wide, (scratch.wide.shape[0] - nodes) // 2
     for r in range(nodes):
-        line = top[r]
         for c in range(nodes):
-            line[c] = np.float32(-3e38)
-        for o in range(len(wheel.row)):
-            first = margin + wheel.col[o]
-            ground = wide[r + margin + wheel.row[o], first : first + nodes]
-            lift = wheel.rise[o]
-            for c in range(nodes):
-                line[c] = max(line[c], ground[c] + lift)
-        for c in range(nodes):
-            out[r * nodes + c, lane] = line[c]
+            low = high = same(np.float32(-3e38))
+            for o in range(len(wheel.row)):
+                # Unsigned: without code for negative indices.
+                row, col = np.uintp(r + margin + wheel.row[o]), np.uintp(c + margin + wheel.col[o])
+                ground, lift = wide[row, col], same(wheel.rise[o])
+                low = each3(_higher, low, load(ground, 0), lift)
+                high = each3(_higher, high, load(ground, LANES), lift)
+            store(low, scratch.envelope[r * nodes + c], 0)
+            store(high, scratch.envelope[r * nodes + c], LANES)
 
 
 @helper
-def _pitch_sums(samples: PitchSamples, envelope: Singles, sums: Floats) -> None:
-    """Sum the size and the square of every sample's pitch change, for a group of patches."""
-    for lane in range(_GROUP):
-        sums[0, lane] = sums[1, lane] = 0.0
-    for s in range(len(samples.starts) - 1):
-        a = b = c = d = e = f = g = h = np.float32(0.0)
+def _pitch_changes(samples: PitchSamples, envelope: Singles, rides: Floats) -> None:
+    """Fill mean and root mean square of the samples' pitch change, for a group of patches."""
+    number = len(samples.starts) - 1
+    sizes = more_sizes = squares = more_squares = same(0.0)
+    for s in range(number):
+        low = high = same(np.float32(0.0))
         for k in range(samples.starts[s], samples.starts[s + 1]):
-            w, at = samples.weight[k], envelope[samples.node[k]]
-            a += w * at[0]
-            b += w * at[1]
-            c += w * at[2]
-            d += w * at[3]
-            e += w * at[4]
-            f += w * at[5]
-            g += w * at[6]
-            h += w * at[7]
-        for lane, value in enumerate((a, b, c, d, e, f, g, h)):
-            size = np.float64(abs(value))
-            sums[0, lane] += size
-            sums[1, lane] += size * size
+            weight, at = samples.weight[k], envelope[np.uintp(samples.node[k])]
+            low, high = add_part(low, weight, load(at, 0)), add_part(high, weight, load(at, LANES))
+        sizes, more_sizes = add_size(sizes, low), add_size(more_sizes, high)
+        squares, more_squares = add_square(squares, low), add_square(more_squares, high)
+    store(sizes, rides[0], 0)
+    store(more_sizes, rides[0], LANES)
+    store(squares, rides[1], 0)
+    store(more_squares, rides[1], LANES)
+    for lane in range(_GROUP):
+        rides[0, lane] = rides[0, lane] / number
+        rides[1, lane] = math.sqrt(rides[1, lane] / number)
 
 
 @helper
-def _read(node: Integers, weight: Singles, values: Singles, lane: int) -> float:
-    total = 0.0
+def _read(node: Integers, weight: Singles, values: Singles, first: int) -> Lanes:
+    total = same(0.0)
     for k in range(4):
-        total += weight[k] * values[node[k], lane]
+        total = add_part(total, weight[k], load(values[np.uintp(node[k])], first))
     return total
 
 
 @helper
-def _pose_numbers(
-    poses: Poses, geometry: VehicleGeometry, envelope: Singles, bare: Singles, lane: int, out: Floats
-) -> None:
-    """Root mean squares of pitch, roll and twist [rad], and how far the ground reaches to the belly (1: it touches)."""
-    pitches = rolls = twists = 0.0
-    strike = 0.0
+def _pose_numbers(poses: Poses, geometry: VehicleGeometry, scratch: RideScratch, first: int) -> None:
+    """Fill root mean squares of pitch, roll and twist [rad], and how far the ground reaches to the belly."""
+    pitches = rolls = twists = strike = same(0.0)
+    envelope, rides = scratch.envelope, scratch.rides
     number = poses.wheel_node.shape[0]
     for p in range(number):
-        fl = _read(poses.wheel_node[p, 0], poses.wheel_weight[p, 0], envelope, lane)
-        fr = _read(poses.wheel_node[p, 1], poses.wheel_weight[p, 1], envelope, lane)
-        rl = _read(poses.wheel_node[p, 2], poses.wheel_weight[p, 2], envelope, lane)
-        rr = _read(poses.wheel_node[p, 3], poses.wheel_weight[p, 3], envelope, lane)
-        pitch = (fl + fr - rl - rr) / (2.0 * geometry.wheelbase)
-        roll = (fl - fr + rl - rr) / (2.0 * geometry.track)
-        twist = (fl - fr - rl + rr) / (2.0 * geometry.wheelbase)
-        pitches += pitch * pitch
-        rolls += roll * roll
-        twists += twist * twist
-        level = 0.25 * (fl + fr + rl + rr)
+        fl = _read(poses.wheel_node[p, 0], poses.wheel_weight[p, 0], envelope, first)
+        fr = _read(poses.wheel_node[p, 1], poses.wheel_weight[p, 1], envelope, first)
+        rl = _read(poses.wheel_node[p, 2], poses.wheel_weight[p, 2], envelope, first)
+        rr = _read(poses.wheel_node[p, 3], poses.wheel_weight[p, 3], envelope, first)
+        pitch = each2(_over, each4(_pitch, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
+        roll = each2(_over, each4(_roll, fl, fr, rl, rr), same(2.0 * geometry.track))
+        twist = each2(_over, each4(_twist, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
+        pitches, rolls, twists = add_square(pitches, pitch), add_square(rolls, roll), add_square(twists, twist)
+        level = each2(_over, each4(_sum, fl, fr, rl, rr), same(4.0))
         for place in range(3):
-            ground = _read(poses.belly_node[p, place], poses.belly_weight[p, place], bare, lane)
-            strike = max(strike, (ground - level - (1 - place) * geometry.belly_half * pitch) / geometry.clearance)
-    out[2], out[3], out[4] = math.sqrt(pitches / number), math.sqrt(rolls / number), math.sqrt(twists / number)
-    out[5] = strike
-
-
-@helper
-def _lay_patch(patches: PatchesToRide, t: int, wheel: WheelShape, scratch: RideScratch, lane: int) -> None:
-    """Put the envelope and the bare ground of a patch into a lane of the group's."""
-    nodes, margin = scratch.top.shape[0], (scratch.wide.shape[0] - scratch.top.shape[0]) // 2
-    _lay_nodes(patches.relief[t], patches.fine, scratch.wide, margin)
-    _roll_wheel(scratch.wide, margin, wheel, scratch.top, scratch.envelope, lane)
-    for r in range(nodes):
-        for c in range(nodes):
-            scratch.bare[r * nodes + c, lane] = scratch.wide[r + margin, c + margin]
+            ground = _read(poses.belly_node[p, place], poses.belly_weight[p, place], scratch.bare, first)
+            ahead = same((1 - place) * geometry.belly_half)
+            strike = each3(_larger, strike, each4(_above, ground, level, ahead, pitch), same(geometry.clearance))
+    store(pitches, rides[2], first)
+    store(rolls, rides[3], first)
+    store(twists, rides[4], first)
+    store(strike, rides[5], first)
+    for k in range(2, 5):
+        for lane in range(first, first + LANES):
+            rides[k, lane] = math.sqrt(rides[k, lane] / number)
 
 
 @kernel
@@ -199,24 +254,29 @@ def ride_patches(
     ``rides`` (tiles, 6) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
     roll and twist [rad]; reach of the ground towards the belly (1: it touches).
     """
-    tiles, number = len(patches.known), len(samples.starts) - 1
+    tiles, pixels = len(patches.known), patches.relief.shape[1]
+    nodes = pixels * patches.fine + 1
     t = 0
     while t < tiles:
         held = 0
         while t < tiles and held < _GROUP:
             if patches.known[t]:
-                _lay_patch(patches, t, wheel, scratch, held)
+                for r in range(pixels):
+                    for c in range(pixels):
+                        scratch.relief[r, c, held] = patches.relief[t, r, c]
                 scratch.members[held] = t
                 held += 1
             t += 1
         if held == 0:
             continue
-        _pitch_sums(samples, scratch.envelope, scratch.sums)
+        _lay_nodes(patches.fine, nodes, scratch)
+        _roll_wheel(nodes, wheel, scratch)
+        _pitch_changes(samples, scratch.envelope, scratch.rides)
+        _pose_numbers(poses, geometry, scratch, 0)
+        _pose_numbers(poses, geometry, scratch, LANES)
         for lane in range(held):
-            ride = rides[scratch.members[lane]]
-            ride[0] = scratch.sums[0, lane] / number
-            ride[1] = math.sqrt(scratch.sums[1, lane] / number)
-            _pose_numbers(poses, geometry, scratch.envelope, scratch.bare, lane, ride)
+            for k in range(6):
+                rides[scratch.members[lane], k] = scratch.rides[k, lane]
 
 
 @kernel

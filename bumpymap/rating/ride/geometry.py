@@ -51,6 +51,6 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         operator.poses,
         VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance),
         rides,
-        ride_scratch(operator.nodes, margin),
+        ride_scratch(patches.shape[1], operator.nodes, margin),
     )
     return Rides(*rides.T.copy())

@@ -59,7 +59,7 @@ def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
         ),
         spectrum,
         DenoisedPatches(clean, noise),
-        spectrum_scratch(pixels, spectrum.shapes.shape[1]),
+        spectrum_scratch(pixels, *spectrum.shapes.shape),
     )
     point, pixel = noise
     return CleanPatches(clean, point, pixel, pixel * operator.noise_gain)
@@ -73,4 +73,5 @@ def _spectrum(pixels: int) -> Spectrum:
     band = np.rint(wave).astype(np.int32) - 1
     members = [wave[band == b] for b in range(int(band.max()) + 1)]
     shapes = np.array([[float(np.mean(wave_numbers**-beta)) for wave_numbers in members] for beta in _STEEPNESS])
-    return Spectrum(np.ascontiguousarray(cosines(pixels)), band, shapes)
+    basis = np.ascontiguousarray(cosines(pixels))
+    return Spectrum(basis, np.ascontiguousarray(basis.T), band, shapes)

@@ -1,5 +1,7 @@
 """Noise: told from the points, taken off the ground, and ground left alone."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,12 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.lab import ScanEffects, Terrain, make_terrain, survey_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
+from bumpymap.rating.ride._spreads import point_noise
 from bumpymap.rating.vehicle.profile import load_profile
 from bumpytiles import Grid, TileBuckets
 
 OPERATOR = RideOperator.of(load_profile("warthog").to_dict(), 3.0, 15)
+DENSE = ScanEffects(1000, 0.02)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 
@@ -80,3 +84,34 @@ def test_noise_that_cannot_be_told_is_not_invented():
     assert np.array_equal(
         clean.relief_map[np.isnan(clean.noise_felt)], patches.relief_map[np.isnan(clean.noise_felt)], True
     )
+
+
+@pytest.mark.parametrize("count", [1, 8, 13])
+def test_a_patch_gets_the_same_bits_alone_and_among_others(count):
+    rng = np.random.default_rng(count)
+    patches = surveyed([Terrain("hills", rng.normal(0, 0.1, (60, 60)), 3.0) for _ in range(count)], DENSE)
+    together = denoise(replace(patches, reason=np.where(np.arange(count) % 5 == 3, 3, 0).astype(np.uint8)), OPERATOR)
+    for i in (i for i in range(count) if i % 5 != 3):
+        mine = {f.name: getattr(patches, f.name)[i : i + 1] for f in fields(patches) if f.name != "grid"}
+        alone = denoise(replace(patches, **mine), OPERATOR)
+        for name in ("relief_map", "point_noise", "pixel_noise", "noise_felt"):
+            np.testing.assert_array_equal(getattr(alone, name), getattr(together, name)[i : i + 1])
+
+
+@pytest.mark.parametrize("most", [3, 1000])
+def test_the_noise_of_a_point_is_a_weighted_median(most):
+    """With few different values, many are equal."""
+    rng = np.random.default_rng(most)
+    count = rng.integers(0, 9, (15, 15)).astype(np.int32)
+    variance = (rng.integers(1, most, (15, 15)) / (1000.0 * most)).astype(np.float32)
+    weight = (count[count > 1] - 1).astype(float)
+    values = variance[count > 1].astype(float) * (weight + 1) / weight
+    order = np.argsort(values)
+    median = values[order][np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())]
+    bias = (1 - 2 * weight.sum() / (9 * (weight**2).sum())) ** 3
+    assert point_noise(count, variance, *np.empty((2, 225))) == pytest.approx(median / bias, rel=1e-12)
+
+
+def test_a_variance_that_is_no_number_ends_the_search():
+    count, variance = np.full((15, 15), 4, np.int32), np.full((15, 15), np.nan, np.float32)
+    point_noise(count, variance, *np.empty((2, 225)))
