@@ -123,7 +123,7 @@ class ResultCollector:
     def _note_results(self, result: ReadResult) -> None:
         for file, first, stop in result.spans:
             stats = result.stats.get(file, PointStats())
-            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen))
+            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen.get(file)))
 
     def _judge(self, files: Iterable[int]) -> None:
         """Judge files that are read completely; skip bad ones in file order, so that messages come in that order."""
