@@ -48,6 +48,11 @@ _NO_STATISTICS: dict[str, Any] = {
     "distributed.scheduler.active-memory-manager.start": False,
 }
 """Collect no statistics for pages that are not served."""
+_OWN_MALLOC: dict[str, Any] = {
+    "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+}
+"""Without the MALLOC_TRIM_THRESHOLD_ of distributed: with it, the memory of every array goes back to the system when the
+array is freed, and the next array is allocated page by page."""
 
 
 class TlsFiles(NamedTuple):
@@ -174,7 +179,7 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
         resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
         with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
-            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS}))
+            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS, **_OWN_MALLOC}))
             if sys.platform == "linux":
                 running.enter_context(_forked_workers(modules))
             cluster = running.enter_context(
