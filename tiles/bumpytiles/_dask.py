@@ -51,8 +51,8 @@ _NO_STATISTICS: dict[str, Any] = {
 _OWN_MALLOC: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 }
-"""Without the MALLOC_TRIM_THRESHOLD_ of distributed: with it, the memory of every array goes back to the system when the
-array is freed, and the next array is allocated page by page."""
+"""Without the MALLOC_TRIM_THRESHOLD_ of distributed: with it, the memory of every freed array goes back to the system,
+and the next array is allocated page by page."""
 
 
 class TlsFiles(NamedTuple):
@@ -179,7 +179,9 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
         resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
         with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
-            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS, **_OWN_MALLOC}))
+            running.enter_context(
+                dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS, **_OWN_MALLOC})
+            )
             if sys.platform == "linux":
                 running.enter_context(_forked_workers(modules))
             cluster = running.enter_context(
@@ -267,7 +269,8 @@ def threads_here() -> int:
 
 def _silence_dask() -> None:
     """Silence dask's log: errors are raised, and workers that are stopped would log errors."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # the client's has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _result(future: Future[Any]) -> Any:

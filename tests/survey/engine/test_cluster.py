@@ -1,6 +1,7 @@
 """The second engine: the same bits from workers as from one process, whatever happens to them."""
 
 import json
+import logging
 import os
 import random
 import shutil
@@ -482,6 +483,7 @@ def deadly(monkeypatch, mark, *, always=False):
 def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
     result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
     assert result.exit_code == 0, result.output
+    assert not logging.getLogger("distributed.client").isEnabledFor(logging.WARNING)  # a lost worker is no news
     assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
 
 
