@@ -190,7 +190,7 @@ def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
         collector = ResultCollector([reader], [len(seen)], checkpoints, refuse, skip_bad=False)
         for number, place in enumerate(seen):
             own = stats if number == 0 else PointStats()
-            collector.add(ReadResult(((0, number, number + 1),), {0: own}, seen=place))
+            collector.add(ReadResult(((0, number, number + 1),), {0: own}, seen={} if place is None else {0: place}))
         return collector
 
     assert add(("a", one), ("b", two), ("a", one), None).stats[0] == stats

@@ -11,17 +11,19 @@ own, so no other user of the machine can connect.
 # (distributed claims to be typed, but half of its functions are not)
 
 import logging
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker, set_forkserver_preload
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any, NamedTuple
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker, utils as distributed_utils
 
 from bumpytiles.signals import blocked_signals
 
@@ -35,8 +37,22 @@ _CHECKS, _LOCAL_CHECKS = 30, 3
 """Give up after this many checks in a row without workers: at a scheduler, with workers started here."""
 
 
+_STOP_S = 5.0
+"""How long the process that forks workers may take to end, s: it waits for the last of them."""
 _NO_PAGES: dict[str, Any] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
 """Serve no web pages: they would be open to every user of the machine."""
+_NO_STATISTICS: dict[str, Any] = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.scheduler.active-memory-manager.start": False,
+}
+"""Collect no statistics for pages that are not served."""
+_OWN_MALLOC: dict[str, Any] = {
+    "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+}
+"""Without the MALLOC_TRIM_THRESHOLD_ of distributed: with it, the memory of every freed array goes back to the system,
+and the next array is allocated page by page."""
 
 
 class TlsFiles(NamedTuple):
@@ -141,8 +157,16 @@ class Workers:
 
 
 @contextmanager
-def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Workers]:
+def local_workers(number: int, environment: Mapping[str, str], modules: Sequence[str] = ()) -> Iterator[Workers]:
     """Start worker processes on this machine, each of which does one task at a time; stop them at the end.
+
+    Parameters
+    ----------
+    number : int
+    environment : mapping of str to str
+        Environment variables of the workers, beside those of this process.
+    modules : sequence of str
+        Names of modules that tasks need. On Linux they are imported once for all workers.
 
     Raises
     ------
@@ -155,7 +179,11 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
         resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
         with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))
-            running.enter_context(dask.config.set({"temporary-directory": folder, **_NO_PAGES}))
+            running.enter_context(
+                dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS, **_OWN_MALLOC})
+            )
+            if sys.platform == "linux":
+                running.enter_context(_forked_workers(modules))
             cluster = running.enter_context(
                 LocalCluster(
                     n_workers=number,
@@ -180,6 +208,23 @@ def local_workers(number: int, environment: Mapping[str, str]) -> Iterator[Worke
         finally:
             with blocked_signals():
                 running.close()
+
+
+@contextmanager
+def _forked_workers(modules: Sequence[str]) -> Iterator[None]:
+    """Let workers be forks of one process that has imported ``modules``; stop it at the end, after its workers."""
+    server: Any = forkserver._forkserver  # noqa: SLF001 (see below)
+    is_ours = server._forkserver_pid is None  # noqa: SLF001
+    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+        distributed_utils.get_mp_context()  # it sets modules of its own
+        set_forkserver_preload(["distributed", "distributed.nanny", *modules])
+        try:
+            yield
+        finally:
+            if is_ours:  # otherwise it would keep its memory as long as this process runs
+                stopping = Thread(target=server._stop, daemon=True)  # noqa: SLF001 (there is no public function)
+                stopping.start()
+                stopping.join(_STOP_S)
 
 
 @contextmanager
@@ -224,7 +269,8 @@ def threads_here() -> int:
 
 def _silence_dask() -> None:
     """Silence dask's log: errors are raised, and workers that are stopped would log errors."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # the client's has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _result(future: Future[Any]) -> Any:

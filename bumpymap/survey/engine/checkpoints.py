@@ -68,7 +68,7 @@ class Checkpoints:
                 },
                 "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
                 "early": early,
-                "seen": result.seen,
+                "seen": {str(file): seen for file, seen in result.seen.items()},
             }
         )
 
@@ -127,5 +127,5 @@ class Checkpoints:
                 for file, own in record["hashed"].items()
             },
             tuple((self._points(path), np.array(blocks, np.int64)) for path, blocks in record["packs"]),
-            seen=None if record["seen"] is None else (record["seen"][0], record["seen"][1]),
+            seen={int(file): (host, version) for file, (host, version) in record["seen"].items()},
         )

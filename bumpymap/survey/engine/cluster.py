@@ -15,7 +15,7 @@ from bumpymap.readers import ReadOptions
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
-from bumpymap.survey.engine.plan import ReadTask, range_points, shared_tasks
+from bumpymap.survey.engine.plan import ChunkRange, range_points, shared_tasks
 from bumpymap.survey.engine.pool import TIMEOUT_S, WorkerPool, worker_errors
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
@@ -27,7 +27,7 @@ from bumpymap.survey.engine.tasks import (
     count_marks,
     finish_group,
     missing_on_worker,
-    read_range,
+    read_ranges,
 )
 from bumpymap.survey.engine.workspace import Workspace
 
@@ -91,12 +91,15 @@ class ClusterExecutor:
 
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
-        shared = shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished)
-        tasks = ((self._context, self._source(plan, task), task) for task in shared)
-        with closing(self._pool.workers.run(read_range, tasks)) as results:
-            for number, result in results:
-                yield result
-                self._progress.advance(plan.unread[number].points)
+        workers = self._pool.workers.count()
+        shared = list(shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished, workers))
+        tasks = (
+            (self._context, [self._source(plan, part) for part in task.ranges], task, plan.skip_bad) for task in shared
+        )
+        with closing(self._pool.workers.run(read_ranges, tasks)) as results:
+            for number, read in results:
+                yield from read
+                self._progress.advance(sum(part.points for part in shared[number].ranges))
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
         """Yield the number of tiles, and of those with ground points, for each group."""
@@ -114,8 +117,8 @@ class ClusterExecutor:
             for _, result in results:
                 yield result
 
-    def _source(self, plan: ReadPlan, task: ReadTask) -> FileSource:
-        path = plan.readers[task.range.file].info.path
+    def _source(self, plan: ReadPlan, part: ChunkRange) -> FileSource:
+        path = plan.readers[part.file].info.path
         known = self._space.run_spec["inputs"][str(path)]
         place = path if isinstance(path, str) else path.absolute()
         chunk_points = self._space.run_spec["cut"]["chunk_points"]
@@ -123,7 +126,9 @@ class ClusterExecutor:
 
     def _check_workers(self) -> None:
         """Raise UsageError if a worker lacks something that the run needs."""
-        answers = self._pool.workers.each(missing_on_worker, self._context, self._versions, self._versions())
+        # Workers on this machine run the same software; to look it up, each would import GDAL, which no task needs.
+        versions = dict[str, str] if self._pool.is_local else self._versions
+        answers = self._pool.workers.each(missing_on_worker, self._context, versions, versions())
         for address, answer in answers.items():
             if isinstance(answer, BaseException):
                 raise UsageError(

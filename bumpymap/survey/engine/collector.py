@@ -123,7 +123,7 @@ class ResultCollector:
     def _note_results(self, result: ReadResult) -> None:
         for file, first, stop in result.spans:
             stats = result.stats.get(file, PointStats())
-            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen))
+            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen.get(file)))
         for file, pieces in result.hashed.items():
             self._readers[file].put_hashed(pieces)
 

@@ -8,7 +8,7 @@ from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.chunk_stream import OpenRange
-from bumpymap.survey.engine.plan import single_tasks
+from bumpymap.survey.engine.plan import single_task
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.worker import Worker, new_folder
@@ -46,12 +46,12 @@ class LocalExecutor:
         """Read all ranges that are unread; the worker keeps their points for the later tasks."""
         points, tiles = new_folder(self._space.points_folder), new_folder(self._space.new_tiles)
         self._worker = Worker(self._work, self._budget, points, tiles, self._progress)
-        tasks = list(single_tasks(plan.unread, plan.read, plan.finished))
+        task = single_task(plan.unread, plan.read, plan.finished)
         ranges = [
             OpenRange(part, plan.readers[part.file], plan.chunks[part.file][part.first : part.stop])
             for part in plan.unread
         ]
-        yield from self._worker.read(tasks, ranges, skip_bad=plan.skip_bad)
+        yield from self._worker.read(task, ranges, skip_bad=plan.skip_bad)
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
         """Yield the number of tiles, and of those with ground points, for each group."""

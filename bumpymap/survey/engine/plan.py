@@ -1,4 +1,8 @@
-"""The plan of reading: which chunks each task reads, and where other tasks may add points to the same blocks."""
+"""The plan of reading: which chunks each task reads, and where other tasks may add points to the same blocks.
+
+On a cluster, neighbouring files are read by one task as far as possible: the blocks between them are then complete in
+the memory of one worker, and only those along the border of the task are exchanged through the disk.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,13 +13,17 @@ from numpy.typing import NDArray
 from bumpymap.readers import Chunk, SurveyReader
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid
 
-__all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks", "single_tasks"]
+__all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks", "single_task"]
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some ranges of chunks, as (first, last + 1)."""
 LEAST_POINTS, _MOST = 2_000_000, 256_000_000
 _RANGES_A_WORKER = 4
 """Ranges per worker: near the end some workers idle, for at most a quarter of a worker's share."""
+_TASKS_A_WORKER = 2
+"""Least tasks per worker, of files that are read together."""
+_TASK_POINTS = 20_000_000
+"""Points in a task of files, if that still makes two to four tasks per worker."""
 _MARGIN = 1.01
 """How far outside its bounds a point may lie, m; as in `BlockCompletion`."""
 
@@ -39,13 +47,13 @@ class ChunkRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadTask:
-    """A range to read, and what the task must know of other ranges."""
+    """Ranges to read one after the other, at most one of each file, and what the task must know of other ranges."""
 
-    range: ChunkRange
+    ranges: tuple[ChunkRange, ...]
     nearby: tuple[Bounds, ...] | None
     """Bounds in which other workers have or will have points: no block there is complete. None: everywhere."""
     finished: frozenset[BlockKey] = frozenset()
-    """Blocks in its bounds that an earlier run has finished: their points are dropped."""
+    """Blocks in their bounds that an earlier run has finished: their points are dropped."""
 
 
 def range_points(points: int, workers: int) -> int:
@@ -109,42 +117,71 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
     )
 
 
-def single_tasks(
-    unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]
-) -> Iterator[ReadTask]:
-    """Yield the tasks of a worker that reads everything: only ranges read by an earlier run count as others'."""
+def single_task(unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]) -> ReadTask:
+    """Return the task of a worker that reads everything: only ranges read by an earlier run count as others'."""
     known = [box.bounds for box in read if box.bounds is not None]
-    nearby = tuple(known) if len(known) == len(read) else None
-    keys = frozenset(finished)
-    return (ReadTask(part, nearby, keys) for part in unread)
+    return ReadTask(tuple(unread), tuple(known) if len(known) == len(read) else None, frozenset(finished))
 
 
 def shared_tasks(
-    grid: Grid, unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]
+    grid: Grid, unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey], workers: int
 ) -> Iterator[ReadTask]:
-    """Yield tasks that any worker may do: for each of them all other ranges count as others'."""
+    """Yield tasks that any worker may do: for each of them all ranges of other tasks count as others'."""
     ranges = [*unread, *read]
     all_known = all(part.bounds for part in ranges)
     boxes = [part.bounds or Bounds(0, 0, 0, 0) for part in ranges]
     sides = np.array([(box.west, box.south, box.east, box.north) for box in boxes]).reshape(-1, 4).T
     keys = np.array(list(finished), np.int64).reshape(-1, 2)
-    for number, part in enumerate(unread):
-        nearby = _nearby(grid, sides, number) if all_known else None
-        yield ReadTask(part, nearby, _inside(grid, part.bounds, keys))
+    for numbers in _together(unread, sides, workers):
+        own = [unread[number] for number in numbers.tolist()]
+        nearby = _nearby(grid, sides, numbers) if all_known else None
+        yield ReadTask(tuple(own), nearby, frozenset().union(*(_inside(grid, part.bounds, keys) for part in own)))
 
 
-def _nearby(grid: Grid, sides: NDArray[np.float64], number: int) -> tuple[Bounds, ...] | None:
-    """Return the bounds of other ranges near a range; None if it shares all of its blocks with one of them."""
+def _together(unread: Sequence[ChunkRange], sides: NDArray[np.float64], workers: int) -> Iterator[NDArray[np.int64]]:
+    """Yield the indices of ranges that a task reads: neighbouring files together, any other range by itself."""
+    whole = np.array([part.is_whole and part.bounds is not None for part in unread], np.bool_)
+    points = np.array([part.points for part in unread], np.int64)
+    total = int(points[whole].sum())
+    tasks = np.clip(total // _TASK_POINTS, _TASKS_A_WORKER * workers, _RANGES_A_WORKER * workers)
+    tasks = max(min(int(tasks), total // LEAST_POINTS), total // _MOST, 1)
+    if whole.any():
+        yield from _divided(np.flatnonzero(whole), points, sides, tasks)
+    yield from np.flatnonzero(~whole)[:, None]
+
+
+def _divided(
+    numbers: NDArray[np.int64], points: NDArray[np.int64], sides: NDArray[np.float64], tasks: int
+) -> Iterator[NDArray[np.int64]]:
+    """Divide files among tasks: across the longer side of their area, in halves of about equally many points."""
+    west, south, east, north = sides[:, numbers]
+    across = (west + east, south + north)[int(np.ptp(west + east) < np.ptp(south + north))]
+    numbers = numbers[np.argsort(across, kind="stable")]
+    tasks = min(tasks, len(numbers))
+    if tasks < 2:
+        yield numbers
+        return
+    ends = np.cumsum(points[numbers])
+    cut = 1 + int(np.argmin(np.abs(ends[:-1] - ends[-1] * (tasks // 2) / tasks)))
+    yield from _divided(numbers[:cut], points, sides, tasks // 2)
+    yield from _divided(numbers[cut:], points, sides, tasks - tasks // 2)
+
+
+def _nearby(grid: Grid, sides: NDArray[np.float64], numbers: NDArray[np.int64]) -> tuple[Bounds, ...] | None:
+    """Return the bounds of other ranges near some ranges; None if each of these shares all of its blocks with one."""
     reach = BLOCK_TILES * grid.tile_size + 2 * _MARGIN
     west, south, east, north = sides
-    own = Bounds(*sides[:, number].tolist())
-    near = (west <= own.east + reach) & (east >= own.west - reach)
-    near &= (south <= own.north + reach) & (north >= own.south - reach)
-    near[number] = False
-    around = near & (west <= own.west) & (south <= own.south) & (east >= own.east) & (north >= own.north)
-    if around.any():
-        return None
-    return tuple(Bounds(*box) for box in sides[:, near].T.tolist())
+    others = np.ones(len(west), np.bool_)
+    others[numbers] = False
+    found, covered = np.zeros(len(west), np.bool_), True
+    for number in numbers.tolist():
+        own = Bounds(*sides[:, number].tolist())
+        near = others & (west <= own.east + reach) & (east >= own.west - reach)
+        near &= (south <= own.north + reach) & (north >= own.south - reach)
+        around = near & (west <= own.west) & (south <= own.south) & (east >= own.east) & (north >= own.north)
+        covered = covered and bool(around.any())
+        found |= near
+    return None if covered else tuple(Bounds(*box) for box in sides[:, found].T.tolist())
 
 
 def _inside(grid: Grid, box: Bounds | None, keys: NDArray[np.int64]) -> frozenset[BlockKey]:

@@ -17,6 +17,9 @@ __all__ = ["TIMEOUT_S", "WorkerPool", "connect", "worker_errors"]
 
 _log = logging.getLogger(__name__)
 
+_MODULES = ("bumpymap.survey.engine.tasks", "bumpymap.survey.tile_rating", "onnxruntime")
+"""Modules that workers need for their tasks."""
+
 TIMEOUT_S = 30.0
 """How long a scheduler may take to answer, and tasks of a cancelled run may take to end, s."""
 
@@ -28,6 +31,8 @@ class WorkerPool:
     workers: "Workers"
     threads: int | None
     """None: the number that each worker was started with."""
+    is_local: bool = False
+    """Whether this process started the workers: they have the same software."""
 
 
 @contextmanager
@@ -77,8 +82,8 @@ def _start_workers(workers: int, threads: int, stack: ExitStack) -> WorkerPool:
 
     each = max(1, threads // workers)
     # The LAZ decoder uses every core by default.
-    started = _explain_failed_start(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}))
-    return WorkerPool(stack.enter_context(started), each)
+    started = _explain_failed_start(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}, _MODULES))
+    return WorkerPool(stack.enter_context(started), each, is_local=True)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """The results of tasks: counts and file names, no points."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,8 +37,8 @@ class ReadResult:
     """Blocks, as in ``packs``, whose points are only in the memory of this process: they cannot be resumed."""
     error: BadInputError | None = None
     """Why the file is bad."""
-    seen: tuple[str, Version | None] | None = None
-    """Name of the machine that read the chunks, and the version of the file there; None for this process."""
+    seen: Mapping[int, tuple[str, Version | None]] = field(default_factory=dict)
+    """By file, the name of the machine that read the chunks, and the version there; without those of this process."""
 
 
 @dataclass(frozen=True, slots=True)

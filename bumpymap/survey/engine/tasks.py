@@ -1,11 +1,11 @@
-"""Tasks of workers in a cluster: read a range of chunks, count tiles with ground, rate blocks.
+"""Tasks of workers in a cluster: read ranges of chunks, count tiles with ground, rate blocks.
 
 A task may run twice, even at the same time, because a worker died or was cut off. Each attempt therefore writes to its
 own folders, and only files named in its result are used. A worker does one task at a time, with all its threads, so
 that it needs the memory of one task.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -32,7 +32,7 @@ __all__ = [
     "count_marks",
     "finish_group",
     "missing_on_worker",
-    "read_range",
+    "read_ranges",
 ]
 
 _AT_WORK = Lock()
@@ -109,16 +109,27 @@ def busy() -> bool:
     return _AT_WORK.locked()
 
 
-def read_range(context: RunContext, source: FileSource, task: ReadTask) -> ReadResult:
-    """Read a range; rate blocks that no other range overlaps, write the points of all others to packs."""
+def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTask, skip_bad: bool) -> list[ReadResult]:
+    """Read ranges; rate blocks that no other task reaches, write the points of all others to packs.
+
+    ``sources`` are the files of the ranges. See `Worker.read_to_disk`.
+    """
     with _worker(context) as worker:
         try:
-            reader = opened(source.path, source.options, source.identity, context.run_id)
-            chunks = reader.chunks(source.chunk_points)[task.range.first : task.range.stop]
-            result = worker.read_to_disk(task, OpenRange(task.range, reader, chunks))
-            return replace(result, seen=(gethostname(), reader.info.version))
-        except BadInputError as error:
-            return ReadResult(((task.range.file, task.range.first, task.range.stop),), error=error)
+            ranges, bad = [], []
+            for source, part in zip(sources, task.ranges, strict=True):
+                try:
+                    reader = opened(source.path, source.options, source.identity, context.run_id)
+                    chunks = reader.chunks(source.chunk_points)[part.first : part.stop]
+                    ranges.append(OpenRange(part, reader, chunks))
+                except BadInputError as error:
+                    bad.append(ReadResult(((part.file, part.first, part.stop),), error=error))
+            if len(bad) == len(task.ranges) or (bad and not skip_bad):
+                return bad
+            good = replace(task, ranges=tuple(source.range for source in ranges))
+            seen = {source.range.file: (gethostname(), source.reader.info.version) for source in ranges}
+            read = worker.read_to_disk(good, ranges, skip_bad=skip_bad)
+            return [*bad, *(result if result.error else replace(result, seen=seen) for result in read)]
         finally:
             close_decoder()  # opening a file starts it, even if nothing is read
 

@@ -13,13 +13,13 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Progress
+from bumpymap.core import PieceRuns, Progress
 from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.chunk_stream import OpenRange
-from bumpymap.survey.engine.plan import ReadTask
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask
 from bumpymap.survey.engine.reading import RangeReader, blocks_of
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.sink import TileSink
@@ -55,32 +55,43 @@ class Worker:
         self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_bytes, budget.block_points, points))
         self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
 
-    def read(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
+    def read(self, task: ReadTask, ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
         """Read ranges; yield results whose points are on disk, errors, and last the result for points in memory."""
-        reading = self._reading(tasks, ranges)
+        reading = self._reading(task, ranges)
         yield from reading.run(skip_bad=skip_bad)
         if (remainder := reading.remainder()) is not None:
             yield remainder
 
-    def read_to_disk(self, task: ReadTask, source: OpenRange) -> ReadResult:
-        """Read a range; rate the blocks that no other range overlaps, write the points of all others to packs."""
-        reading, store = self._reading([task], [source]), self._store
-        results = list(reading.run())
-        bad = next((result for result in results if result.error is not None), None)
-        if bad is not None:
+    def read_to_disk(self, task: ReadTask, ranges: Sequence[OpenRange], *, skip_bad: bool) -> list[ReadResult]:
+        """Read ranges; rate the blocks that no other task reaches, write the points of all others to packs.
+
+        Returns the errors of bad files and one result for the good ones. Without ``skip_bad`` nothing is read after an
+        error, and the error is the only result.
+        """
+        reading, store = self._reading(task, ranges), self._store
+        found: list[ReadResult] = []
+        bad: dict[int, ReadResult] = {}
+        for result in reading.run(skip_bad=skip_bad and len(ranges) > 1):
+            if result.error is None:
+                found.append(result)
+                continue
+            bad[result.spans[0][0]] = result
+            if not skip_bad:
+                break
+        if len(bad) == len(ranges) or (bad and not skip_bad):
             for folder in (self._points, self._tiles):
                 rmtree(folder, ignore_errors=True)
-            return bad
+            return list(bad.values())
         ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
         early = reading.finish_early(ready)
         if (remainder := reading.remainder()) is not None:
-            results.append(replace(remainder, in_memory=None))
+            found.append(replace(remainder, in_memory=None))
         while not store.is_empty:
             store.spill()
             store.wait()
-        return replace(
-            _joined(results, task), packs=self._unfinished_packs(), tiles=_by_kind([*(r.tiles for r in results), early])
-        )
+        tiles = _by_kind([*(result.tiles for result in found), early])
+        good = [part for part in task.ranges if part.file not in bad]
+        return [*bad.values(), replace(_joined(found, good), packs=self._unfinished_packs(), tiles=tiles)]
 
     def count_marks(self, group: BlockGroup) -> tuple[int, int]:
         """Return the number of tiles with points, and of those with ground points, in some blocks."""
@@ -103,10 +114,9 @@ class Worker:
         sink.flush()
         yield FinishedTiles(tuple(sink.new_packs()), blocks)
 
-    def _reading(self, tasks: Sequence[ReadTask], ranges: Sequence[OpenRange]) -> RangeReader:
-        self._store.done = set().union(*(task.finished for task in tasks))
-        nearby = [task.nearby for task in tasks]
-        return RangeReader(ranges, self._store, self._work, self._sinks, nearby, self._threads, self._progress)
+    def _reading(self, task: ReadTask, ranges: Sequence[OpenRange]) -> RangeReader:
+        self._store.done = set(task.finished)
+        return RangeReader(ranges, self._store, self._work, self._sinks, [task.nearby], self._threads, self._progress)
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Return the packs that hold points of unfinished blocks; delete the others."""
@@ -121,15 +131,21 @@ class Worker:
         return tuple(found)
 
 
-def _joined(results: Sequence[ReadResult], task: ReadTask) -> ReadResult:
-    file = task.range.file
-    stats, lines = PointStats(), LineSums()
+def _joined(results: Sequence[ReadResult], ranges: Sequence[ChunkRange]) -> ReadResult:
+    """Return one result for some ranges, without the packs; results for other files are left out."""
+    stats, lines = {part.file: PointStats() for part in ranges}, LineSums()
+    hashed: dict[int, PieceRuns] = {part.file: () for part in ranges}
+    flagged = False
     for result in results:
-        stats = stats.merge(result.stats.get(file, PointStats()))
+        if result.spans and not result.stats.keys() & stats.keys():
+            continue  # points of a bad file, which were dropped
+        for file, more in result.stats.items():
+            stats[file] = stats[file].merge(more)
         lines = lines.merge(result.lines)
-    flagged = any(result.flagged for result in results)
-    hashed = {file: tuple(run for result in results for run in result.hashed.get(file, ()))}
-    return ReadResult(((file, task.range.first, task.range.stop),), {file: stats}, flagged, lines, hashed)
+        flagged |= result.flagged
+        for file, runs in result.hashed.items():
+            hashed[file] += runs
+    return ReadResult(tuple((part.file, part.first, part.stop) for part in ranges), stats, flagged, lines, hashed)
 
 
 def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:

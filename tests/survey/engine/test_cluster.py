@@ -1,11 +1,14 @@
 """The second engine: the same bits from workers as from one process, whatever happens to them."""
 
 import json
+import logging
 import os
 import random
 import shutil
 import sys
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from multiprocessing import forkserver
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -35,11 +38,14 @@ from bumpymap.survey.engine.tasks import (
     finish_group,
     missing_on_worker,
     opened,
-    read_range,
+    read_ranges,
 )
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 pytestmark = pytest.mark.slow
+
+TWO_TASKS = 57_000
+"""Least points of a task with which two tasks read the three surveys, one of them two files."""
 
 DEADLY = '''
 import os, signal
@@ -152,19 +158,19 @@ def here(monkeypatch):
 
 
 @pytest.mark.parametrize("ground", ["auto", "all"])
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize(("least", "tasks"), [(10_000, 11), (TWO_TASKS, 2), (10**7, 1)])
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
-    surveys, plain, tmp_path, here, ground, whole, monkeypatch
+    surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
 ):
-    if whole:  # a file is one part, and has blocks that no other file reaches
-        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
+    """A task reads a part of a file, or several files: then it has blocks that no other task reaches."""
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     out = tmp_path / "layers"
     result = run("map", surveys, "--out", out, "--ground", ground, "--workers", 3, "--scratch", tmp_path / "scratch")
     assert result.exit_code == 0, result.output
     assert layers_of(out) == layers_of(plain / ground)
     assert list((tmp_path / "scratch").iterdir()) == []
-    assert (here.done.count(read_range) == 3) == whole
-    assert (count_marks in here.done) == (ground == "auto")
+    assert here.done.count(read_ranges) == tasks
+    assert (count_marks in here.done) == (ground == "auto" and tasks > 1)
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
     assert record["inputs"] == single["inputs"]
@@ -180,11 +186,13 @@ def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monk
         result = run("map", file, "--out", tmp_path / name, "--local", *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    assert (here.done.count(read_range) == 1) == (most == 10**9)
+    assert (here.done.count(read_ranges) == 1) == (most == 10**9)
 
 
-@pytest.mark.parametrize("ground", ["auto", "all"])
-def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, ground):
+@pytest.mark.parametrize(("ground", "least"), [("auto", 10_000), ("all", 10_000), ("auto", 10**7), ("all", 100_000)])
+def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monkeypatch, ground, least):
+    """Those that share a task with good files too."""
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     for file in surveys.iterdir():
         shutil.copy(file, tmp_path)
     cut = bytearray((surveys / "a.laz").read_bytes())
@@ -277,7 +285,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
     killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
     here.done.clear()
     assert run(*arguments, "--out", left, "--resume").exit_code == 0
-    assert read_range not in here.done
+    assert read_ranges not in here.done
     assert (finish_group in here.done) == finished
     assert layers_of(left) == layers_of(plain / "auto")
     assert inputs_of(left) == inputs_of(plain / "auto")
@@ -287,7 +295,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch, whole):
     if whole:
-        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
+        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     arguments = ("map", surveys)
     killed_at(
         "run.ResultCollector.add_tiles",
@@ -313,7 +321,7 @@ def context_in(folder):
 
 
 def whole_file(points=1000):
-    return ReadTask(ChunkRange(0, 0, 1, points, None, is_whole=False), None)
+    return ReadTask((ChunkRange(0, 0, 1, points, None, is_whole=False),), None)
 
 
 def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
@@ -332,7 +340,7 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     assert "folders that every worker sees" in missing_on_worker(context, versions.copy, versions)
     source = FileSource(file, ReadOptions(), (known["size"], known["digest"]), 1000)
     with pytest.raises(OutputError, match="folders that every worker sees"):
-        read_range(context, source, whole_file())
+        read_ranges(context, [source], whole_file(), False)
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -348,7 +356,8 @@ def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, sa
     digest = known["digest"] if same else "0"
     source = FileSource(file, ReadOptions(), (known["size"], digest), 1000)
     with nullcontext() if same else pytest.raises(UsageError, match="differs from the file on the client"):
-        assert read_range(context, source, whole_file()).stats[0].points >= 1000
+        (result,) = read_ranges(context, [source], whole_file(), False)
+        assert result.stats[0].points >= 1000
     assert started
     assert not any(child.is_alive for child in started)
     assert processes.MEMORY.size == 0
@@ -375,10 +384,10 @@ boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(boxes, min_size=1, max_size=6), st.integers(0, 2))
-def test_a_block_that_two_ranges_reach_is_complete_for_neither(found, done):
+@given(st.lists(boxes, min_size=1, max_size=6), st.integers(0, 2), st.booleans())
+def test_a_block_that_two_tasks_reach_is_complete_for_neither(found, done, whole):
     bounds = [Bounds(west, south, west + width, south + height) for west, south, width, height in found]
-    ranges = [ChunkRange(0, n, n + 1, 10, box, is_whole=False) for n, box in enumerate(bounds)]
+    ranges = [ChunkRange(n, n, n + 1, 2_000_000, box, is_whole=whole) for n, box in enumerate(bounds)]
     grid, side = Grid(), BLOCK_TILES * 3.0
     reach = [
         {
@@ -389,15 +398,34 @@ def test_a_block_that_two_ranges_reach_is_complete_for_neither(found, done):
         for box in bounds
     ]
     unread, read = ranges[done:], ranges[:done]
-    for task in shared_tasks(grid, unread, read, set()):
-        completion = BlockCompletion(grid, [task.range.bounds, *(task.nearby if task.nearby is not None else [None])])
-        completion.mark_read(0)
-        number = task.range.first
-        others = set().union(*(reach[other] for other in range(len(ranges)) if other != number))
-        mine = {key for key in reach[number] if completion.is_complete(key)}
+    tasks = list(shared_tasks(grid, unread, read, set(), workers=2))
+    assert sorted(part.first for task in tasks for part in task.ranges) == list(range(done, len(ranges)))
+    for task in tasks:
+        own = [part.bounds for part in task.ranges]
+        completion = BlockCompletion(grid, [*own, *(task.nearby if task.nearby is not None else [None])])
+        for area in range(len(own)):
+            completion.mark_read(area)
+        numbers = {part.first for part in task.ranges}
+        others = set().union(*(reach[other] for other in range(len(ranges)) if other not in numbers))
+        mine = {key for number in numbers for key in reach[number] if completion.is_complete(key)}
         assert not mine & others
-        if len(ranges) == 1:
-            assert mine == reach[number]
+        if len(tasks) == 1 and not done:
+            assert mine == set().union(*reach)
+
+
+def test_neighbouring_files_are_read_by_one_task():
+    squares = [
+        Bounds(col * 100.0, row * 100.0, col * 100.0 + 100, row * 100.0 + 100) for row in range(4) for col in range(4)
+    ]
+    files = [ChunkRange(n, 0, 5, 2_500_000 + n, box, is_whole=True) for n, box in enumerate(squares)]
+    tasks = list(shared_tasks(Grid(), files, [], set(), workers=2))
+    corners = {0, 2, 8, 10}
+    assert {frozenset(part.file for part in task.ranges) for task in tasks} == {
+        frozenset({corner, corner + 1, corner + 4, corner + 5}) for corner in corners
+    }
+    parts = [replace(part, is_whole=False) for part in files[:3]]
+    alone = list(shared_tasks(Grid(), [*parts, replace(files[3], bounds=None)], [], set(), workers=2))
+    assert [[part.file for part in task.ranges] for task in alone] == [[0], [1], [2], [3]]
 
 
 blocks = st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20), st.integers(1, 9)), max_size=40)
@@ -463,6 +491,7 @@ def deadly(monkeypatch, mark, *, always=False):
 def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
     result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
     assert result.exit_code == 0, result.output
+    assert not logging.getLogger("distributed.client").isEnabledFor(logging.WARNING)  # a lost worker is no news
     assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
 
 
@@ -472,6 +501,7 @@ def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_pa
     result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2, "--ground", "all", "--memory", "200MB")
     assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
+    assert forkserver._forkserver._forkserver_pid is None  # the process that forks them has ended too
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -586,13 +616,13 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
         result = run(*arguments)
     assert result.exit_code == 2, result.output
     assert "Pass --resume to the same command" in result.output
-    before = here.done.count(read_range)
+    before = here.done.count(read_ranges)
     here.done.clear()
     assert run(*arguments, "--resume").exit_code == 0
-    ranges = here.done.count(read_range)
+    ranges = here.done.count(read_ranges)
     here.done.clear()
     assert run("map", surveys, "--out", tmp_path / "whole", "--workers", 3).exit_code == 0
-    assert before + ranges == here.done.count(read_range)
+    assert before + ranges == here.done.count(read_ranges)
     assert layers_of(out) == layers_of(plain / "auto")
 
 
@@ -600,7 +630,7 @@ def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeyp
     monkeypatch.setattr("bumpymap.readers.las_points.HUGE_CHUNK", 1000)  # chunks that must be read in order
     result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--workers", 3)
     assert result.exit_code == 0, result.output
-    assert here.done.count(read_range) == 1
+    assert here.done.count(read_ranges) == 1
 
 
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
@@ -638,7 +668,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     pytest.importorskip("distributed")
     from bumpytiles import ClusterError
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000_000)
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     out = tmp_path / "layers"
     arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
 
@@ -660,7 +690,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     assert "Pass --resume to the same command" in result.output
     here.done.clear()
     assert run(*arguments, "--resume").exit_code == 0
-    assert read_range not in here.done  # files that were read are not read again
+    assert read_ranges not in here.done  # files that were read are not read again
     assert layers_of(out) == layers_of(plain / "auto")
     assert list((tmp_path / "scratch").iterdir()) == []
 
