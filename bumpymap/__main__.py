@@ -17,7 +17,11 @@ def run() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from bumpymap.cli import main
 
-    main()
+    try:
+        main()
+    finally:
+        # Python would look for cycles among all objects once more before the process ends: 0.05 s.
+        gc.freeze()
 
 
 if __name__ == "__main__":

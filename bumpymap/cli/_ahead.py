@@ -5,7 +5,9 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["import_ahead", "start_ahead"]
+from bumpymap.core import Progress
+
+__all__ = ["ImportsAhead", "start_ahead"]
 
 
 def start_ahead(surveys: Iterable[Path | str]) -> None:
@@ -15,13 +17,27 @@ def start_ahead(surveys: Iterable[Path | str]) -> None:
     start_decoder(surveys)
 
 
-def import_ahead() -> None:
-    """Import in a thread what rates tiles and writes layers: a run mostly waits for its decoder meanwhile.
+class ImportsAhead:
+    """A `Progress` that imports in a thread what rates tiles and writes layers, when its first stage begins.
 
-    pandas is hidden, see `import_without_pandas`, so this is for a process that only runs this command.
+    Before that the interpreter is busy; from then on it mostly waits for decoder and compiled code. pandas is hidden,
+    see `import_without_pandas`, so this is for a process that only runs one command.
     """
-    with suppress(RuntimeError):  # no thread can be started: they are imported when they are needed
-        threading.Thread(target=_import, name="imports").start()
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._begun = progress, False
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Begin a stage."""
+        if not self._begun:
+            self._begun = True
+            with suppress(RuntimeError):  # no thread can be started: they are imported when they are needed
+                threading.Thread(target=_import, name="imports").start()
+        self._progress.start(stage, total)
+
+    def advance(self, steps: int) -> None:
+        """Report that ``steps`` more steps are done."""
+        self._progress.advance(steps)
 
 
 def _import() -> None:

@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 import click
 
-from bumpymap.cli._ahead import import_ahead, start_ahead
+from bumpymap.cli._ahead import ImportsAhead, start_ahead
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
@@ -72,10 +72,8 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
         start_ahead(config.surveys)
     from bumpymap.survey import map_surveys, require_known
 
-    if ctx.obj:
-        import_ahead()
     with show_progress(quiet=quiet, as_json=log_json) as progress:
-        result = map_surveys(config, progress)
+        result = map_surveys(config, ImportsAhead(progress) if ctx.obj else progress)
     if not quiet:
         from bumpymap.cli._summary import show
 
