@@ -4,17 +4,14 @@ The file is cut into pieces of 1 MiB. Its checksum is the SHA-256 of the SHA-256
 order. A plain SHA-256 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
 several workers, what a resumed run has left to read) would have to be read again for it.
 
-Whole pieces are hashed by threads. Of a piece that is read in parts, the beginning is hashed as it grows; a part for
-which bytes before it are missing is copied until they come. The copies are limited: beyond that, the piece that was
+Of a piece that is read in parts, the beginning is hashed as it grows; a part for which bytes before it are missing is
+copied until they come. The copies are limited: beyond that, the piece that was
 begun first is forgotten and read again at the end, as are bytes that no reader has asked for.
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -32,9 +29,6 @@ _PIECE = 1 << 20
 _DIGEST = 32
 MOST_COPIED = 1 << 24
 """Limit for the copies of parts of a file, bytes."""
-_INLINE = 1 << 16
-"""Fewer bytes than this are hashed at once, since starting a thread would take longer."""
-_MOST_THREADS = 4
 
 Buffer = Any
 """Any object with the buffer protocol: bytes, memoryview, array of uint8."""
@@ -77,26 +71,16 @@ class FileHash:
         """The checksum; None before `finish`."""
         return self._checksum
 
-    def add(self, start: int, data: Buffer, *, at_once: bool = False) -> list[Future[None]]:
-        """Hash bytes that were read from offset ``start``; they must not change until the returned futures are done.
-
-        With ``at_once`` they are hashed in this thread.
-        """
-        jobs: list[Future[None]] = []
+    def add(self, start: int, data: Buffer) -> None:
+        """Hash bytes that were read from offset ``start``."""
         if self._checksum is not None:
-            return jobs
+            return
         view = memoryview(data).cast("B")
         for piece in range(start // _PIECE, -(-(start + len(view)) // _PIECE)):
             first = max(piece * _PIECE - start, 0)
             part = view[first : (piece + 1) * _PIECE - start]
-            at = start + first - piece * _PIECE
-            if self._is_known(piece):
-                continue
-            if at_once or len(part) < _INLINE:
-                self._add_part(piece, at, part)
-            else:
-                jobs.append(_threads().submit(self._add_part, piece, at, part))
-        return jobs
+            if not self._is_known(piece):
+                self._add_part(piece, start + first - piece * _PIECE, part)
 
     def take(self) -> PieceRuns:
         """Return the digests of the pieces that were completed since the last call, except those from `put`."""
@@ -126,7 +110,7 @@ class FileHash:
         Parameters
         ----------
         read : callable
-            Called with an offset and a number of bytes, in several threads; returns these bytes.
+            Called with an offset and a number of bytes; returns these bytes.
 
         Raises
         ------
@@ -134,13 +118,9 @@ class FileHash:
             The file ends early.
         """
         if self._checksum is None:
-            missing = [piece for piece in range(self._count) if not self._is_known(piece)]
-            if len(missing) == 1:
-                self._complete(missing, read)
-            else:
-                shares = [missing[first::_MOST_THREADS] for first in range(_MOST_THREADS)]
-                for job in [_threads().submit(self._complete, share, read) for share in shares if share]:
-                    job.result()
+            for piece in range(self._count):
+                if not self._is_known(piece):
+                    self._complete(piece, read)
             self._checksum = f"{CHECKSUM_METHOD}:{hashlib.sha256(self._digests).hexdigest()}"
         return self._checksum
 
@@ -199,19 +179,18 @@ class FileHash:
         if part is not None:
             self._copied -= sum(map(len, part.copies.values()))
 
-    def _complete(self, pieces: Iterable[int], read: Callable[[int, int], Buffer]) -> None:
-        """Read what is missing of some pieces."""
-        for piece in pieces:
-            part, length = self._parts.get(piece) or _Part(), self._length(piece)
-            while part.done < length:
-                stop = min(part.copies, default=length)  # what follows is there already
-                data = memoryview(read(piece * _PIECE + part.done, stop - part.done)).cast("B")
-                if not len(data):
-                    raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
-                part.take(part.done, data)
-                with self._lock:
-                    self._take_copies(part)
-            self._store(piece, part.digest.digest())
+    def _complete(self, piece: int, read: Callable[[int, int], Buffer]) -> None:
+        """Read what is missing of a piece."""
+        part, length = self._parts.get(piece) or _Part(), self._length(piece)
+        while part.done < length:
+            stop = min(part.copies, default=length)  # what follows is there already
+            data = memoryview(read(piece * _PIECE + part.done, stop - part.done)).cast("B")
+            if not len(data):
+                raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
+            part.take(part.done, data)
+            with self._lock:
+                self._take_copies(part)
+        self._store(piece, part.digest.digest())
 
 
 def hash_file(path: Path) -> str:
@@ -223,12 +202,3 @@ def hash_file(path: Path) -> str:
             return file.read(size)
 
     return FileHash(path.stat().st_size).finish(read)
-
-
-@lru_cache(maxsize=1)
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "hash")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_threads.cache_clear)  # the new process has none of these threads

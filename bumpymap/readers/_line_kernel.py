@@ -23,7 +23,7 @@ __all__ = [
     "Corrections",
     "LinedPoints",
     "ScaledLinedPoints",
-    "Strip",
+    "StripPlaces",
     "add_points",
     "add_scaled_points",
     "correct_heights",
@@ -76,7 +76,7 @@ class ScaledLinedPoints(NamedTuple):
     line: Lines
 
 
-class Strip(NamedTuple):
+class StripPlaces(NamedTuple):
     """Scratch for coordinates, (``STRIP``,) each."""
 
     x: Floats
@@ -172,7 +172,7 @@ def add_points(points: LinedPoints, table: CellTable) -> None:
 
 
 @kernel
-def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: Strip, table: CellTable) -> None:
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: StripPlaces, table: CellTable) -> None:
     """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` is scratch."""
     first, added, wanted = table.state[0], 0, 0
     while added == wanted and first < len(points.x):

@@ -25,7 +25,7 @@ from bumpymap.readers._line_kernel import (
     Corrections,
     LinedPoints,
     ScaledLinedPoints,
-    Strip,
+    StripPlaces,
     add_points,
     add_scaled_points,
     correct_heights,
@@ -115,7 +115,7 @@ class LineSums:
             if isinstance(points, LinedPoints):
                 add_points(points, table)
             elif scaling is not None:
-                add_scaled_points(points, scaling.numbers(), Strip(*np.empty((3, STRIP))), table)
+                add_scaled_points(points, scaling.numbers(), StripPlaces(*np.empty((3, STRIP))), table)
             done = int(table.state[0])
             held = np.flatnonzero(table.keys >= 0)
             held = held[np.argsort(table.keys[held])]

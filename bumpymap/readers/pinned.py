@@ -1,20 +1,20 @@
 """A file of which one version is read: the hash that its bytes are added to, and the error if it has changed."""
 
 import io
-from collections.abc import Mapping
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, FileHash
+from bumpymap.core import BadInputError
 
 __all__ = [
     "PINNED",
+    "HashedBytes",
     "HashedFile",
     "Location",
     "PinnedFile",
@@ -45,12 +45,12 @@ class PinnedFile:
 
     location: Location
     version: Version
-    file_hash: FileHash | None
-    at_once: bool = False
-    """Whether bytes are hashed in the thread that reads them, because its buffer is used again."""
-    jobs: list[Future[None]] = field(default_factory=list)
-    """Threads that still hash what was read."""
+    hashed: "HashedBytes | None"
+    """Where bytes go that are read; None: they are not hashed."""
 
+
+HashedBytes = Callable[[int, Any], None]
+"""Called with the offset of some bytes and a buffer that holds them."""
 
 PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
 """See `bumpymap.readers.source.pinned_version`."""
@@ -82,14 +82,14 @@ class HashedFile(io.FileIO):
 def add_to_hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
     """Add bytes of a file to the hash of `pinned_version`."""
     pinned = PINNED.get()
-    if pinned is not None and pinned.file_hash is not None and pinned.location == path:
-        pinned.jobs.extend(pinned.file_hash.add(start, data, at_once=pinned.at_once))
+    if pinned is not None and pinned.hashed is not None and pinned.location == path:
+        pinned.hashed(start, data)
 
 
 def is_hashed(path: Path) -> bool:
     """Return whether the bytes of a file are to be hashed."""
     pinned = PINNED.get()
-    return pinned is not None and pinned.file_hash is not None and pinned.location == path
+    return pinned is not None and pinned.hashed is not None and pinned.location == path
 
 
 def file_changed(location: Location, how: str) -> BadInputError:

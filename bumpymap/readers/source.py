@@ -17,10 +17,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, FileHash, UsageError
+from bumpymap.core import BadInputError, BumpymapError, UsageError
 from bumpymap.readers._decoder_child import CallbackFile
 from bumpymap.readers.pinned import (
     PINNED,
+    HashedBytes,
     HashedFile,
     Location,
     PinnedFile,
@@ -126,7 +127,7 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
     """Read bytes from offset ``start`` into an array; return how many there were.
 
-    The array must not change in the body of `pinned_version`, whose threads may be hashing it unless ``at_once``.
+    `pinned_version` may pass the array on to be hashed.
     """
     with _reading(location):
         if isinstance(location, str):
@@ -162,10 +163,8 @@ def version_of(location: Location) -> Version:
 
 
 @contextmanager
-def pinned_version(
-    location: Location, version: Version, file_hash: FileHash | None = None, *, at_once: bool = False
-) -> Iterator[None]:
-    """Require that what the body reads of a file, in this thread, is of one version; add it to a hash if one is given.
+def pinned_version(location: Location, version: Version, hashed: HashedBytes | None = None) -> Iterator[None]:
+    """Require that what the body reads of a file, in this thread, is of one version; pass its bytes to ``hashed``.
 
     Every response of a web server is checked. If the body raises BadInputError for another reason and the file has
     changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
@@ -175,8 +174,7 @@ def pinned_version(
     BadInputError
         The file has changed; see `require_unchanged`.
     """
-    pinned = PinnedFile(location, version, file_hash, at_once)
-    token = PINNED.set(pinned)
+    token = PINNED.set(PinnedFile(location, version, hashed))
     try:
         yield
     except StalledServerError:
@@ -186,8 +184,6 @@ def pinned_version(
         raise
     finally:
         PINNED.reset(token)
-        for job in pinned.jobs:
-            job.result()
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:

@@ -17,6 +17,9 @@ from bumpymap.readers.source import Location, is_url, pinned_version, read_range
 
 __all__ = ["VersionedSurvey"]
 
+_MOST_HELD = 1 << 25
+"""Bytes of a chunk that are kept until they are hashed."""
+
 
 class VersionedSurvey(SurveyBase):
     """A ``SurveyReader`` that wraps another one, checks the version of its file, and makes its checksum.
@@ -38,7 +41,7 @@ class VersionedSurvey(SurveyBase):
     def __init__(self, path: Location, open_reader: Callable[[], SurveyBase], *, checksum: bool = False) -> None:
         self._path, self._version = path, version_of(path)
         self._hash = FileHash(self._version["size"]) if checksum and not is_url(path) else None
-        with pinned_version(path, self._version, self._hash):
+        with pinned_version(path, self._version, None if self._hash is None else self._hash.add):
             self._reader = open_reader()
         if self._hash is not None:
             self._hash.drop_copies()  # thousands of files may be open
@@ -54,15 +57,21 @@ class VersionedSurvey(SurveyBase):
         return self._reader.chunks(points)
 
     def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode a chunk; see ``SurveyReader.fetch``."""
-        with self._may_be_bad(), pinned_version(self._path, self._version, self._hash):
+        """Read and decode a chunk; see ``SurveyReader.fetch``. What was read for it is hashed by ``convert``."""
+        unhashed = None if self._hash is None else _Unhashed(self._hash)
+        with self._may_be_bad(), pinned_version(self._path, self._version, None if unhashed is None else unhashed.add):
             fetched = self._reader.fetch(chunk)
         self._require_unchanged()
-        return fetched
+        return fetched if unhashed is None else (fetched, unhashed)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert a chunk to points in metres; see ``SurveyReader.convert``."""
-        with self._may_be_bad(), pinned_version(self._path, self._version, self._hash, at_once=True):
+        add = None
+        if self._hash is not None:
+            fetched, unhashed = fetched
+            unhashed.finish()
+            add = self._hash.add
+        with self._may_be_bad(), pinned_version(self._path, self._version, add):
             converted = self._reader.convert(chunk, fetched)
         self._require_unchanged()
         return converted
@@ -103,3 +112,24 @@ class VersionedSurvey(SurveyBase):
             if self._hash is not None:
                 self._hash.drop_copies()
             raise
+
+
+class _Unhashed:
+    """Bytes that were read for a chunk and are hashed later, by another thread, up to a limit."""
+
+    def __init__(self, file_hash: FileHash) -> None:
+        self._hash, self._size = file_hash, 0
+        self._held: list[tuple[int, Any]] = []
+
+    def add(self, start: int, data: Any) -> None:
+        """Keep bytes, or hash them now if too many are kept."""
+        self._size += len(data)
+        if self._size > _MOST_HELD:
+            self._hash.add(start, data)
+        else:
+            self._held.append((start, data))
+
+    def finish(self) -> None:
+        """Hash what is kept."""
+        for start, data in self._held:
+            self._hash.add(start, data)

@@ -21,8 +21,7 @@ def expected(data):
 
 
 def add(made, data, start, stop):
-    for job in made.add(start, data[start:stop]):
-        job.result()
+    made.add(start, data[start:stop])
 
 
 class Rest:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from pyproj import CRS
 
+from bumpymap import layers
 from bumpymap.cli import main
 from bumpymap.core import FileHash, hash_file
 from bumpymap.core.errors import BadInputError
@@ -18,7 +19,6 @@ from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import frame_run
 from bumpymap.scan.frames import FrameReader
-from bumpymap.survey import pipeline
 from bumpymap.survey.engine.collector import ResultCollector
 from bumpymap.survey.engine.results import ReadResult
 
@@ -106,13 +106,13 @@ def test_map_refuses_one_that_changes_before_its_checksum_is_complete(survey, tm
 
 def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkeypatch):
     """Also if another one is in its place when the layers are written."""
-    state, checksum, original = survey.stat(), hash_file(survey), pipeline.write_products
+    state, checksum, original = survey.stat(), hash_file(survey), layers.write_products
 
     def write_products(*arguments, **options):
         again(survey, lambda path: write_survey(path, lift=5.0))
         return original(*arguments, **options)
 
-    monkeypatch.setattr(pipeline, "write_products", write_products)
+    monkeypatch.setattr(layers, "write_products", write_products)
     assert run("map", survey, "--out", tmp_path / "layers").exit_code == 0
     (record,) = json.loads((tmp_path / "layers" / "run.json").read_text(encoding="utf-8"))["inputs"]
     assert record["checksum"] == checksum != hash_file(survey)

@@ -544,7 +544,7 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     place = {
         "read": "bumpymap.survey.engine.run.decide_ground",
         "measure": "bumpymap.survey.engine.run._finish",
-        "write": "bumpymap.survey.pipeline.write_products",
+        "write": "bumpymap.layers.write_products",
     }[where]
 
     def killed(*_, **__):

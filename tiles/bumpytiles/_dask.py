@@ -11,6 +11,7 @@ own, so no other user of the machine can connect.
 # (distributed claims to be typed, but half of its functions are not)
 
 import logging
+import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
@@ -18,7 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from multiprocessing import forkserver, resource_tracker, set_forkserver_preload
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from threading import Thread
 from typing import Any, NamedTuple
 
@@ -166,7 +167,8 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
     environment : mapping of str to str
         Environment variables of the workers, beside those of this process.
     modules : sequence of str
-        Names of modules that tasks need. On Linux they are imported once for all workers.
+        Names of modules that tasks need. On Linux they are imported once for all workers (unless the path of the
+        folder for temporary files is very long).
 
     Raises
     ------
@@ -182,7 +184,7 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
             running.enter_context(
                 dask.config.set({"temporary-directory": folder, **_NO_PAGES, **_NO_STATISTICS, **_OWN_MALLOC})
             )
-            if sys.platform == "linux":
+            if sys.platform == "linux" and _has_room_for_socket():
                 running.enter_context(_forked_workers(modules))
             cluster = running.enter_context(
                 LocalCluster(
@@ -208,6 +210,11 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
         finally:
             with blocked_signals():
                 running.close()
+
+
+def _has_room_for_socket() -> bool:
+    """Return whether the address of the socket through which workers are forked fits: the system allows 107 bytes."""
+    return len(os.fsencode(gettempdir())) + len("/pymp-12345678/listener-12345678") <= 107
 
 
 @contextmanager

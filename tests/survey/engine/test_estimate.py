@@ -55,7 +55,7 @@ def map_and_look(surveys, folder, budget, monkeypatch):
         found["tiles"] = bytes_in(folder / "layers", "*.pack")
         return write(*arguments, **options)
 
-    monkeypatch.setattr("bumpymap.survey.pipeline.write_products", write_products)
+    monkeypatch.setattr("bumpymap.layers.write_products", write_products)
     options = ["--out", folder / "layers", "--scratch", folder / "scratch", "--local", "--quiet"]
     result = CliRunner().invoke(main, ["map", *map(str, [*surveys, *options])])
     assert result.exit_code == 0, result.output

@@ -102,6 +102,8 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
         child.process.wait()
         return finish(child, supply)
 
+    # One request at a time: otherwise all may have been made before the first tiles are finished.
+    monkeypatch.setattr("bumpymap.survey.engine.chunk_stream.requests_at_once", lambda *_: 1)
     after_tiles(lambda: monkeypatch.setattr(Child, "finish", kill))
     out, scratch = tmp_path / "out", tmp_path / "scratch"
     result = run("map", surveys, "--out", out, "--scratch", scratch)
@@ -201,9 +203,7 @@ def test_a_bad_input_leaves_nothing(surveys, tmp_path, after_tiles):
 def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch):
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "bumpymap.survey.pipeline.write_products", lambda *_, **__: (_ for _ in ()).throw(OutputError("full"))
-        )
+        patch.setattr("bumpymap.layers.write_products", lambda *_, **__: (_ for _ in ()).throw(OutputError("full")))
         assert run("map", surveys, "--out", out).exit_code == 3
     packs = sorted(out.glob(".bumpymap-run/tiles-*.pack"))
     assert len(packs) > 1
