@@ -1,7 +1,12 @@
 """The command as a process of its own: before and after its run too, Ctrl-C ends it without a traceback."""
 
+import atexit
 import gc
+import os
 import signal
+import sys
+from contextlib import suppress
+from typing import NoReturn
 
 __all__ = ["run"]
 
@@ -19,9 +24,22 @@ def run() -> None:
 
     try:
         main()
-    finally:
-        # Python would look for cycles among all objects once more before the process ends: 0.05 s.
-        gc.freeze()
+    except SystemExit as end:
+        if isinstance(end.code, int):
+            _leave(end.code)
+        raise
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process when its output is flushed, its files are closed and its functions for the end have run.
+
+    Python would take every object and library apart first, for nothing: 0.05 to 0.1 s.
+    """
+    atexit._run_exitfuncs()  # noqa: SLF001 (there is no public name; what os._exit alone would leave out)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # the command has reported a lost output
+            stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":
