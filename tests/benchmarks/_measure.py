@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -76,15 +76,19 @@ class Sample:
         return kept if self.exit_code == 0 else {**kept, "exit_code": self.exit_code, "complaint": self.stderr_tail}
 
 
-def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> Sample:
-    """Run a command to its end, in the environment of a user; ``env`` is added to it."""
+def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, memory: bool = False) -> Sample:
+    """Run a command to its end, in the environment of a user; ``env`` is added to it.
+
+    With ``memory`` its memory is sampled, child processes included, which slows it down: large processes most, as the
+    kernel walks all their pages. Without, ``peak`` is that of the largest process.
+    """
     os.sync()  # so that writes of an earlier command do not slow this one down
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         started = time.perf_counter()
         process = subprocess.Popen(
             command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, env={**user_environment(), **(env or {})}
         )
-        with _MemoryMonitor(process.pid) as monitor:
+        with _MemoryMonitor(process.pid) if memory else nullcontext() as monitor:
             os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
             wall = time.perf_counter() - started
             children, (read, written) = _children_cpu(process.pid), _bytes(process.pid)
@@ -101,7 +105,7 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None) -> S
             bytes_written=written,
             minor_faults=usage.ru_minflt,
             major_faults=usage.ru_majflt,
-            peak=max(monitor.peak, usage.ru_maxrss * 1024.0),
+            peak=max(monitor.peak if monitor else 0.0, usage.ru_maxrss * 1024.0),
             largest_process=usage.ru_maxrss * 1024.0,
             exit_code=process.returncode,
             output=out.read().decode(errors="replace"),

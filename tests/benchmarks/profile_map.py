@@ -17,6 +17,7 @@ import os
 import statistics
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ def profile(command: list[str], survey: Path, out: Path, rounds: int) -> dict[st
     sys.stderr.write("counting bytes\n")
     files = count_file_bytes(command)  # and compiles what is not compiled yet
     samples: Counter[str] | None = Counter()
+    peak = run_timed(command, memory=True).peak
     timed, stages = [], []
     for number in range(rounds):
         sys.stderr.write(f"round {number + 1} of {rounds}\n")
@@ -42,7 +44,7 @@ def profile(command: list[str], survey: Path, out: Path, rounds: int) -> dict[st
         run = run_timed(command)
         if run.exit_code != 0:
             sys.exit(f"{' '.join(command)} failed:\n{run.stderr_tail}")
-        timed.append(run.record())
+        timed.append(replace(run, peak=peak).record())
         stages.append(json.loads((out / "run.json").read_text(encoding="utf-8"))["seconds"])
         if samples is not None:
             once = sample(command)

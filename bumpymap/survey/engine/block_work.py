@@ -31,6 +31,7 @@ from bumpytiles import (
 __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "engine_errors"]
 
 TileColumns = dict[str, NDArray[Any]]
+_ALL, _GROUND = "all", "ground"
 _GROUP_POINTS = 4096
 """Most points in a group of blocks that are rated together; a denser block is rated by itself."""
 
@@ -49,22 +50,32 @@ class BlockWork:
     @property
     def kinds(self) -> tuple[str, ...]:
         """What to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
-        return {"auto": ("all", "ground"), "all": ("all",)}.get(self.ground, ("ground",))
+        return {"auto": (_ALL, _GROUND), "all": (_ALL,)}.get(self.ground, (_GROUND,))
 
     def finish(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
     ) -> Iterator[tuple[BlockKey, TileColumns]]:
         """Rate blocks; yield their columns in the given order."""
+        kind = _GROUND if ground_only else _ALL
+        for key, columns in self._finish(buckets, keys, threads, (kind,)):
+            yield key, columns[kind]
 
-        def finish(group: Sequence[BlockKey]) -> list[tuple[BlockKey, TileColumns]]:
+    def _finish(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, kinds: Sequence[str]
+    ) -> Iterator[tuple[BlockKey, dict[str, TileColumns]]]:
+        """Rate blocks for some of ``kinds``, of which each needs the same sorted points."""
+
+        def finish(group: Sequence[BlockKey]) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
             if len(group) > 1:
-                return self._rate_together(buckets, group, ground_only=ground_only)
-            shares = [self.rate(points, ground_only) for points in self._points(buckets, group[0])]
-            joined = shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
-            return [(group[0], joined)]
+                return self._rate_together(buckets, group, kinds)
+            shares = [self._rate(points, kinds) for points in self._points(buckets, group[0])]
+            return [(group[0], {kind: _joined([share[kind] for share in shares]) for kind in kinds})]
 
         for finished in run_blocks(finish, self._groups(buckets, keys), threads):
             yield from finished
+
+    def _rate(self, points: TilePoints, kinds: Sequence[str]) -> dict[str, TileColumns]:
+        return {kind: self.rate(points, kind == _GROUND) for kind in kinds}
 
     def _groups(self, buckets: TileBuckets, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
         """Yield the blocks, those with few points in groups: the fixed time of a block then counts once for many.
@@ -85,14 +96,17 @@ class BlockWork:
             yield group
 
     def _rate_together(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], *, ground_only: bool
-    ) -> list[tuple[BlockKey, TileColumns]]:
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str]
+    ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
         """Rate small blocks in one call; a tile's results do not depend on the tiles beside it."""
         parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
-        columns = self.rate(join_tiles(parts), ground_only)
-        ends = np.cumsum([len(part.col) for part in parts])
-        pieces = {name: np.split(values, ends[:-1]) for name, values in columns.items()}
-        return [(key, {name: split[number] for name, split in pieces.items()}) for number, key in enumerate(keys)]
+        ends = np.cumsum([len(part.col) for part in parts])[:-1]
+        rated = self._rate(join_tiles(parts), kinds)
+        pieces = {kind: {n: np.split(values, ends) for n, values in rated[kind].items()} for kind in kinds}
+        return [
+            (key, {kind: {n: split[number] for n, split in pieces[kind].items()} for kind in kinds})
+            for number, key in enumerate(keys)
+        ]
 
     def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
         """Yield the points of a block: in one piece for the cloth filter, which would find other ground in a part."""
@@ -110,11 +124,17 @@ class BlockWork:
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
     ) -> None:
         """Rate blocks for each of ``kinds`` and count their tiles with ground, so that one kind can be chosen later."""
-        for kind, sink in sinks.items():
-            for key, columns in self.finish(buckets, keys, threads, ground_only=kind == "ground"):
-                sink.add(key, columns, buckets.marks(key))
+        for key, columns in self._finish(buckets, keys, threads, tuple(sinks)):
+            marks = buckets.marks(key)
+            for kind, sink in sinks.items():
+                sink.add(key, columns[kind], marks)
         for sink in sinks.values():
             sink.flush()
+
+
+def _joined(shares: Sequence[TileColumns]) -> TileColumns:
+    """Join the columns of shares of a block."""
+    return shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
 
 
 @dataclass(frozen=True, slots=True)
