@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
+from bumpytiles.grouping import GroupedPoints, PointPart, columns_of, group_points
 from bumpytiles.pack import BlockKey, Pack, PackWriter
 from bumpytiles.scaling import Scaling
-from bumpytiles.split import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
+from bumpytiles.split import TilePoints, sort_block
 
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
