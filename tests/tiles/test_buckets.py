@@ -140,6 +140,27 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     assert flat(buckets.blocks()) == in_memory(east)
 
 
+def test_points_are_freed_when_all_blocks_of_their_chunk_are_done():
+    columns = survey(7, 2000, 150.0)
+    buckets = TileBuckets(GRID)
+    for number, chunk in enumerate(chunks(columns, 500)):
+        buckets.add_chunk(group_points(GRID, *chunk), number)
+    expected, found = in_memory(columns), []
+    blocks = buckets.keys()
+    for key in blocks:
+        assert not buckets.is_empty
+        found += flat(buckets.block(key))
+        buckets.finish(key)
+    assert sorted(found) == expected
+    assert buckets.is_empty
+    assert buckets.keys() == []
+    east, *others = survey(8, 10)
+    buckets.add(east + 960.0, *others)
+    assert len(buckets) > 0
+    buckets.drop_from(0)
+    assert buckets.is_empty
+
+
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
     n = 500
     buckets = TileBuckets(GRID, MemoryLimits(26 * 100, 400, tmp_path))

@@ -20,6 +20,11 @@ from .grid import (
     Grid as Grid,
     TileWindow as TileWindow,
 )
+from .grouping import (
+    GroupedPoints as GroupedPoints,
+    group_points as group_points,
+    group_scaled_points as group_scaled_points,
+)
 from .native import (
     helper as helper,
     kernel as kernel,
@@ -46,10 +51,7 @@ from .signals import (
     blocked_signals as blocked_signals,
 )
 from .split import (
-    GroupedPoints as GroupedPoints,
     TilePoints as TilePoints,
-    group_points as group_points,
-    group_scaled_points as group_scaled_points,
     join_tiles as join_tiles,
 )
 from .tile_table import (

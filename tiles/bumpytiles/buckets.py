@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
+from bumpytiles.grouping import GroupedPoints, PointPart, columns_of, group_points
 from bumpytiles.pack import BlockKey, Pack, PackWriter
 from bumpytiles.scaling import Scaling
-from bumpytiles.split import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
+from bumpytiles.split import TilePoints, sort_block
 
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
@@ -49,6 +50,8 @@ class _Waiting:
     chunks: list[tuple[int, GroupedPoints]] = field(default_factory=list)
     index: dict[BlockKey, list[tuple[GroupedPoints, int]]] = field(default_factory=dict)
     size_bytes: int = 0
+    left: dict[int, int] = field(default_factory=dict)
+    """Blocks of a chunk (by its ``id``) that are not finished, for chunks of which some are."""
 
     def add(self, number: int, chunk: GroupedPoints) -> None:
         self.chunks.append((number, chunk))
@@ -56,16 +59,30 @@ class _Waiting:
         for place, key in enumerate(chunk.keys):
             self.index.setdefault(key, []).append((chunk, place))
 
+    def finish(self, key: BlockKey) -> None:
+        """Forget a block, and the chunks that have no other blocks."""
+        gone = []
+        for chunk, _ in self.index.pop(key, ()):
+            left = self.left[id(chunk)] = self.left.get(id(chunk), len(chunk.keys)) - 1
+            if not left:
+                gone.append(id(chunk))
+                self.size_bytes -= chunk.size_bytes
+                del self.left[id(chunk)]
+        if gone:
+            self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
+
     def drop(self, chunks: list[tuple[int, GroupedPoints]]) -> None:
         gone = {id(chunk) for _, chunk in chunks}
+        for number in gone:
+            self.left.pop(number, None)
         self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
         self.size_bytes -= sum(chunk.size_bytes for _, chunk in chunks)
         for key in {key for _, chunk in chunks for key in chunk.keys}:
-            left = [held for held in self.index[key] if id(held[0]) not in gone]
+            left = [held for held in self.index.get(key, ()) if id(held[0]) not in gone]
             if left:
                 self.index[key] = left
             else:
-                del self.index[key]
+                self.index.pop(key, None)
 
 
 class TileBuckets:
@@ -154,6 +171,11 @@ class TileBuckets:
         pack, self._spilling = self._spilling.result(), None
         self.packs.append(pack)
         return pack
+
+    def finish(self, key: BlockKey) -> None:
+        """Free the points of a block that is done, as soon as all blocks of a chunk are."""
+        self.done.add(key)
+        self._waiting.finish(key)
 
     def drop_from(self, first: int) -> None:
         """Drop the points of chunk ``first`` and all later ones, which must not be final."""

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.pack import BlockKey, JoinedPack, MemoryPack, Pack, read_joined
-from bumpytiles.split import BLOCK_TILES
 
 __all__ = ["TileTable"]
 

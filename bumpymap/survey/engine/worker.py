@@ -106,6 +106,7 @@ class Worker:
         blocks = 0
         for key, columns in self._work.finish(self._store, group.keys, self._threads, ground_only=ground_only):
             sink.add(key, columns)
+            self._store.finish(key)
             blocks += 1
             self._progress.advance(1)
             if packs := sink.new_packs():

@@ -1,0 +1,214 @@
+"""Group a chunk of points by block of tiles: in metres, or on the grid of their file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles._group_kernels import (
+    BLOCK_TILES,
+    MAX_CELLS,
+    BlockWindow,
+    Coordinates,
+    GroupScratch,
+    ScaledCoordinates,
+    ScaledTiledPoints,
+    TileBorders,
+    TiledPoints,
+    count_points,
+    count_scaled_points,
+    scatter_points,
+    scatter_scaled_points,
+)
+from bumpytiles.grid import Grid
+from bumpytiles.pack import BlockKey, Column
+from bumpytiles.scaling import ScaledPoints, Scaling
+
+__all__ = ["GroupedPoints", "PointColumns", "PointPart", "columns_of", "group_points", "group_scaled_points"]
+
+_MOST_BORDERS = 1 << 16
+"""Columns or rows of tiles in a chunk whose borders are looked up."""
+_FAR = 1 << 33
+"""Beyond all integers."""
+_MARKS = (Column("tile", "|u1"), Column("flag", "|b1"))
+_AXES = ("easting", "northing", "upward")
+POINT_COLUMNS = (*(Column(axis, "<f8") for axis in _AXES), *_MARKS)
+"""A waiting point with its coordinates in metres: 26 bytes."""
+SCALED_COLUMNS = (*(Column(axis, "<i4") for axis in _AXES), *_MARKS)
+"""The same with integers of the grid of its file: 14 bytes."""
+
+PointColumns = dict[str, NDArray[Any]]
+"""Columns of `POINT_COLUMNS` or `SCALED_COLUMNS`, (n,) each."""
+
+
+class PointPart(NamedTuple):
+    """Some waiting points."""
+
+    columns: PointColumns
+    scaling: Scaling | None
+    """None: coordinates are in metres."""
+
+    def in_metres(self) -> "PointPart":
+        """Return the same points with coordinates in metres."""
+        if self.scaling is None:
+            return self
+        there = {axis: self.scaling.coordinates(n, self.columns[axis]) for n, axis in enumerate(_AXES)}
+        return PointPart(self.columns | there, None)
+
+
+def columns_of(scaling: Scaling | None) -> tuple[Column, ...]:
+    """Return the columns of points with a scaling, or in metres."""
+    return POINT_COLUMNS if scaling is None else SCALED_COLUMNS
+
+
+@dataclass(frozen=True, slots=True)
+class GroupedPoints:
+    """A chunk of points, grouped by block."""
+
+    keys: list[BlockKey]
+    """Blocks with points in the chunk, south-west first."""
+    starts: NDArray[np.int64]
+    """(blocks + 1,) where each block's points begin."""
+    points: PointColumns
+    """(n,) columns."""
+    scaling: Scaling | None = None
+    """None: coordinates are in metres."""
+
+    def block(self, place: int) -> PointPart:
+        """Return views of the points of the block ``keys[place]``."""
+        span = slice(int(self.starts[place]), int(self.starts[place + 1]))
+        return PointPart({name: array[span] for name, array in self.points.items()}, self.scaling)
+
+    @property
+    def size_bytes(self) -> int:
+        """Memory that the points take."""
+        return len(self) * sum(column.row_bytes for column in columns_of(self.scaling))
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return int(self.starts[-1])
+
+
+def group_points(
+    grid: Grid,
+    easting: NDArray[np.float64],
+    northing: NDArray[np.float64],
+    upward: NDArray[np.float64],
+    flag: NDArray[np.bool_],
+) -> GroupedPoints:
+    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
+    x, y, z = (np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward))
+    marks = np.ascontiguousarray(flag, np.bool_)
+    window = _window(grid, x, y)
+    if window is None:
+        return _group_scattered(grid, x, y, z, marks)
+    found, counts = _empty_scratch(len(x)), np.zeros(window.cells + 1, np.int64)
+    points = Coordinates(x, y, z)
+    count_points(points, window.blocks, counts, found)
+    columns = _empty_columns(POINT_COLUMNS, len(x))
+    scatter_points(points, marks, found, np.cumsum(counts), TiledPoints(**columns))
+    return window.grouped(counts, columns, None)
+
+
+def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
+    """Group a chunk of points of a file's own grid by block."""
+    scaling, n = points.scaling, len(points.flag)
+    axes = (points.easting, points.northing)
+    spans = [(int(values.min()), int(values.max())) if n else (0, 0) for values in axes]
+    window = _window(grid, *(scaling.coordinates(axis, span) for axis, span in enumerate(spans)))
+    borders = None if window is None else _borders(grid, scaling, spans)
+    if window is None or borders is None:
+        return group_points(grid, *points.coordinates(), points.flag)
+    found, counts = _empty_scratch(n), np.zeros(window.cells + 1, np.int64)
+    given = ScaledCoordinates(points.easting, points.northing, points.upward)
+    count_scaled_points(given, borders, window.blocks, counts, found)
+    columns = _empty_columns(SCALED_COLUMNS, n)
+    scatter_scaled_points(given, points.flag, found, np.cumsum(counts), ScaledTiledPoints(**columns))
+    return window.grouped(counts, columns, scaling)
+
+
+def _borders(grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]) -> TileBorders | None:
+    """Return where tiles begin among the integers of x and y; None if that is not simple."""
+    found, first, width = [], [], []
+    for axis, span in enumerate(spans):
+        low, high = grid.index(scaling.coordinates(axis, span)).tolist()
+        step = scaling.scales[axis] * scaling.units[axis] / grid.tile_size
+        if step <= 0 or high - low > _MOST_BORDERS:
+            return None
+        found.append(_first_integers(grid, scaling, axis, np.arange(low, high + 2)))
+        first.append(low)
+        width.append(step)
+    return TileBorders(found[0], found[1], width[0], width[1], first[0], first[1])
+
+
+def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the lowest integer of each tile along an axis. Tiles may be narrower than a step between integers."""
+    goal = tiles * grid.tile_size
+    about = (goal / scaling.units[axis] - scaling.offsets[axis]) / scaling.scales[axis]
+    low = np.floor(about).astype(np.int64) - 2
+    high = low + 5
+    near = (scaling.coordinates(axis, low) < goal) & (scaling.coordinates(axis, high) >= goal)
+    low, high = np.where(near, low, -_FAR), np.where(near, high, _FAR)
+    while (wide := high - low > 1).any():
+        middle = (low + high) // 2
+        inside = scaling.coordinates(axis, middle) >= goal
+        high, low = np.where(wide & inside, middle, high), np.where(wide & ~inside, middle, low)
+    return high
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """The blocks around a chunk."""
+
+    blocks: BlockWindow
+    cells: int
+    """Blocks in the window."""
+
+    def grouped(self, counts: NDArray[np.int64], columns: PointColumns, scaling: Scaling | None) -> GroupedPoints:
+        """Return points in the order of the blocks, of which cell ``c`` has ``counts[c + 1]``."""
+        present = np.flatnonzero(counts[1:])
+        rows, cols = np.divmod(present, self.blocks.cols)
+        keys = list(zip((self.blocks.first_row + rows).tolist(), (self.blocks.first_col + cols).tolist(), strict=True))
+        starts = np.concatenate(([0], np.cumsum(counts[1:][present])))
+        return GroupedPoints(keys, starts, columns, scaling)
+
+
+def _window(grid: Grid, easting: NDArray[np.float64], northing: NDArray[np.float64]) -> _Window | None:
+    """Return the blocks around points; None if there are too many for a table."""
+    if not len(easting):
+        return _Window(BlockWindow(grid.tile_size, 0, 0, 1), 1)
+    corners = [grid.index(np.array([axis.min(), axis.max()])) // BLOCK_TILES for axis in (northing, easting)]
+    (south, north), (west, east) = (tuple(int(side) for side in pair) for pair in corners)
+    rows, cols = north - south + 1, east - west + 1
+    return None if rows * cols > MAX_CELLS else _Window(BlockWindow(grid.tile_size, west, south, cols), rows * cols)
+
+
+def _empty_scratch(points: int) -> GroupScratch:
+    return GroupScratch(np.empty(points, np.int32), np.empty(points, np.uint8))
+
+
+def _empty_columns(columns: Sequence[Column], points: int) -> PointColumns:
+    """Return columns that lie in one piece of memory: fewer and larger pages."""
+    memory = np.empty(points * sum(column.row_bytes for column in columns), np.uint8)
+    found, at = {}, 0
+    for column in columns:
+        end = at + points * column.row_bytes
+        found[column.name] = memory[at:end].view(column.dtype)
+        at = end
+    return found
+
+
+def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
+    """Group points that are far apart: a table of all blocks between them would be too large."""
+    easting, northing, _, _ = columns
+    col, row = grid.index(easting), grid.index(northing)
+    order = np.lexsort((col // BLOCK_TILES, row // BLOCK_TILES))
+    block = np.stack([row // BLOCK_TILES, col // BLOCK_TILES], axis=1)[order]
+    changes = np.flatnonzero((np.diff(block, axis=0) != 0).any(axis=1)) + 1
+    starts = np.concatenate(([0], changes, [len(order)])).astype(np.int64)
+    tile = ((row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES).astype(np.uint8)
+    names = [column.name for column in POINT_COLUMNS]
+    points = {name: array[order] for name, array in zip(names, (*columns[:3], tile, columns[3]), strict=True)}
+    return GroupedPoints([(int(r), int(c)) for r, c in block[starts[:-1]]], starts, points)
