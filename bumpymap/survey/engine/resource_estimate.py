@@ -18,7 +18,7 @@ _READING_BASE = 330 << 20
 """Interpreter, libraries and decoder while points are read and measured, bytes."""
 _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
-_WRITING_BASE = 680 << 20
+_WRITING_BASE = 660 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
 _STRIP_COPIES = 2
 """Copies of the heightmaps of a row of blocks that are in memory while layers are written."""
