@@ -18,10 +18,10 @@ _READING_BASE = 330 << 20
 """Interpreter, libraries and decoder while points are read and measured, bytes."""
 _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
-_WRITING_BASE = 660 << 20
+_WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
-_STRIP_COPIES = 2
-"""Copies of the heightmaps of a row of blocks that are in memory while layers are written."""
+_STRIP_COPIES = 3
+"""Copies of the heightmaps of a row of blocks that are in memory while layers are written, several at a time."""
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
