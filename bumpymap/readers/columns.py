@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from bumpymap.core import Georeference
 from bumpymap.readers.conversion import RawPoints
 from bumpymap.readers.source import OpenFile
+from bumpytiles import DECIMALS
 
-__all__ = ["CLASS_COLUMNS", "DECIMALS", "metres", "precision_note", "read_rows"]
+__all__ = ["CLASS_COLUMNS", "metres", "precision_note", "read_rows"]
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
 """Names, in lower case, of columns that hold LAS class codes."""
-DECIMALS = 8
-"""Decimals that coordinates are rounded to, in the file's unit."""
 _LARGE = 1e5
 """From here on the resolution of float32 is 1 cm or coarser, in the file's unit."""
 

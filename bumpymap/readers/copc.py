@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.conversion import RecordLayout
 from bumpymap.readers.las_header import RawHeader
 from bumpymap.readers.laz_table import ChunkTable, refuse_density
 from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location
-from bumpytiles import Bounds
+from bumpytiles import Bounds, Scaling
 
 __all__ = ["count_points_outside_node", "read_octree"]
 
@@ -146,12 +145,10 @@ def count_points_outside_node(
     Checked by node, so that the result does not depend on the chunks. Only nodes whose minimum or maximum lies outside
     are checked point by point.
     """
-    scales, offsets = np.array(layout.scales[:2]), np.array(layout.offsets[:2])
+    scaling = Scaling(layout.scales, layout.offsets, (metres_per_unit,) * 3)
 
     def outside(words: NDArray[np.int32], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-        # The same operations as in the kernel that converts the points, so that results are bit-identical.
-        with np.errstate(over="ignore"):
-            points = np.round(words * scales + offsets, DECIMALS) * metres_per_unit
+        points = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(2)], axis=1)
         beyond = (points < boxes[:, :2] - OUTSIDE) | (points > boxes[:, 2:] + OUTSIDE)
         return np.asarray(beyond.any(axis=1))
 

@@ -9,7 +9,6 @@ import numpy as np
 from bumpymap.core import BadInputError, Georeference, Place, georeference
 from bumpymap.readers.base import SurveyBase
 from bumpymap.readers.checks import decoding, refuse_header_bounds
-from bumpymap.readers.columns import DECIMALS
 from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, convert_las_points
 from bumpymap.readers.copc import count_points_outside_node, read_octree
 from bumpymap.readers.geokeys import statement_of_las
@@ -27,7 +26,7 @@ from bumpymap.readers.laz_table import is_chunked, laz_record, read_table
 from bumpymap.readers.line_sums import LineRules
 from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
 from bumpymap.readers.source import Location, open_source
-from bumpytiles import Bounds
+from bumpytiles import DECIMALS, Bounds
 
 __all__ = ["LasSurvey"]
 

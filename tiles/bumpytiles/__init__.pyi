@@ -42,6 +42,7 @@ from .run import (
     run_blocks as run_blocks,
 )
 from .scaling import (
+    DECIMALS as DECIMALS,
     ScaledPoints as ScaledPoints,
     Scaling as Scaling,
     coordinate as coordinate,
