@@ -1,0 +1,29 @@
+"""The end of the process: what other code registered for it still runs, and nothing that was printed is lost."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import atexit, sys
+atexit.register(lambda: print("registered", end=""))
+from bumpymap.__main__ import run
+sys.argv = ["bumpymap", *sys.argv[1:]]
+run()
+"""
+
+
+@pytest.mark.parametrize(("words", "code"), [(("--help",), 0), (("map", "--nothing"), 2)])
+def test_functions_for_the_end_run_and_output_is_flushed(words, code):
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert done.stdout.endswith("registered")
+    assert "Usage:" in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_interpreter_is_not_taken_apart():
+    program = PROGRAM.replace("run()\n", "") + "class Kept:\n def __del__(self): print('apart')\nkept = Kept()\nrun()\n"
+    done = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True)
+    assert "apart" not in done.stdout
