@@ -101,6 +101,15 @@ from .progress import (
     Stopwatch as Stopwatch,
     counted as counted,
 )
+from .route_types import (
+    NO_TILE as NO_TILE,
+    Route as Route,
+    RouteFigures as RouteFigures,
+    RouteProfile as RouteProfile,
+    RouteVehicle as RouteVehicle,
+    TileField as TileField,
+    TracedLine as TracedLine,
+)
 from .run_folder import (
     Kept as Kept,
     RunFolder as RunFolder,

@@ -1,0 +1,147 @@
+"""The records of routes: a window of a map as the search reads it, and a way with what lies along it.
+
+Arrays of a window are (rows, cols), north row first. Lengths and coordinates are in metres, on the grid of tiles;
+``Georeference`` converts to the units of the survey's CRS.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core.types import CostRule, Georeference
+from bumpytiles import Grid, TileWindow
+
+__all__ = ["NO_TILE", "Route", "RouteFigures", "RouteProfile", "RouteVehicle", "TileField", "TracedLine"]
+
+NO_TILE = 255
+"""Value of ``TileField.barred`` where the map has no tile."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouteVehicle:
+    """The vehicle that a map was made for."""
+
+    name: str
+    width_m: float
+    """Full width, m."""
+    speed_mps: float
+    """Speed of the profile, m/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileField:
+    """A window of a map: what a route needs to know of each tile."""
+
+    grid: Grid
+    georeference: Georeference
+    window: TileWindow
+    barred: NDArray[np.uint8]
+    """(rows, cols) a `Barred`, 0 where passable; ``NO_TILE`` where the map has no tile."""
+    c_r: NDArray[np.float32]
+    """(rows, cols) ride cost, rad/m; NaN if unknown (so are the next four)."""
+    c_r_low: NDArray[np.float32]
+    """(rows, cols) lower end of its 80 % interval, rad/m."""
+    c_r_high: NDArray[np.float32]
+    """(rows, cols) upper end, rad/m."""
+    p_fail: NDArray[np.float32]
+    """(rows, cols) share of simulated drives that fail, 0..1."""
+    obstacle: NDArray[np.float32]
+    """(rows, cols) share of the pixels with an obstacle, 0..1."""
+    rule: CostRule
+    """How ride and risk become cost."""
+    vehicle: RouteVehicle
+
+
+@dataclass(frozen=True, slots=True)
+class TracedLine:
+    """The pieces of a line, cut at the borders of tiles, in order; pieces of length 0 are left out."""
+
+    row: NDArray[np.int64]
+    """(n,) row of the tile in the window, from the north."""
+    col: NDArray[np.int64]
+    """(n,) column of the tile in the window, from the west."""
+    length: NDArray[np.float64]
+    """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the dearer one."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouteProfile:
+    """Points at even distances along a way, first and last included; (n,) each."""
+
+    distance: NDArray[np.float64]
+    """From the start along the way, m."""
+    easting: NDArray[np.float64]
+    """m, on the grid."""
+    northing: NDArray[np.float64]
+    """m, on the grid."""
+    z: NDArray[np.float64]
+    """Height of the ground, m; NaN if unknown."""
+    slope: NDArray[np.float64]
+    """Along the way, degrees, positive uphill; NaN if unknown."""
+    c_r: NDArray[np.float64]
+    """Of the tile, rad/m; NaN if unknown (so are the next three)."""
+    c_r_low: NDArray[np.float64]
+    c_r_high: NDArray[np.float64]
+    p_fail: NDArray[np.float64]
+    cost: NDArray[np.float64]
+    """Cost of the way so far, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouteFigures:
+    """What a whole way costs."""
+
+    length_m: float
+    straight_m: float
+    """Sum of the straight lines between start, stops and goal, m."""
+    cost_m: float
+    """Length, and the detours that shaking and risk are worth, m."""
+    c_r_mean: float
+    """Mean along the way where it is known, rad/m, with the means of both ends of the 80 % intervals."""
+    c_r_mean_low: float
+    c_r_mean_high: float
+    c_r_max: float
+    """Of the worst tile on the way, rad/m, with its 80 % interval."""
+    c_r_max_low: float
+    c_r_max_high: float
+    hazard: float
+    """Sum of the hazard along the way."""
+    p_fail_max: float
+    unknown_m: float
+    """Length on unknown ground, m."""
+    obstacle_m: float
+    """Length in tiles that hold an obstacle (they are passable beside it), m."""
+    climb_m: float
+    descent_m: float
+    seconds: float
+    """Time at the profile's speed, s."""
+
+    @property
+    def p_arrives(self) -> float:
+        """``exp(-hazard)``: the probability of arriving if failures on different metres are independent."""
+        return float(np.exp(-self.hazard))
+
+    @property
+    def detour(self) -> float:
+        """Length over the straight line; 1 for a way of length 0."""
+        return self.length_m / self.straight_m if self.straight_m > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """A way over a map."""
+
+    name: str
+    """Such as ``route`` or ``alternative 2``."""
+    georeference: Georeference
+    grid: Grid
+    line: NDArray[np.float64]
+    """(m, 2) easting and northing of its corners, m, on the grid."""
+    stops: NDArray[np.float64]
+    """(k, 2) easting and northing of start, via points in order, and goal, m."""
+    profile: RouteProfile
+    figures: RouteFigures
+    vehicle: RouteVehicle
+    risk_m: float
+    """Weight of the hazard that it was planned with, m."""
