@@ -9,7 +9,7 @@ import click
 
 from bumpymap.core import path_fault
 
-__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "SHARE", "interrupt_note"]
+__all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "SHARE", "NumberList", "interrupt_note"]
 
 DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
@@ -63,6 +63,19 @@ class _Share(click.ParamType):  # type: ignore[type-arg]
 
 SHARE = _Share()
 """Type of a share on the command line."""
+
+
+class NumberList(click.ParamType):  # type: ignore[type-arg]
+    """Numbers with commas between them."""
+
+    name = "list"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Convert a string to numbers."""
+        try:
+            return tuple(float(word) for word in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is no list of numbers; give one such as 1,2,5", param, ctx)
 
 
 @contextmanager

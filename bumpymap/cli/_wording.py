@@ -9,6 +9,8 @@ import shlex
 
 __all__ = ["as_options"]
 
+_SPELLED = {"start": "from", "goal": "to", "round_trip": "return"}
+"""Options that cannot have the name of the setting: ``from`` and ``return`` are words of Python."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 
 
@@ -19,7 +21,7 @@ def as_options(text: str) -> str:
 
 def _option(found: re.Match[str]) -> str:
     name, quoted, plain = found.groups()
-    option = f"--{name.replace('_', '-')}"
+    option = f"--{_SPELLED.get(name, name).replace('_', '-')}"
     if quoted is not None:
         return f"{option} {shlex.quote(quoted)}"
     return option if plain in {None, "True"} else f"{option} {plain}"

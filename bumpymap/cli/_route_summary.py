@@ -1,0 +1,92 @@
+"""The summary that ``route`` prints."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import Route
+from bumpymap.route import RouteConfig, RouteResult
+
+__all__ = ["show"]
+
+_TITLES = (
+    "way",
+    "length (m)",
+    "detour",
+    "cost (m)",
+    "c_r (rad/m)",
+    "worst c_r",
+    "arrives",
+    "unknown (m)",
+    "up/down (m)",
+    "time",
+)
+
+
+def show(result: RouteResult, config: RouteConfig, *, as_json: bool) -> None:
+    """Print the ways as a table, or as one JSON object."""
+    if as_json:
+        print_json(_record(result, config))
+        return
+    if result.routes:
+        print_table(map(_row, result.routes), _TITLES)
+        for line in _remarks(result, config):
+            print_line(line)
+    if result.reach is not None:
+        reach = result.reach
+        print_line(
+            f"{reach.tiles:,} tiles ({reach.area_ha:,.2f} ha) can be reached from the start, {reach.share:.1%} of the "
+            f"passable ones; the farthest costs {reach.highest_cost:,.0f} m"
+        )
+    if config.out is not None:
+        folder = result.files[0].parent if result.files else config.out
+        print_line(f"Files in {folder}: {', '.join(path.name for path in result.files)}")
+
+
+def _row(route: Route) -> tuple[str, ...]:
+    found = route.figures
+    return (
+        route.name,
+        f"{found.length_m:,.0f}",
+        f"{found.detour:.2f}",
+        f"{found.cost_m:,.0f}",
+        _number(found.c_r_mean),
+        _number(found.c_r_max),
+        f"{found.p_arrives:.1%}",
+        f"{found.unknown_m:,.0f}",
+        f"{found.climb_m:.0f}/{found.descent_m:.0f}",
+        _time(found.seconds),
+    )
+
+
+def _remarks(result: RouteResult, config: RouteConfig) -> Iterator[str]:
+    yield from result.notes
+    if len(result.routes) < config.alternatives:
+        yield f"{config.alternatives} ways were asked for; there are no more that differ"
+    for route in result.routes:
+        if route.figures.unknown_m > 0:
+            yield (
+                f"{route.name}: {route.figures.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in "
+                "the figures"
+            )
+    yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.3f}"
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02} h" if hours else f"{minutes}:{rest:02} min"
+
+
+def _record(result: RouteResult, config: RouteConfig) -> dict[str, Any]:
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in result.files],
+        "routes": [route.record() for route in result.routes],
+        "notes": list(result.notes),
+    }

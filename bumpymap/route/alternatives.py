@@ -1,0 +1,134 @@
+"""Several ways between the same points: the lower hull of ride cost against risk, then ways over other ground.
+
+1. *Hull.* A way is the cheapest for some weight of the hazard if it lies on the lower convex hull of ride cost against
+   hazard. Two neighbours on the hull give the weight at which both cost the same; a search with this weight finds a way
+   between them, or shows that there is none.
+2. *Other ground.* The tiles of the ways found, and those beside them, are made dearer, step by step, until the cheapest
+   way has enough tiles of its own.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+
+from bumpymap.route.planner import Way, WornTiles
+
+__all__ = ["find_alternatives"]
+
+Plan = Callable[[float, WornTiles | None], Way | None]
+"""Plans a way with a weight of the hazard [m]; tiles of earlier ways may be dearer."""
+
+_SAFEST_RISK = 1e6
+"""m: the weight of the hazard for the safest way."""
+_SAME_SHARE = 0.95
+"""Ways that share more of their tiles are the same."""
+_OTHER_SHARE = 0.7
+"""A way over other ground shares at most this much of its tiles with each way before it."""
+_FACTORS = (1.3, 1.6, 2.0, 3.0, 5.0)
+_DEAREST = 3.0
+"""Ways that cost more than this many times the best are not proposed."""
+
+
+def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Way, float]]:
+    """Find up to ``count`` ways, the best first, the others by cost.
+
+    Parameters
+    ----------
+    plan : callable
+        Plans a way.
+    count : int
+        Number of ways wanted.
+    risk : float
+        Weight of the hazard [m] by which the best one is the cheapest.
+
+    Returns
+    -------
+    list of (Way, float)
+        Ways, and the weight of the hazard that each was planned with. Fewer than ``count`` if there are no more; none
+        if there is no way.
+    """
+    best = plan(risk, None)
+    if best is None:
+        return []
+    found = [(best, risk)]
+    if count > 1:
+        for other in _spread_out(_hull(plan, best, risk), count):
+            if len(found) < count and _differs(other[0], found, _SAME_SHARE):
+                found.append(other)
+    while len(found) < count:
+        other = _elsewhere(plan, found, risk)
+        if other is None:
+            break
+        found.append((other, risk))
+    return [found[0], *sorted(found[1:], key=lambda each: _cost(each[0]))]
+
+
+def _hull(plan: Plan, best: Way, risk: float) -> list[tuple[Way, float]]:
+    """Return the ways on the hull, the least ride cost first."""
+    ends = [(plan(0.0, None), 0.0), (best, risk), (plan(_SAFEST_RISK, None), _SAFEST_RISK)]
+    known = sorted([(way, at) for way, at in ends if way is not None], key=lambda each: each[1])
+    searching = True
+    while searching and len(known) < _MOST_ON_HULL:
+        searching = False
+        for (left, _), (right, _) in pairwise(list(known)):
+            between = _between(plan, left, right, risk)
+            if between is not None:
+                known.append(between)
+                known.sort(key=lambda each: each[1])
+                searching = True
+    return known
+
+
+_MOST_ON_HULL = 12
+
+
+def _between(plan: Plan, left: Way, right: Way, risk: float) -> tuple[Way, float] | None:
+    """Return a way of the hull between two of its ways; None if they are neighbours."""
+    more_ride = _ride(right, risk) - _ride(left, risk)
+    less_hazard = left.measured.figures.hazard - right.measured.figures.hazard
+    if more_ride <= 0 or less_hazard <= 0:
+        return None
+    weight = more_ride / less_hazard
+    way = plan(weight, None)
+    if way is None:
+        return None
+    line = _ride(left, risk) + weight * left.measured.figures.hazard
+    if _ride(way, risk) + weight * way.measured.figures.hazard > line * (1 - 1e-4):
+        return None
+    return way, weight
+
+
+def _spread_out(ways: list[tuple[Way, float]], count: int) -> list[tuple[Way, float]]:
+    """Order ways of the hull by use: the safest, the one that shakes least, then those between them."""
+    if len(ways) <= 2:
+        return ways[::-1]
+    inner = ways[1:-1]
+    step = max(1, len(inner) // count)
+    return [ways[-1], ways[0], *inner[::step], *(way for at, way in enumerate(inner) if at % step)]
+
+
+def _elsewhere(plan: Plan, found: list[tuple[Way, float]], risk: float) -> Way | None:
+    """Return a way that shares little with the ways before it; None if there is none that is not much dearer."""
+    tiles = np.unique(np.concatenate([way.measured.tiles for way, _ in found]), axis=0)
+    for factor in _FACTORS:
+        way = plan(risk, WornTiles(tiles, factor))
+        if way is None or _cost(way) > _DEAREST * _cost(found[0][0]):
+            return None
+        if _differs(way, found, _OTHER_SHARE):
+            return way
+    return None
+
+
+def _differs(way: Way, found: list[tuple[Way, float]], share: float) -> bool:
+    return all(way.shared(other) <= share for other, _ in found)
+
+
+def _cost(way: Way) -> float:
+    return way.measured.figures.cost_m
+
+
+def _ride(way: Way, risk: float) -> float:
+    """Return the cost of a way without its risk, m."""
+    figures = way.measured.figures
+    return figures.cost_m - risk * figures.hazard

@@ -1,0 +1,232 @@
+"""What a way costs: the exact integral over its tiles, and a profile of points at even distances.
+
+A way may be long and its window large, so it is measured in stretches, each with a small window of its own.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField
+from bumpymap.layers import RouteMap
+from bumpymap.route.search import trace
+from bumpytiles import TileWindow
+
+__all__ = ["MeasuredWay", "measure_way"]
+
+Floats = NDArray[np.float64]
+
+_STRETCH_TILES = 128
+"""Longest stretch, tiles."""
+_SAMPLES_A_TILE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredWay:
+    """Figures and profile of a way, and the tiles that it crosses."""
+
+    figures: RouteFigures
+    profile: RouteProfile
+    tiles: NDArray[np.int64]
+    """(n, 2) column and row of each tile in order, on the grid; a tile that is crossed twice is there twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pieces:
+    """The pieces of a way inside single tiles; (n,) each."""
+
+    col: NDArray[np.int64]
+    row: NDArray[np.int64]
+    length: Floats
+    """m."""
+    cost: Floats
+    """Per metre."""
+    c_r: Floats
+    c_r_low: Floats
+    c_r_high: Floats
+    hazard: Floats
+    """Per metre; 0 if unknown."""
+    p_fail: Floats
+    obstacle: Floats
+    unknown: NDArray[np.bool_]
+
+
+def measure_way(
+    site: RouteMap,
+    line: Floats,
+    stops: Floats,
+    cost_of: Callable[[TileField], NDArray[np.float32]],
+) -> MeasuredWay:
+    """Measure a way over a map.
+
+    Parameters
+    ----------
+    site : RouteMap
+        The map.
+    line : array (m, 2)
+        Easting and northing of the corners, m, on the grid.
+    stops : array (k, 2)
+        Easting and northing of start, stops and goal, m.
+    cost_of : callable
+        Returns the cost per metre of each tile of a window, inf where closed.
+    """
+    parts = [_pieces(site, part, cost_of) for part in _stretches(line, site.grid.tile_size * _STRETCH_TILES)]
+    pieces = _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
+    profile = _profile(site, line, pieces)
+    figures = _figures(pieces, profile, stops, site.vehicle.speed_mps, site.grid.tile_size)
+    return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
+
+
+def _stretches(line: Floats, longest: float) -> Iterator[Floats]:
+    """Yield a line in parts, each at most ``longest`` in easting and northing; consecutive parts share a point."""
+    points = [line[:1]]
+    for start, stop in pairwise(line):
+        count = max(1, math.ceil(float(np.abs(stop - start).max()) / longest))
+        points.append(start + (stop - start) * (np.arange(1, count + 1) / count)[:, None])
+        points[-1][-1] = stop
+    whole = np.concatenate(points)
+    first = 0
+    for last in range(1, len(whole)):
+        if last + 1 == len(whole) or (np.ptp(whole[first : last + 2], axis=0) > longest).any():
+            yield whole[first : last + 1]
+            first = last
+
+
+def _window_around(site: RouteMap, line: Floats, ring: int = 1) -> TileWindow:
+    """Return the tiles that a line spans, and a ring around them."""
+    col, row = site.grid.index(line[:, 0]), site.grid.index(line[:, 1])
+    inner = TileWindow.around(col, row)
+    return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)
+
+
+def _in_window(site: RouteMap, line: Floats, window: TileWindow) -> Floats:
+    """Convert easting and northing to rows from the north edge and columns from the west edge of a window, tiles."""
+    tiles = line / site.grid.tile_size
+    return np.column_stack([window.row + window.rows - tiles[:, 1], tiles[:, 0] - window.col])
+
+
+def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
+    window = _window_around(site, line)
+    tiles = site.read(window)
+    cost = cost_of(tiles)
+    found = trace(cost, _in_window(site, line, window))
+    at = found.row, found.col
+    unknown = tiles.barred[at] == Barred.UNKNOWN
+    hazard = np.nan_to_num(tiles.rule.hazard(tiles.p_fail[at]), nan=0.0, posinf=np.inf)
+    # A piece of length 0 at infinite cost or hazard counts nothing.
+    return _Pieces(
+        col=window.col + found.col,
+        row=window.row + window.rows - 1 - found.row,
+        length=found.length * site.grid.tile_size,
+        cost=cost[at].astype(np.float64),
+        c_r=np.where(unknown, np.nan, tiles.c_r[at]),
+        c_r_low=np.where(unknown, np.nan, tiles.c_r_low[at]),
+        c_r_high=np.where(unknown, np.nan, tiles.c_r_high[at]),
+        hazard=np.where(unknown, 0.0, hazard),
+        p_fail=np.where(unknown, np.nan, tiles.p_fail[at]),
+        obstacle=tiles.obstacle[at].astype(np.float64),
+        unknown=unknown,
+    )
+
+
+def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, speed: float, tile_size: float) -> RouteFigures:
+    known = np.isfinite(pieces.c_r)
+    weight = pieces.length * known
+    total = float(weight.sum())
+
+    def mean(values: Floats) -> float:
+        return float((weight * np.nan_to_num(values)).sum() / total) if total > 0 else math.nan
+
+    worst = int(np.argmax(np.where(known, pieces.c_r, -1.0))) if known.any() else None
+    at_worst = [math.nan] * 3 if worst is None else [float(x[worst]) for x in (pieces.c_r, pieces.c_r_low, pieces.c_r_high)]
+    length = float(pieces.length.sum())
+    climb, descent = _climb(profile, tile_size)
+    return RouteFigures(
+        length_m=length,
+        straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
+        cost_m=float((pieces.length * pieces.cost).sum()),
+        c_r_mean=mean(pieces.c_r),
+        c_r_mean_low=mean(pieces.c_r_low),
+        c_r_mean_high=mean(pieces.c_r_high),
+        c_r_max=at_worst[0],
+        c_r_max_low=at_worst[1],
+        c_r_max_high=at_worst[2],
+        hazard=float((pieces.length * pieces.hazard).sum()),
+        p_fail_max=float(np.nanmax(pieces.p_fail)) if np.isfinite(pieces.p_fail).any() else math.nan,
+        unknown_m=float(pieces.length[pieces.unknown].sum()),
+        obstacle_m=float(pieces.length[pieces.obstacle > 0].sum()),
+        climb_m=climb,
+        descent_m=descent,
+        seconds=length / speed,
+    )
+
+
+def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
+    """Return metres up and metres down between points a tile apart; heights of gaps are interpolated."""
+    known = np.isfinite(profile.z)
+    if known.sum() < 2:
+        return 0.0, 0.0
+    length = float(profile.distance[-1])
+    apart = np.linspace(0.0, length, max(2, round(length / tile_size) + 1))
+    rise = np.diff(np.interp(apart, profile.distance[known], profile.z[known]))
+    return float(rise[rise > 0].sum()), float(-rise[rise < 0].sum())
+
+
+def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
+    """Return points at even distances along a way."""
+    step = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    size = site.grid.tile_size
+    count = max(2, math.ceil(along[-1] / size * _SAMPLES_A_TILE) + 1)
+    distance = np.linspace(0.0, along[-1], count)
+    moving = np.concatenate([[True], step > 0])  # np.interp wants distances that increase
+    points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
+    ends = np.cumsum(pieces.length)
+    piece = np.minimum(np.searchsorted(ends, distance, side="left"), len(ends) - 1)
+    spent = np.concatenate([[0.0], np.cumsum(pieces.length * pieces.cost)])
+    z = _heights(site, points)
+    return RouteProfile(
+        distance=distance,
+        easting=points[:, 0],
+        northing=points[:, 1],
+        z=z,
+        slope=_slope(distance, z, size),
+        c_r=pieces.c_r[piece],
+        c_r_low=pieces.c_r_low[piece],
+        c_r_high=pieces.c_r_high[piece],
+        p_fail=pieces.p_fail[piece],
+        cost=np.interp(distance, np.concatenate([[0.0], ends]), spent),
+    )
+
+
+def _heights(site: RouteMap, points: Floats) -> Floats:
+    """Return the mean height of the pixels within half a metre of each point, or of its pixel alone; NaN if unknown."""
+    out = np.full(len(points), np.nan)
+    size, pixels = site.grid.tile_size, site.grid.pixels
+    reach = pixels // (2 * _SAMPLES_A_TILE)
+    around = np.arange(-reach, reach + 1)
+    for some in np.array_split(np.arange(len(points)), max(1, len(points) // (_STRETCH_TILES * _SAMPLES_A_TILE))):
+        window = _window_around(site, points[some])
+        heights = site.heights(window)
+        place = np.floor(_in_window(site, points[some], window) * pixels).astype(np.int64)
+        rows = place[:, 0, None, None] + around[:, None]
+        cols = place[:, 1, None, None] + around
+        z = heights[rows, cols].reshape(len(some), -1).astype(np.float64)
+        known = np.isfinite(z)
+        count = known.sum(axis=1)
+        out[some] = np.where(count > 0, np.nansum(z, axis=1) / np.maximum(count, 1), np.nan)
+    return out
+
+
+def _slope(distance: Floats, z: Floats, span: float) -> Floats:
+    """Return the slope along the way over ``span`` metres, degrees, positive uphill; NaN next to unknown heights."""
+    if distance[-1] <= 0:
+        return np.full(len(z), np.nan)
+    low = np.maximum(distance - span / 2, 0.0)
+    high = np.minimum(distance + span / 2, distance[-1])
+    rise = np.interp(high, distance, z) - np.interp(low, distance, z)
+    return np.degrees(np.arctan2(rise, high - low))
