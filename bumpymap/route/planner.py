@@ -149,8 +149,8 @@ class Planner:
             found = plan_way(
                 lambda window: self.load(window, risk, worn),
                 self.site.window,
-                self._field(start),
-                self._field(goal),
+                self.place(start, self.site.window),
+                self.place(goal, self.site.window),
                 margin=self.margin,
                 memory_tiles=self.memory_tiles,
             )
@@ -167,9 +167,9 @@ class Planner:
         kept: Floats | None = self._legs[key]
         return kept
 
-    def _field(self, point: Floats) -> tuple[float, float]:
-        """Convert easting and northing [m] to rows from the north edge and columns from the west edge of the map."""
-        window, size = self.site.window, self.site.grid.tile_size
+    def place(self, point: Floats, window: TileWindow) -> tuple[float, float]:
+        """Convert easting and northing [m] to rows from the north edge and columns from the west edge of a window."""
+        size = self.site.grid.tile_size
         return float(window.row + window.rows - point[1] / size), float(point[0] / size - window.col)
 
 

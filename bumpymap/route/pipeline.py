@@ -1,0 +1,137 @@
+"""Job 3: from the layers of a map to ways over it.
+
+Open the map, find the points on it, plan the ways, measure them, write them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, Progress, Route, SilentProgress, UsageError, memory_or_share
+from bumpymap.layers import (
+    RouteMap,
+    check_route_out,
+    open_map,
+    read_areas,
+    write_reach,
+    write_routes,
+)
+from bumpymap.route.alternatives import find_alternatives
+from bumpymap.route.growing import TILE_BYTES
+from bumpymap.route.no_way import explain_no_way
+from bumpymap.route.planner import Planner, Way, WornTiles, in_order
+from bumpymap.route.reach import Reach, find_reach
+from bumpymap.route.settings import RouteConfig
+from bumpymap.route.stops import Stops, find_stops
+from bumpymap.route.visits import MOST_VISITS, best_order
+
+__all__ = ["RouteResult", "plan_routes"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RouteResult:
+    """What a route run found."""
+
+    routes: tuple[Route, ...]
+    """The best way first."""
+    reach: Reach | None
+    """What can be reached, if there was no goal."""
+    files: tuple[Path, ...]
+    """What was written."""
+    notes: tuple[str, ...]
+    """Remarks, such as points that were moved."""
+
+
+def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteResult:
+    """Plan the ways that the settings ask for, and write them.
+
+    Raises
+    ------
+    BadInputError
+        The layers cannot be read, a point does not lie on ground that can be used, or there is no way.
+    UsageError
+        The settings contradict each other or the map, or the search does not fit in the memory limit.
+    OutputError
+        A file cannot be written.
+    """
+    progress = progress or SilentProgress()
+    if config.out is not None:
+        check_route_out(config.out, overwrite=config.overwrite, is_reach=config.is_reach)
+    planner = _planner(open_map(config.layers), config)
+    stops = find_stops(planner, config)
+    if config.is_reach:
+        return _reach(planner, stops, config)
+    progress.start("routes", None)
+    routes = list(_routes(planner, stops, config))
+    notes = list(stops.notes)
+    for folder in config.compare:
+        other = _planner(open_map([folder]), config)
+        others = find_stops(other, config)
+        alone = replace(config, alternatives=1)
+        routes += [replace(route, name=f"{route.name}, {other.site.vehicle.name}") for route in _routes(other, others, alone)]
+        notes += others.notes
+    files = () if config.out is None else tuple(write_routes(routes, planner.site, config.out, settings=config))
+    return RouteResult(tuple(routes), None, files, tuple(notes))
+
+
+def _planner(site: RouteMap, config: RouteConfig) -> Planner:
+    avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
+    return Planner(site, config.cost, memory_or_share(config.memory) // TILE_BYTES, avoid, only)
+
+
+def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Route]:
+    """Plan the best way through the stops, and alternatives."""
+    points = _in_best_order(planner, stops.points, config) if config.visit else stops.points
+    if config.round_trip:
+        points = np.concatenate([points, points[:1]])
+
+    def plan(risk: float, worn: WornTiles | None) -> Way | None:
+        return planner.way(points, risk, worn)
+
+    ways = find_alternatives(plan, config.alternatives, planner.risk)
+    if not ways:
+        raise BadInputError(explain_no_way(planner, points))
+    names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
+    return [
+        _route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)
+    ]
+
+
+def _route(planner: Planner, name: str, way: Way, stops: Floats, risk: float) -> Route:
+    site = planner.site
+    return Route(
+        name=name,
+        georeference=site.georeference,
+        grid=site.grid,
+        line=way.line,
+        stops=stops,
+        profile=way.measured.profile,
+        figures=way.measured.figures,
+        vehicle=site.vehicle,
+        risk_m=risk,
+    )
+
+
+def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Floats:
+    """Return the points in the cheapest order; the first stays the first, and the goal the last."""
+    if len(points) > MOST_VISITS:
+        raise UsageError(f"the order of {len(points)} points is not searched: give at most {MOST_VISITS}")
+    ring = np.concatenate([points, points[:1]]) if config.round_trip else points
+    costs = np.array([[planner.leg_cost(a, b) if a is not b else 0.0 for b in ring] for a in ring])
+    order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
+    return in_order(ring, order[: len(points)])
+
+
+def _reach(planner: Planner, stops: Stops, config: RouteConfig) -> RouteResult:
+    speed = planner.site.vehicle.speed_mps
+    limits = [*(minutes * 60.0 * speed for minutes in config.isochrones), *config.isocosts]
+    found = find_reach(planner, stops.points[0], max(limits, default=np.inf))
+    if config.out is None:
+        raise UsageError("the map of what can be reached is written to a folder: give `out`")
+    files = write_reach(found, planner.site, config.out, stops=stops.points, settings=config)
+    return RouteResult((), found, tuple(files), stops.notes)
