@@ -59,9 +59,9 @@ def command(
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
     from bumpymap.cli._info_report import as_record, estimated, run_record
-    from bumpymap.core import FeatureSettings
+    from bumpymap.core import FeatureSettings, memory_bytes
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
-    from bumpymap.survey import Budget, memory_bytes, with_memory
+    from bumpymap.survey import Budget, with_memory
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)

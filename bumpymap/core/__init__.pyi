@@ -74,6 +74,13 @@ from .json_text import (
 from .lock import (
     locked as locked,
 )
+from .memory import (
+    auto_memory as auto_memory,
+    free_memory as free_memory,
+    is_auto as is_auto,
+    memory_bytes as memory_bytes,
+    memory_limit as memory_limit,
+)
 from .onnx_file import (
     metadata_of as metadata_of,
     onnx_runtime as onnx_runtime,

@@ -142,7 +142,9 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, speed: float
         return float((weight * np.nan_to_num(values)).sum() / total) if total > 0 else math.nan
 
     worst = int(np.argmax(np.where(known, pieces.c_r, -1.0))) if known.any() else None
-    at_worst = [math.nan] * 3 if worst is None else [float(x[worst]) for x in (pieces.c_r, pieces.c_r_low, pieces.c_r_high)]
+    at_worst = (
+        [math.nan] * 3 if worst is None else [float(x[worst]) for x in (pieces.c_r, pieces.c_r_low, pieces.c_r_high)]
+    )
     length = float(pieces.length.sum())
     climb, descent = _climb(profile, tile_size)
     return RouteFigures(

@@ -32,7 +32,9 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
             return f"{between} over passable ground"
         cost = planner.load(window)
         barred = planner.site.read_passable(window).barred
-        reached = [np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)]
+        reached = [
+            np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
+        ]
         areas = [f"{int(part.sum()):,} tiles ({part.sum() * size**2 / 1e4:,.2f} ha)" for part in reached]
         smaller = min(reached, key=lambda part: int(part.sum()))
         return (

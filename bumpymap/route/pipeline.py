@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Progress, Route, SilentProgress, UsageError, memory_or_share
+from bumpymap.core import BadInputError, Progress, Route, SilentProgress, UsageError, memory_limit
 from bumpymap.layers import (
     RouteMap,
     check_route_out,
@@ -73,7 +73,9 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         other = _planner(open_map([folder]), config)
         others = find_stops(other, config)
         alone = replace(config, alternatives=1)
-        routes += [replace(route, name=f"{route.name}, {other.site.vehicle.name}") for route in _routes(other, others, alone)]
+        routes += [
+            replace(route, name=f"{route.name}, {other.site.vehicle.name}") for route in _routes(other, others, alone)
+        ]
         notes += others.notes
     files = () if config.out is None else tuple(write_routes(routes, planner.site, config.out, settings=config))
     return RouteResult(tuple(routes), None, files, tuple(notes))
@@ -81,7 +83,7 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
 
 def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
-    return Planner(site, config.cost, memory_or_share(config.memory) // TILE_BYTES, avoid, only)
+    return Planner(site, config.cost, memory_limit(config.memory) // TILE_BYTES, avoid, only)
 
 
 def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Route]:
@@ -97,9 +99,7 @@ def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Rou
     if not ways:
         raise BadInputError(explain_no_way(planner, points))
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
-    return [
-        _route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)
-    ]
+    return [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
 
 
 def _route(planner: Planner, name: str, way: Way, stops: Floats, risk: float) -> Route:

@@ -73,9 +73,7 @@ class RouteConfig:
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out --to and --via")
         if not 1 <= self.alternatives <= _MOST_ALTERNATIVES:
-            raise UsageError(
-                f"alternatives is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}"
-            )
+            raise UsageError(f"alternatives is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}")
         _number("snap", self.snap, 0.0)
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
             for value in values:

@@ -19,7 +19,6 @@ from .engine.block_work import (
 )
 from .engine.budget import (
     Budget as Budget,
-    memory_bytes as memory_bytes,
     with_memory as with_memory,
 )
 from .engine.pool import (

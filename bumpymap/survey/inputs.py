@@ -4,10 +4,9 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference
+from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference, memory_bytes
 from bumpymap.layers import check_extent
 from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, open_survey
-from bumpymap.survey.engine.budget import memory_bytes
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["SurveyInputs", "read_options"]

@@ -10,6 +10,7 @@ from bumpymap.core import (
     Stopwatch,
     check_interrupted,
     locked,
+    memory_bytes,
     rated_columns,
     remove_empty_on_error,
 )
@@ -28,7 +29,6 @@ from bumpymap.survey.engine import (
     Workspace,
     connect,
     engine_errors,
-    memory_bytes,
     run_engine,
     with_memory,
 )

@@ -5,7 +5,6 @@ from .block_work import (
 )
 from .budget import (
     Budget as Budget,
-    memory_bytes as memory_bytes,
     with_memory as with_memory,
 )
 from .cluster import (

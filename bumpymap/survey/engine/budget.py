@@ -6,31 +6,20 @@ limit while the older half is written to disk.
 """
 
 import math
-import re
 from dataclasses import dataclass, replace
 
-from bumpymap.core import MapConfig, UsageError
-from bumpymap.survey.engine.free_memory import free_memory
+from bumpymap.core import MapConfig, auto_memory, is_auto, memory_bytes
 
 __all__ = [
     "FLOAT_POINT_BYTES",
-    "LEAST_MEMORY",
     "POINT_BYTES",
     "Budget",
-    "memory_bytes",
     "requests_at_once",
     "with_memory",
 ]
 
-LEAST_MEMORY = 128 << 20
-"""Smallest budget, bytes: one chunk of a file alone needs this much."""
-_AUTO = "auto"
-_FREE_SHARE = 0.25
-_LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
-"""Limits of ``auto`` for each process, bytes."""
 _ELSEWHERE = 1 << 30
 """``auto`` for a worker of a scheduler, bytes: it may be on another machine."""
-_UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 POINT_BYTES = 14
 """Size of a waiting point of LAS or LAZ, in memory or on disk."""
 FLOAT_POINT_BYTES = 26
@@ -45,23 +34,6 @@ _LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
 """Usual points of a LAZ chunk, which one thread decodes; how many of them are decoded at a time."""
 
 
-def memory_bytes(text: str) -> int:
-    """Parse a size such as ``1GB`` or ``800 MB`` and return it in bytes (1 GB = 2^30 bytes).
-
-    Raises
-    ------
-    UsageError
-        The text is not a size, or less than ``LEAST_MEMORY``.
-    """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)\s*", text.lower())
-    unit = found[2].replace("i", "") if found else ""
-    size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
-    if size < LEAST_MEMORY:
-        least = f"at least {LEAST_MEMORY >> 20} MB"
-        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
-    return int(size)
-
-
 def with_memory(config: MapConfig) -> MapConfig:
     """Return settings of which ``memory`` is a size: ``auto`` is replaced by that of this machine at this moment.
 
@@ -73,13 +45,10 @@ def with_memory(config: MapConfig) -> MapConfig:
     UsageError
         ``memory`` is neither a size nor ``auto``.
     """
-    if config.memory.strip().lower() != _AUTO:
+    if not is_auto(config.memory):
         memory_bytes(config.memory)
         return config
-    free = None if config.scheduler is not None else free_memory()
-    size = _ELSEWHERE
-    if free is not None:
-        size = min(max(int(_FREE_SHARE * free / (config.workers or 1)), _LEAST_AUTO), _MOST_AUTO)
+    size = _ELSEWHERE if config.scheduler is not None else auto_memory(config.workers or 1, _ELSEWHERE)
     return replace(config, memory=f"{size >> 20}MB")
 
 

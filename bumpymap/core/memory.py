@@ -1,17 +1,65 @@
-"""How much memory is free to this process: on the machine, and below the limits of its control groups (containers)."""
+"""Memory limits: sizes as users type them, and what is free on the machine and in this process's control groups."""
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["free_memory"]
+from bumpymap.core.errors import UsageError
+
+__all__ = ["LEAST_MEMORY", "auto_memory", "free_memory", "is_auto", "memory_bytes", "memory_limit"]
+
+LEAST_MEMORY = 128 << 20
+"""Smallest limit, bytes: one chunk of a file alone needs this much."""
+_AUTO = "auto"
+_FREE_SHARE = 0.25
+_LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
+"""Limits of ``auto`` for each process, bytes."""
+_UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 
 _PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 _V1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 _V2 = ("memory.max", "memory.current", "inactive_file")
 """Files of a control group with its limit and its use, bytes, and the entry of ``memory.stat`` with the part of the use
 that is copies of files, which the system gives up when memory is needed."""
+
+
+def memory_bytes(text: str) -> int:
+    """Parse a size such as ``1GB`` or ``800 MB`` and return it in bytes (1 GB = 2^30 bytes).
+
+    Raises
+    ------
+    UsageError
+        The text is not a size, or less than ``LEAST_MEMORY``.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)\s*", text.lower())
+    unit = found[2].replace("i", "") if found else ""
+    size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
+    if size < LEAST_MEMORY:
+        least = f"at least {LEAST_MEMORY >> 20} MB"
+        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
+    return int(size)
+
+
+def is_auto(text: str) -> bool:
+    """Return whether a limit is ``auto``."""
+    return text.strip().lower() == _AUTO
+
+
+def auto_memory(processes: int = 1, otherwise: int = 1 << 30) -> int:
+    """Return the limit that ``auto`` means at this moment, for each of some processes, bytes.
+
+    It is a quarter of the free memory, divided by the processes, at least 512 MB and at most 8 GB; ``otherwise`` if the
+    system does not say what is free.
+    """
+    free = free_memory()
+    return otherwise if free is None else min(max(int(_FREE_SHARE * free / processes), _LEAST_AUTO), _MOST_AUTO)
+
+
+def memory_limit(text: str) -> int:
+    """Return a limit in bytes, of a size or of ``auto``. Raises UsageError if the text is neither."""
+    return auto_memory() if is_auto(text) else memory_bytes(text)
 
 
 def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
