@@ -14,6 +14,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle
+from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.opened import read_manifest
 from bumpytiles import Grid, TileWindow
 
@@ -24,6 +25,9 @@ __all__ = ["RouteSheet", "common_window"]
 
 _RASTERS = ("barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif")
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif")
+_CHECKED = ("barred.tif", "roughness.tif", "cost.tif")
+_CHECKED_BYTES = 64 << 20
+"""Largest file whose checksum is compared, except for the first of these, which is small and must be right."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
 _PIECE = 512
@@ -58,7 +62,7 @@ class RouteSheet:
         """
         manifest = read_manifest(folder)
         try:
-            _check_sizes(folder, manifest)
+            _check_files(folder, manifest)
             parts = (_grid(manifest), _georeference(manifest), _rule(manifest), _vehicle(folder, manifest))
         except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
             raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
@@ -144,7 +148,7 @@ def _opened(path: Path) -> "Iterator[DatasetReader]":
         with rasterio.Env(**_GDAL), rasterio.open(path) as file:
             yield file
     except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+        raise BadInputError(f"cannot read {path}: {error.__cause__ or error}. {_AGAIN}") from error
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
@@ -170,18 +174,27 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
 
 
-def _check_sizes(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Raise BadInputError if a raster is missing or not as long as when it was written."""
-    written = {str(file["path"]): int(file["bytes"]) for file in manifest["files"]}
+def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Raise BadInputError if a raster is missing or is not the one that was written.
+
+    GDAL reads many a damaged block without an error. What decides where a way leads is compared by checksum, large
+    files by size only.
+    """
+    written = {str(file["path"]): (int(file["bytes"]), str(file["sha256"])) for file in manifest["files"]}
     for name in _RASTERS:
         path = folder / name
         if not path.is_file():
             raise BadInputError(f"{path} is missing: it was not written, or was removed since. {_AGAIN}")
-        if name in written and path.stat().st_size != written[name]:
+        size, digest = written[name]
+        found = path.stat().st_size
+        if found != size:
             raise BadInputError(
-                f"{path} is damaged: it has {path.stat().st_size:,} bytes and was written with {written[name]:,}. "
-                f"Copy it again, or map the survey again"
+                f"{path} is cut off or was changed: it has {found:,} bytes and was written with {size:,}. Copy it "
+                "again, or map the survey again"
             )
+        compared = name in _CHECKED and (size <= _CHECKED_BYTES or name == _CHECKED[0])
+        if compared and describe_file(path)["sha256"] != digest:
+            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. {_AGAIN}")
 
 
 def _common_raster(folder: Path, grid: Grid, georeference: Georeference) -> TileWindow:
