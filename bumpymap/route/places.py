@@ -95,7 +95,9 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
-    raise BadInputError(f"{name} lies outside the map{_swapped(x, y, route_map)}", *_extent(route_map), _FORMS)
+    raise BadInputError(
+        f"{name} lies outside the map, which spans {_extent(route_map)}. {_swapped(x, y, route_map)}{_FORMS}"
+    )
 
 
 def _on_grid(x: float, y: float, route_map: RouteMap, system: System, *, forced: bool) -> GridPoint | None:
@@ -125,27 +127,27 @@ def _swapped(x: float, y: float, route_map: RouteMap) -> str:
     for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
         point = _on_grid(y, x, route_map, system, forced=False)
         if point is not None and _outside_m(point, route_map) == 0.0:
-            order = "longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
-            return f"; {order}: did you mean {y:.10g},{x:.10g}?"
+            order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
+            return f"{order}: did you mean {y:.10g},{x:.10g}? "
     return ""
 
 
-def _extent(route_map: RouteMap) -> list[str]:
-    """Return the extent of the map in both systems, one line each."""
+def _extent(route_map: RouteMap) -> str:
+    """Return the extent of the map in both systems."""
     bounds = route_map.grid.window_bounds(route_map.window)
     (west, south), (east, north) = (
         route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))
     )
     crs = route_map.georeference.crs
     system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
-    lines = [f"  the map spans x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"]
-    if crs is not None:
-        eastings, northings = np.meshgrid(
-            np.linspace(bounds.west, bounds.east, 5), np.linspace(bounds.south, bounds.north, 5)
-        )
-        longitude, latitude = route_map.to_lonlat(eastings.ravel(), northings.ravel())
-        lines.append(
-            f"  and longitude {longitude.min():.6f} to {longitude.max():.6f}, latitude {latitude.min():.6f} to "
-            f"{latitude.max():.6f}"
-        )
-    return lines
+    text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
+    if crs is None:
+        return text
+    eastings, northings = np.meshgrid(
+        np.linspace(bounds.west, bounds.east, 5), np.linspace(bounds.south, bounds.north, 5)
+    )
+    longitude, latitude = route_map.to_lonlat(eastings.ravel(), northings.ravel())
+    return (
+        f"{text}, or longitude {longitude.min():.6f} to {longitude.max():.6f}, latitude {latitude.min():.6f} to "
+        f"{latitude.max():.6f}"
+    )

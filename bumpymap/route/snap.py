@@ -124,7 +124,7 @@ def usable_point(
         near = GridPoint((window.col + found.col) * size, (window.row + window.rows - found.row) * size)
         if found.distance * size <= snap_m:
             return near
-    raise BadInputError(f"{name} lies on {_closed_by(field, row, col)}", *_remedy(route_map, point, near, window))
+    raise BadInputError(f"{name} lies on {_closed_by(field, row, col)}. {_remedy(route_map, point, near, window)}")
 
 
 def _closed_by(field: TileField, row: float, col: float) -> str:
@@ -141,11 +141,11 @@ def _closed_by(field: TileField, row: float, col: float) -> str:
     return f"a tile that is not passable ({BARRED_TEXT[Barred(code)]})"
 
 
-def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, window: TileWindow) -> list[str]:
-    """Say where the nearest usable point is and how to take it, one line each."""
+def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, window: TileWindow) -> str:
+    """Say where the nearest usable point is and how to take it."""
     if near is None:
         width, height = (side * route_map.grid.tile_size for side in (window.cols, window.rows))
-        return [f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used. Choose another point"]
+        return f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used: choose another point"
     distance = math.dist(point, near)
     if route_map.has_crs:
         longitude, latitude = route_map.to_lonlat(*near)
@@ -153,7 +153,7 @@ def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, windo
     else:
         x, y = route_map.to_crs(*near)
         where = f"crs:{x:.2f},{y:.2f}"
-    return [
-        f"The nearest point that can be used is {distance:.1f} m away, at {where}",
-        f"Give that one, or `snap={math.ceil(distance)}` to take it",
-    ]
+    return (
+        f"The nearest point that can be used is {distance:.1f} m away, at {where}: give that one, or "
+        f"`snap={math.ceil(distance)}` to take it"
+    )

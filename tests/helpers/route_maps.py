@@ -1,6 +1,8 @@
 """Made-up maps for tests of routes: folders as a run leaves them, and maps without files."""
 
+import json
 from pathlib import Path
+from shutil import copytree
 
 from pyproj import CRS
 
@@ -27,6 +29,14 @@ def write_folder(folder, cost_map, **changes):
     manifest = {key: value for key, value in (RUN | changes).items() if value is not None}
     write_products(CostTable.of(cost_map), folder, local=cost_map.georeference.crs is None, manifest=manifest)
     return folder
+
+
+def copy_folder(folder, target, **changes):
+    """Copy a folder of layers; ``changes`` replace entries of the manifest (None: leave out)."""
+    copytree(folder, target)
+    record = json.loads((target / "run.json").read_text()) | changes
+    (target / "run.json").write_text(json.dumps({key: value for key, value in record.items() if value is not None}))
+    return target
 
 
 def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):

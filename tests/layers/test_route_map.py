@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS
-from route_maps import VEHICLE, bare_map, write_folder
+from route_maps import VEHICLE, bare_map, copy_folder, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, UsageError
 from bumpymap.layers import open_map
@@ -40,6 +40,11 @@ def made(make_field):
 @pytest.fixture(scope="module")
 def folder(made, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("route") / "layers", made)
+
+
+@pytest.fixture(scope="module")
+def small(make_field, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -201,18 +206,17 @@ def test_a_folder_given_twice_counts_once(folder):
         ({"settings": {"rating": "table", "compat": "none"}}, "rating is ride and table"),
     ],
 )
-def test_layers_of_two_vehicles_are_refused(make_field, tmp_path, changes, words):
-    made = make_field(4, 3, grid=SMALL)
-    first, second = write_folder(tmp_path / "one", made), write_folder(tmp_path / "two", made, **changes)
+def test_layers_of_two_vehicles_are_refused(small, tmp_path, changes, words):
+    first, second = small, copy_folder(small, tmp_path / "two", **changes)
     with pytest.raises(BadInputError, match=words) as caught:
         open_map([first, second])
     assert str(first) in str(caught.value)
     assert str(second) in str(caught.value)
 
 
-def test_other_grids_and_crs_are_refused(make_field, tmp_path):
+def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
     made = make_field(4, 3, grid=SMALL)
-    first = write_folder(tmp_path / "one", made)
+    first = small
     other = write_folder(tmp_path / "two", make_field(4, 3, grid=Grid(3.0, 5)))
     with pytest.raises(BadInputError, match="pixels along a tile is 4 and 5"):
         open_map([first, other])
@@ -221,26 +225,26 @@ def test_other_grids_and_crs_are_refused(make_field, tmp_path):
         open_map([first, north])
 
 
-def test_layers_of_an_earlier_version_are_refused(make_field, tmp_path):
-    old = write_folder(tmp_path / "old", make_field(4, 3, grid=SMALL), vehicle=None)
+def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
+    old = copy_folder(small, tmp_path / "old", vehicle=None)
     with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again"):
         open_map([old])
 
 
-def test_what_is_no_complete_run_is_refused(tmp_path, make_field):
+def test_what_is_no_complete_run_is_refused(small, tmp_path):
     with pytest.raises(UsageError, match="no folder"):
         open_map([])
     with pytest.raises(BadInputError, match="there is no folder"):
         open_map([tmp_path / "none"])
-    half = write_folder(tmp_path / "half", make_field(4, 3, grid=SMALL))
+    half = copy_folder(small, tmp_path / "half")
     (half / "run.json").unlink()
     with pytest.raises(BadInputError, match="no complete run"):
         open_map([half])
 
 
 @pytest.mark.parametrize("name", ["barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif"])
-def test_missing_cut_off_and_damaged_files_are_refused(tmp_path, make_field, name):
-    folder = write_folder(tmp_path / "layers", make_field(20, 16, grid=SMALL))
+def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
+    folder = copy_folder(small, tmp_path / "layers")
     path = folder / name
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 2 // 3])
@@ -256,17 +260,17 @@ def test_missing_cut_off_and_damaged_files_are_refused(tmp_path, make_field, nam
         open_map([folder])
 
 
-def test_a_file_that_is_damaged_after_opening_is_an_error(tmp_path, make_field):
-    folder = write_folder(tmp_path / "layers", make_field(20, 16, grid=SMALL))
+def test_a_file_that_is_damaged_after_opening_is_an_error(small, tmp_path):
+    folder = copy_folder(small, tmp_path / "layers")
     found = open_map([folder])
     (folder / "heightmap.tif").write_bytes(b"II*\0 no raster")
     with pytest.raises(BadInputError, match=r"heightmap\.tif.*Map the survey again"):
         found.heights(found.window)
 
 
-def test_rasters_of_another_place_are_refused(tmp_path, make_field):
+def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
     """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
-    folder = write_folder(tmp_path / "layers", make_field(20, 16, grid=SMALL))
+    folder = copy_folder(small, tmp_path / "layers")
     other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
     record, others = (json.loads((each / "run.json").read_text()) for each in (folder, other))
     for name in ("cost.tif", "heightmap.tif"):
@@ -284,10 +288,8 @@ def test_rasters_of_another_place_are_refused(tmp_path, make_field):
 
 
 @pytest.mark.parametrize("key", ["grid", "cost", "files", "metres_per_unit", "crs"])
-def test_a_damaged_manifest_is_refused(tmp_path, make_field, key):
-    folder = write_folder(tmp_path / "layers", make_field(4, 3, grid=SMALL))
-    record = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps(record | {key: {"a": 1}}))
+def test_a_damaged_manifest_is_refused(small, tmp_path, key):
+    folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
     with pytest.raises(BadInputError, match=r"run\.json is damaged"):
         open_map([folder])
 
