@@ -86,6 +86,10 @@ from .route.reach_raster import (
 from .route.source import (
     MapSource as MapSource,
 )
+from .route_map import (
+    RouteMap as RouteMap,
+    open_map as open_map,
+)
 from .scan.accumulated import (
     AccumulatedSurvey as AccumulatedSurvey,
     ground_points as ground_points,
