@@ -54,6 +54,43 @@ from .route_areas import (
     tiles_in as tiles_in,
     tiles_within as tiles_within,
 )
+from .route.contours import (
+    write_isochrones as write_isochrones,
+)
+from .route.folder import (
+    ReachLevels as ReachLevels,
+    write_reach_files as write_reach_files,
+    write_routes as write_routes,
+)
+from .route.geojson import (
+    write_route_geojson as write_route_geojson,
+)
+from .route.gpx import (
+    write_gpx as write_gpx,
+)
+from .route.names import (
+    ROUTE_MANIFEST_NAME as ROUTE_MANIFEST_NAME,
+    ROUTE_NAMES as ROUTE_NAMES,
+    check_reach_out as check_reach_out,
+    check_route_out as check_route_out,
+)
+from .route.picture import (
+    paint_route as paint_route,
+    write_route_picture as write_route_picture,
+)
+from .route.profile_csv import (
+    PROFILE_COLUMNS as PROFILE_COLUMNS,
+    write_profile as write_profile,
+)
+from .route.reach_raster import (
+    NO_MOVE as NO_MOVE,
+    ReachField as ReachField,
+    write_reach as write_reach,
+    write_reach_back as write_reach_back,
+)
+from .route.source import (
+    MapSource as MapSource,
+)
 from .route_map import (
     RouteMap as RouteMap,
     open_map as open_map,

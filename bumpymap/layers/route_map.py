@@ -78,6 +78,11 @@ class RouteMap:
         return tuple(sheet.manifest for sheet in self.sheets)
 
     @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folder of each sheet."""
+        return tuple(sheet.folder for sheet in self.sheets)
+
+    @property
     def calibration_id(self) -> str:
         """Id of the calibration."""
         return self.sheets[0].calibration_id
@@ -162,6 +167,34 @@ class RouteMap:
             if part is not None:
                 place = _slices(window, part, pixels)
                 out[place] = np.fmax(out[place], sheet.read("heightmap.tif", part)[0])
+        return out
+
+    def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Read heights of the ground at a coarser resolution, for pictures; memory and time follow ``shape``.
+
+        Parameters
+        ----------
+        window : TileWindow
+        shape : tuple
+            Rows and columns of the result, which spans the window.
+
+        Returns
+        -------
+        float32 of that shape
+            Mean heights, m, north row first; NaN where there is none. Sheets are placed to the nearest pixel.
+        """
+        out = np.full(shape, np.nan, np.float32)
+        scale = np.array(shape) / (window.rows, window.cols)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is None:
+                continue
+            rows, cols = _slices(window, part)
+            top, bottom = np.rint(np.array([rows.start, rows.stop]) * scale[0]).astype(int).tolist()
+            left, right = np.rint(np.array([cols.start, cols.stop]) * scale[1]).astype(int).tolist()
+            if bottom > top and right > left:
+                place = slice(top, bottom), slice(left, right)
+                out[place] = np.fmax(out[place], sheet.read_relief(part, (bottom - top, right - left)))
         return out
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:

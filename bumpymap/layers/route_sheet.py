@@ -129,6 +129,18 @@ class RouteSheet:
                 out[:, _moved(lines, top), _moved(columns, left)] = file.read(numbers, window=part)
         return out
 
+    def read_relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
+        from rasterio.enums import Resampling
+
+        own, scale = self.window, self.grid.pixels
+        top = (own.row + own.rows - window.row - window.rows) * scale
+        left = (window.col - own.col) * scale
+        part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
+        with _opened(self.folder / "heightmap.tif") as file:
+            found: NDArray[np.float32] = file.read(1, window=part, out_shape=shape, resampling=Resampling.average)
+        return found
+
 
 def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     """Return the tiles that two windows share; None if there are none."""

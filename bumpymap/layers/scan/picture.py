@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, sector_bounds
+from bumpymap.layers._font import font
 from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SCAN_COLOURS, style_index
 
 __all__ = ["SIDE", "paint", "scene_radius", "write_picture"]
@@ -166,7 +167,7 @@ def _draw_distances(draw: ImageDraw.ImageDraw, reach: float, step: float) -> Non
         # On the diagonal, forward and to the right, clear of the arrow and of the picture's edge.
         out = number * step * SIDE / 2 / reach * math.sqrt(0.5)
         corner = (SIDE / 2 + out + 4, SIDE / 2 - out)
-        draw.text(corner, f"{number * step:g} m", _INK, _font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
+        draw.text(corner, f"{number * step:g} m", _INK, font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
 
 
 def _draw_arrow(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
@@ -184,23 +185,14 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     text = left + _SWATCH_PX + 14
     for style, name in enumerate(SCAN_CLASS_NAMES):
         draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(SCAN_COLOURS[style].tolist()))
-        draw.text((text, row + 7), name, _INK, _font(_TEXT_PX), "lm")
+        draw.text((text, row + 7), name, _INK, font(_TEXT_PX), "lm")
         count = f"{outside:,} points" if style > CLASSES else f"{sectors[style]:,} sectors"
-        draw.text((text, row + 30), count, _FAINT_INK, _font(_SMALL_PX), "lm")
+        draw.text((text, row + 30), count, _FAINT_INK, font(_SMALL_PX), "lm")
         row += 56
     row += 30
     _draw_arrow(draw, left + _SWATCH_PX // 2, row)
-    draw.text((text, row), "forward", _INK, _font(_TEXT_PX), "lm")
+    draw.text((text, row), "forward", _INK, font(_TEXT_PX), "lm")
     lines = [f"range rings every {step:g} m", f"{len(scan.points):,} points in the scan"]
     if not len(stack.zone):
         lines += ["", "no sector holds", f"more than {stack.settings.least_points} points"]
-    draw.multiline_text((left, row + 36), "\n".join(lines), _INK, _font(_SMALL_PX), spacing=10)
-
-
-@lru_cache(maxsize=2)
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return Pillow's own font with Pillow's own layout engine, so that pixels are the same on every machine."""
-    font = ImageFont.load_default(size)
-    if not isinstance(font, ImageFont.FreeTypeFont):
-        raise TypeError("this Pillow was built without FreeType")
-    return font.font_variant(layout_engine=ImageFont.Layout.BASIC)
+    draw.multiline_text((left, row + 36), "\n".join(lines), _INK, font(_SMALL_PX), spacing=10)

@@ -1,0 +1,221 @@
+"""Write route.png: ways on the shaded relief in the colours of the ride cost, and the profile of the first."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bumpymap.core import Route, atomic
+from bumpymap.layers.route._chart import FAINT, INK, draw_profile
+from bumpymap.layers.route._pen import Colour, Pen, bar_length
+from bumpymap.layers.route._relief import (
+    BARRED_SHADE,
+    HATCH,
+    NO_DATA,
+    UNKNOWN_SHADE,
+    MapView,
+    colour_of,
+    hatched,
+    paint_ground,
+)
+from bumpymap.layers.route.geojson import stop_roles
+from bumpymap.layers.route.source import MapSource
+
+__all__ = ["ROUTE_COLOURS", "paint_route", "write_route_picture"]
+
+WIDTH = 1600
+"""Width of the picture, pixels."""
+_EDGE = 24
+_PANEL = 1200
+"""Width of the map, pixels."""
+_PANEL_HEIGHTS = (520, 900)
+_TITLE = 56
+_CHART = 300
+_CHART_LEFT = 104
+_BELOW = 70
+ROUTE_COLOURS: tuple[Colour, ...] = ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160))
+"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
+_WHITE = (255, 255, 255)
+_LEGEND_ROUTES = 5
+"""Most ways with figures in the legend."""
+
+
+def write_route_picture(routes: Sequence[Route], source: MapSource, path: Path) -> None:
+    """Draw routes and write the picture as PNG, at most 1600 pixels wide.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        At least one, all on the grid of ``source``; the profile is that of the first.
+    source : MapSource
+        The map under them.
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The layers cannot be read.
+    """
+    picture = paint_route(routes, source)
+    with atomic(path) as temporary:
+        picture.save(temporary, "PNG", compress_level=4)
+
+
+def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
+    """Draw routes on the map, the legend to its right, the profile of the first below.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        At least one.
+    source : MapSource
+
+    Returns
+    -------
+    Image
+        RGB.
+    """
+    first = routes[0]
+    points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
+    view = MapView.around(first.grid, points, _PANEL, _PANEL_HEIGHTS)
+    ground, limit = paint_ground(source, view)
+    pen = Pen(WIDTH, _TITLE + view.height + 40 + _CHART + _BELOW)
+    pen.text((_EDGE, _TITLE / 2 + 2), _title(routes), INK, size=24)
+    pen.paste(_EDGE, _TITLE, ground)
+    corner = np.array([_EDGE, _TITLE], np.float64)
+    for number, route in reversed(list(enumerate(routes))):  # the first on top
+        _draw_way(pen, view.pixels(route.line) + corner, _colour(number))
+    for route in reversed(routes):
+        _draw_stops(pen, view.pixels(route.stops) + corner)
+    _draw_scale(pen, view)
+    _draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
+    pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
+    _draw_legend(pen, routes, limit)
+    top = _TITLE + view.height + 40
+    draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), limit)
+    _draw_chart_notes(pen, first, len(routes), top)
+    return pen.finished()
+
+
+def _title(routes: Sequence[Route]) -> str:
+    first = routes[0]
+    length = _length(first.figures.length_m)
+    if len(routes) == 1:
+        return f"{first.name}: {length} for {first.vehicle.name}"
+    return f"{len(routes)} ways for {first.vehicle.name}, the first {length}"
+
+
+def _length(metres: float) -> str:
+    return f"{metres:,.0f} m" if metres < 5000.0 else f"{metres / 1000:,.1f} km"
+
+
+def _colour(number: int) -> Colour:
+    return ROUTE_COLOURS[number % len(ROUTE_COLOURS)]
+
+
+def _draw_way(pen: Pen, points: NDArray[np.float64], colour: Colour) -> None:
+    if len(points) > 1:
+        pen.line(points, _WHITE, 7)
+        pen.line(points, colour, 3.5)
+
+
+def _draw_stops(pen: Pen, points: NDArray[np.float64]) -> None:
+    """Draw S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top."""
+    roles = stop_roles(len(points))
+    for number, (role, point) in reversed(list(enumerate(zip(roles, points.tolist(), strict=True)))):
+        _draw_stop(pen, (point[0], point[1]), role, number)
+
+
+def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1) -> None:
+    fill = {"start": _WHITE, "via": (255, 236, 170), "goal": (0, 0, 0)}[role]
+    ink = _WHITE if role == "goal" else (0, 0, 0)
+    pen.disc(place, 13, fill, ink)
+    label = str(number) if role == "via" else role[0].upper()
+    pen.text(place, label, ink, size=15, anchor="mm")
+
+
+def _draw_scale(pen: Pen, view: MapView) -> None:
+    """Draw the scale bar at the lower left: a round length, a fifth of the panel at most."""
+    metres = bar_length(view.width * view.metres / 5)
+    length, left, bottom = metres / view.metres, _EDGE + 20.0, _TITLE + view.height - 22.0
+    pen.rectangle((left - 10, bottom - 34, left + length + 10, bottom + 12), _WHITE, FAINT)
+    for part, fill in ((0, INK), (1, _WHITE)):
+        start = left + part * length / 2
+        pen.rectangle((start, bottom - 6, start + length / 2, bottom + 2), fill, INK)
+    text = f"{metres:g} m" if metres < 1000 else f"{metres / 1000:g} km"
+    pen.text((left + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
+
+
+def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
+    """Draw an arrow to the north of the grid, which is up."""
+    x, y = place
+    pen.disc((x, y), 27, _WHITE, FAINT)
+    pen.polygon([(x, y - 22), (x + 9, y + 6), (x, y), (x - 9, y + 6)], INK)
+    pen.text((x, y + 15), "N", INK, size=15, anchor="mm")
+
+
+def _draw_legend(pen: Pen, routes: Sequence[Route], limit: float) -> None:
+    left, row = _EDGE + _PANEL + 24, _TITLE
+    pen.text((left, row + 8), "ride cost of the ground [rad/m]", INK, size=16)
+    bar = np.broadcast_to(colour_of(np.linspace(0.0, limit, 300), limit), (22, 300, 3)).astype(np.uint8)
+    pen.paste(left, row + 24, bar)
+    pen.rectangle((left, row + 24, left + 300, row + 46), None, FAINT)
+    for share, anchor in ((0.0, "lm"), (0.5, "mm"), (1.0, "rm")):
+        more = " and more" if share == 1.0 else ""
+        pen.text((left + 300 * share, row + 60), f"{limit * share:g}{more}", FAINT, size=14, anchor=anchor)
+    row += 92
+    barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
+    barred[hatched(24, 40)] = HATCH
+    swatches = ((barred, "not passable"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
+    for colour, text in swatches:
+        pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
+        pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
+        pen.text((left + 54, row + 12), text, INK, size=16)
+        row += 34
+    row += 12
+    for role in ("start", "via", "goal") if any(len(route.stops) > 2 for route in routes) else ("start", "goal"):
+        _draw_stop(pen, (left + 20, row + 12), role)
+        pen.text((left + 54, row + 12), role, INK, size=16)
+        row += 34
+    _draw_figures(pen, routes, left, row + 12)
+
+
+def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
+    """Write what each way costs under the legend."""
+    shown = routes[:_LEGEND_ROUTES] if len(routes) <= 3 else routes[:3]
+    for number, route in enumerate(shown):
+        figures = route.figures
+        _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
+        pen.text((left + 54, row + 12), route.name[:30], INK, size=16)
+        lines = (
+            f"{_length(figures.length_m)}, cost {figures.cost_m:,.0f} m",
+            f"mean {figures.c_r_mean:.3f}, most {figures.c_r_max:.3f} rad/m",
+            f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
+        )
+        for place, text in enumerate(lines):
+            pen.text((left + 54, row + 34 + 20 * place), text, FAINT, size=14)
+        row += 106
+    if len(routes) > len(shown):
+        pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
+
+
+def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
+    """Explain the profile to its right."""
+    left = _EDGE + _PANEL + 24
+    of_which = f" of {route.name[:24]}" if routes > 1 else ""
+    figures = route.figures
+    lines = [
+        (f"height of the ground{of_which}", INK),
+        (f"climb {figures.climb_m:,.0f} m, descent {figures.descent_m:,.0f} m", FAINT),
+        ("filled with the colour of the ride cost", FAINT),
+    ]
+    for number, (text, colour) in enumerate(lines):
+        pen.text((left, top + 12 + 22 * number), text, colour, size=15)
+    below = top + round(_CHART * 0.6) + 14
+    pen.text((left, below + 12), "ride cost, with the 80 % interval", INK, size=15)
+    pen.text((left, below + 34), "of each tile in grey", FAINT, size=15)

@@ -1,0 +1,123 @@
+"""Write reach.tif, the cost of the cheapest way to every tile, and reach_back.tif, the last move of that way."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import Georeference
+from bumpymap.layers._cog import write_cog
+from bumpymap.layers._raster_spec import BandSpec, RasterSpec
+from bumpymap.layers.placement import Placement, RasterWindow, check_extent
+from bumpytiles import BLOCK_TILES, Grid, TileWindow
+
+__all__ = ["NO_MOVE", "ReachField", "write_reach", "write_reach_back"]
+
+NO_MOVE = 255
+"""Value of ``ReachField.back`` at the start and where no way leads."""
+_BLOCK = 128
+_WINDOW = 16 * BLOCK_TILES
+"""Side of a window, tiles."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReachField:
+    """What it costs to reach the tiles of a window from one start. Arrays are (rows, cols), north row first."""
+
+    georeference: Georeference
+    grid: Grid
+    window: TileWindow
+    cost: NDArray[np.float32]
+    """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
+    minutes: NDArray[np.float32] | None = None
+    """Time along that way at the profile's speed, min."""
+    back: NDArray[np.uint8] | None = None
+    """Which of ``moves`` leads back along that way; ``NO_MOVE`` at the start and where no way leads."""
+    moves: NDArray[np.int64] | None = None
+    """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""
+
+    def __post_init__(self) -> None:
+        shape = (self.window.rows, self.window.cols)
+        found = {name: getattr(self, name) for name in ("cost", "minutes", "back")}
+        wrong = {name: array.shape for name, array in found.items() if array is not None and array.shape != shape}
+        if wrong:
+            raise ValueError(f"the window has (rows, cols) {shape}; these arrays do not: {wrong}")
+        if (self.back is None) != (self.moves is None):
+            raise ValueError("back and moves belong together: give both or neither")
+
+    @property
+    def placement(self) -> Placement:
+        """The raster that the window spans. Raises BadInputError if it is too large for one."""
+        check_extent(self.grid, self.window)
+        return Placement(self.georeference, self.grid, self.window)
+
+
+def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
+    """Write reach.tif: a float32 COG, one pixel per tile, bands ``cost`` (m) and ``minutes`` if it is known.
+
+    Parameters
+    ----------
+    reach : ReachField
+    path : Path
+        The file, which appears only when it is complete.
+    about : mapping, optional
+        Metadata of the file, such as the vehicle and the start.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The window is too large for a raster.
+    """
+    bands = [BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth")]
+    layers = [reach.cost]
+    if reach.minutes is not None:
+        bands.append(BandSpec("minutes", "min", "time along the cheapest way at the speed of the vehicle profile"))
+        layers.append(reach.minutes)
+    spec = RasterSpec(
+        bands=bands,
+        dtype="float32",
+        nodata=float("nan"),
+        pixels=1,
+        crs=reach.placement.horizontal_crs,
+        overviews="AVERAGE",
+        block=_BLOCK,
+        tags={"title": "cost of the cheapest way to each tile"} | dict(about or {}),
+    )
+    _write(path, reach, spec, np.stack(layers).astype(np.float32, copy=False))
+
+
+def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
+    """Write reach_back.tif: a uint8 COG, the move that leads back from each tile along its cheapest way.
+
+    The metadata entry ``moves`` holds the moves as JSON: rows to the south and columns to the east of move 0, 1, ...
+    For parameters and errors see `write_reach`; ``reach`` has ``back`` and ``moves``.
+    """
+    if reach.back is None or reach.moves is None:
+        raise ValueError("this reach has no back-links")
+    own = {"title": "move that leads back to the start", "moves": json.dumps(reach.moves.tolist())}
+    spec = RasterSpec(
+        bands=[BandSpec("back", text="number of the move towards the start, rows south and columns east: see `moves`")],
+        dtype="uint8",
+        nodata=NO_MOVE,
+        pixels=1,
+        crs=reach.placement.horizontal_crs,
+        overviews="NEAREST",
+        block=_BLOCK,
+        tags=own | dict(about or {}),
+    )
+    _write(path, reach, spec, reach.back[None])
+
+
+def _write(path: Path, reach: ReachField, spec: RasterSpec, layers: NDArray[np.generic]) -> None:
+    """Write a COG of the array (bands, rows, cols), window by window as `write_cog` asks."""
+
+    def paint(window: RasterWindow) -> NDArray[np.generic]:
+        rows = slice(window.line, window.line + window.tiles.rows)
+        return layers[:, rows, window.column : window.column + window.tiles.cols]
+
+    write_cog(path, reach.placement, spec, paint, _WINDOW)
