@@ -19,6 +19,7 @@ _COMMANDS = {
     "evaluate": "compare predictions with simulated drives over the same ground",
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
+    "route": "find the cheapest way over mapped ground, and what can be reached",
     "scan": "classify the ground in LiDAR scans of a robot, and map its drive",
     "train": "train the texture network or the scan network",
     "vehicle": "list, create and check vehicle profiles",

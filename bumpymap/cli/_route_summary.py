@@ -6,6 +6,7 @@ from typing import Any
 
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import Route
+from bumpymap.layers import route_properties
 from bumpymap.route import RouteConfig, RouteResult
 
 __all__ = ["show"]
@@ -87,6 +88,6 @@ def _record(result: RouteResult, config: RouteConfig) -> dict[str, Any]:
     return {
         "out": None if config.out is None else str(config.out),
         "files": [path.name for path in result.files],
-        "routes": [route.record() for route in result.routes],
+        "routes": [route_properties(route) for route in result.routes],
         "notes": list(result.notes),
     }

@@ -279,7 +279,8 @@ class CostRule:
 
     def cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the factor on distance; an unknown hazard (NaN) counts as 0."""
-        return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * np.where(np.isnan(hazard), 0.0, hazard))
+        known = np.where(np.isnan(hazard) | (self.fail_weight == 0.0), 0.0, hazard)
+        return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * known)
 
 
 @dataclass(frozen=True, slots=True)

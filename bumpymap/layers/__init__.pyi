@@ -57,6 +57,9 @@ from .route_areas import (
 from .route.contours import (
     write_isochrones as write_isochrones,
 )
+from .route.figures import (
+    route_properties as route_properties,
+)
 from .route.folder import (
     ReachLevels as ReachLevels,
     write_reach_files as write_reach_files,

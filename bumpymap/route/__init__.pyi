@@ -1,10 +1,26 @@
 from ._moves import (
     MOVES as MOVES,
 )
+from .cost_field import (
+    TileChoice as TileChoice,
+    cost_of as cost_of,
+)
+from .growing import (
+    plan_way as plan_way,
+)
 from .line import (
     is_clear as is_clear,
     line_cost as line_cost,
     trace as trace,
+)
+from .pipeline import (
+    RouteResult as RouteResult,
+    plan_routes as plan_routes,
+)
+from .places import (
+    GridPoint as GridPoint,
+    parse_point as parse_point,
+    place_point as place_point,
 )
 from .search import (
     FROM_START as FROM_START,
@@ -14,20 +30,15 @@ from .search import (
     follow_back as follow_back,
     spread as spread,
 )
-from .straighten import (
-    straighten as straighten,
-)
-from .cost_field import (
-    TileChoice as TileChoice,
-    cost_of as cost_of,
-)
-from .places import (
-    GridPoint as GridPoint,
-    parse_point as parse_point,
-    place_point as place_point,
+from .settings import (
+    CostSettings as CostSettings,
+    RouteConfig as RouteConfig,
 )
 from .snap import (
     NearestPoint as NearestPoint,
     nearest_usable as nearest_usable,
     usable_point as usable_point,
+)
+from .straighten import (
+    pull_tight as pull_tight,
 )

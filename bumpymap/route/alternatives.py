@@ -12,17 +12,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from bumpymap.route.planner import Way, WornTiles
+from bumpymap.route.planner import PlannedWay, WornTiles
 
 __all__ = ["find_alternatives"]
 
-Plan = Callable[[float, WornTiles | None], Way | None]
+Plan = Callable[[float, WornTiles | None], PlannedWay | None]
 """Plans a way with a weight of the hazard [m]; tiles of earlier ways may be dearer."""
 
 _SAFEST_RISK = 1e6
 """m: the weight of the hazard for the safest way."""
-_SAME_SHARE = 0.95
-"""Ways that share more of their tiles are the same."""
+_SAME_SHARE = 0.9
+"""Of two ways that share more of their tiles, or pass beside them, only one is proposed."""
 _OTHER_SHARE = 0.7
 """A way over other ground shares at most this much of its tiles with each way before it."""
 _FACTORS = (1.3, 1.6, 2.0, 3.0, 5.0)
@@ -30,7 +30,7 @@ _DEAREST = 3.0
 """Ways that cost more than this many times the best are not proposed."""
 
 
-def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Way, float]]:
+def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[PlannedWay, float]]:
     """Find up to ``count`` ways, the best first, the others by cost.
 
     Parameters
@@ -44,7 +44,7 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Way, fl
 
     Returns
     -------
-    list of (Way, float)
+    list of (PlannedWay, float)
         Ways, and the weight of the hazard that each was planned with. Fewer than ``count`` if there are no more; none
         if there is no way.
     """
@@ -53,9 +53,10 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Way, fl
         return []
     found = [(best, risk)]
     if count > 1:
-        for other in _spread_out(_hull(plan, best, risk), count):
-            if len(found) < count and _differs(other[0], found, _SAME_SHARE):
-                found.append(other)
+        hull = _spread_out(_hull(plan, best, risk), count)
+        for way, weight in hull:
+            if len(found) < count and _differs(way, found, _SAME_SHARE):
+                found.append((way, weight))
     while len(found) < count:
         other = _elsewhere(plan, found, risk)
         if other is None:
@@ -64,18 +65,18 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Way, fl
     return [found[0], *sorted(found[1:], key=lambda each: _cost(each[0]))]
 
 
-def _hull(plan: Plan, best: Way, risk: float) -> list[tuple[Way, float]]:
+def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, float]]:
     """Return the ways on the hull, the least ride cost first."""
     ends = [(plan(0.0, None), 0.0), (best, risk), (plan(_SAFEST_RISK, None), _SAFEST_RISK)]
-    known = sorted([(way, at) for way, at in ends if way is not None], key=lambda each: each[1])
+    known = sorted(((way, at) for way, at in ends if way is not None), key=_weight)
     searching = True
     while searching and len(known) < _MOST_ON_HULL:
         searching = False
-        for (left, _), (right, _) in pairwise(list(known)):
+        for (left, _), (right, _) in pairwise(tuple(known)):
             between = _between(plan, left, right, risk)
             if between is not None:
                 known.append(between)
-                known.sort(key=lambda each: each[1])
+                known.sort(key=_weight)
                 searching = True
     return known
 
@@ -83,7 +84,7 @@ def _hull(plan: Plan, best: Way, risk: float) -> list[tuple[Way, float]]:
 _MOST_ON_HULL = 12
 
 
-def _between(plan: Plan, left: Way, right: Way, risk: float) -> tuple[Way, float] | None:
+def _between(plan: Plan, left: PlannedWay, right: PlannedWay, risk: float) -> tuple[PlannedWay, float] | None:
     """Return a way of the hull between two of its ways; None if they are neighbours."""
     more_ride = _ride(right, risk) - _ride(left, risk)
     less_hazard = left.measured.figures.hazard - right.measured.figures.hazard
@@ -99,8 +100,8 @@ def _between(plan: Plan, left: Way, right: Way, risk: float) -> tuple[Way, float
     return way, weight
 
 
-def _spread_out(ways: list[tuple[Way, float]], count: int) -> list[tuple[Way, float]]:
-    """Order ways of the hull by use: the safest, the one that shakes least, then those between them."""
+def _spread_out(ways: list[tuple[PlannedWay, float]], count: int) -> list[tuple[PlannedWay, float]]:
+    """Order ways of the hull: the safest, the one that costs least without risk, then those between them."""
     if len(ways) <= 2:
         return ways[::-1]
     inner = ways[1:-1]
@@ -108,7 +109,7 @@ def _spread_out(ways: list[tuple[Way, float]], count: int) -> list[tuple[Way, fl
     return [ways[-1], ways[0], *inner[::step], *(way for at, way in enumerate(inner) if at % step)]
 
 
-def _elsewhere(plan: Plan, found: list[tuple[Way, float]], risk: float) -> Way | None:
+def _elsewhere(plan: Plan, found: list[tuple[PlannedWay, float]], risk: float) -> PlannedWay | None:
     """Return a way that shares little with the ways before it; None if there is none that is not much dearer."""
     tiles = np.unique(np.concatenate([way.measured.tiles for way, _ in found]), axis=0)
     for factor in _FACTORS:
@@ -120,15 +121,19 @@ def _elsewhere(plan: Plan, found: list[tuple[Way, float]], risk: float) -> Way |
     return None
 
 
-def _differs(way: Way, found: list[tuple[Way, float]], share: float) -> bool:
+def _differs(way: PlannedWay, found: list[tuple[PlannedWay, float]], share: float) -> bool:
     return all(way.shared(other) <= share for other, _ in found)
 
 
-def _cost(way: Way) -> float:
+def _weight(each: tuple[PlannedWay, float]) -> float:
+    return each[1]
+
+
+def _cost(way: PlannedWay) -> float:
     return way.measured.figures.cost_m
 
 
-def _ride(way: Way, risk: float) -> float:
+def _ride(way: PlannedWay, risk: float) -> float:
     """Return the cost of a way without its risk, m."""
     figures = way.measured.figures
     return figures.cost_m - risk * figures.hazard

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField
 from bumpymap.layers import RouteMap
-from bumpymap.route.search import trace
+from bumpymap.route.line import trace
 from bumpytiles import TileWindow
 
 __all__ = ["MeasuredWay", "measure_way"]

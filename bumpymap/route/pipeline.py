@@ -3,8 +3,9 @@
 Open the map, find the points on it, plan the ways, measure them, write them.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,22 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Progress, Route, SilentProgress, UsageError, memory_limit
 from bumpymap.layers import (
+    ReachField,
+    ReachLevels,
     RouteMap,
+    check_reach_out,
     check_route_out,
     open_map,
     read_areas,
-    write_reach,
+    write_reach_files,
     write_routes,
 )
+from bumpymap.route._moves import MOVES
 from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.growing import TILE_BYTES
 from bumpymap.route.no_way import explain_no_way
-from bumpymap.route.planner import Planner, Way, WornTiles, in_order
+from bumpymap.route.planner import PlannedWay, Planner, WornTiles, in_order
 from bumpymap.route.reach import Reach, find_reach
+from bumpymap.route.search import BYTES_PER_TILE
 from bumpymap.route.settings import RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.visits import MOST_VISITS, best_order
@@ -61,7 +66,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     """
     progress = progress or SilentProgress()
     if config.out is not None:
-        check_route_out(config.out, overwrite=config.overwrite, is_reach=config.is_reach)
+        check = check_reach_out if config.is_reach else check_route_out
+        check(config.out, overwrite=config.overwrite)
     planner = _planner(open_map(config.layers), config)
     stops = find_stops(planner, config)
     if config.is_reach:
@@ -77,13 +83,16 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
             replace(route, name=f"{route.name}, {other.site.vehicle.name}") for route in _routes(other, others, alone)
         ]
         notes += others.notes
-    files = () if config.out is None else tuple(write_routes(routes, planner.site, config.out, settings=config))
-    return RouteResult(tuple(routes), None, files, tuple(notes))
+    files: list[Path] = []
+    if config.out is not None:
+        manifest = {"settings": asdict(config), "remarks": notes}
+        files = write_routes(routes, planner.site, config.out, manifest=manifest, overwrite=config.overwrite)
+    return RouteResult(tuple(routes), None, tuple(files), tuple(notes))
 
 
 def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
-    return Planner(site, config.cost, memory_limit(config.memory) // TILE_BYTES, avoid, only)
+    return Planner(site, config.cost, memory_limit(config.memory) // BYTES_PER_TILE, avoid, only)
 
 
 def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Route]:
@@ -92,7 +101,7 @@ def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Rou
     if config.round_trip:
         points = np.concatenate([points, points[:1]])
 
-    def plan(risk: float, worn: WornTiles | None) -> Way | None:
+    def plan(risk: float, worn: WornTiles | None) -> PlannedWay | None:
         return planner.way(points, risk, worn)
 
     ways = find_alternatives(plan, config.alternatives, planner.risk)
@@ -102,7 +111,7 @@ def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Rou
     return [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
 
 
-def _route(planner: Planner, name: str, way: Way, stops: Floats, risk: float) -> Route:
+def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: float) -> Route:
     site = planner.site
     return Route(
         name=name,
@@ -128,10 +137,22 @@ def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Flo
 
 
 def _reach(planner: Planner, stops: Stops, config: RouteConfig) -> RouteResult:
+    """Map what can be reached from the only stop."""
     speed = planner.site.vehicle.speed_mps
     limits = [*(minutes * 60.0 * speed for minutes in config.isochrones), *config.isocosts]
-    found = find_reach(planner, stops.points[0], max(limits, default=np.inf))
+    found = find_reach(planner, stops.points[0], max(limits, default=math.inf))
     if config.out is None:
         raise UsageError("the map of what can be reached is written to a folder: give `out`")
-    files = write_reach(found, planner.site, config.out, stops=stops.points, settings=config)
+    levels = None
+    if limits:
+        levels = ReachLevels(config.isochrones or config.isocosts, "minutes" if config.isochrones else "cost")
+    site = planner.site
+    files = write_reach_files(
+        ReachField(site.georeference, site.grid, found.window, found.cost, found.minutes, found.back, -MOVES),
+        site,
+        config.out,
+        levels=levels,
+        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": stops.notes},
+        overwrite=config.overwrite,
+    )
     return RouteResult((), found, tuple(files), stops.notes)

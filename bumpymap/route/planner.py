@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CostRule, TileField
-from bumpymap.layers import RouteMap, tiles_in
-from bumpymap.route.cost_field import cost_of
+from bumpymap.layers import RouteMap, tiles_in, tiles_within
+from bumpymap.route.cost_field import TileChoice, cost_of
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way
 from bumpymap.route.settings import CostSettings
 from bumpytiles import TileWindow
 
-__all__ = ["Planner", "Way", "WornTiles"]
+__all__ = ["PlannedWay", "Planner", "WornTiles"]
 
 Floats = NDArray[np.float64]
 
@@ -46,18 +46,20 @@ class WornTiles:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class PlannedWay:
     """A way through all stops."""
 
     line: Floats
     """(m, 2) easting and northing of its corners, m."""
     measured: MeasuredWay
 
-    def shared(self, other: "Way") -> float:
-        """Return the share of this way's tiles that the other crosses too."""
-        own, others = (np.unique(way.measured.tiles, axis=0) for way in (self, other))
-        both = len(own) + len(others) - len(np.unique(np.concatenate([own, others]), axis=0))
-        return both / len(own)
+    def shared(self, other: "PlannedWay") -> float:
+        """Return the share of this way's tiles that the other crosses too, or passes beside."""
+        own = np.unique(self.measured.tiles, axis=0)
+        beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
+        near = (other.measured.tiles[:, None] + beside).reshape(-1, 2)
+        both, count = np.unique(np.concatenate([own, np.unique(near, axis=0)]), axis=0, return_counts=True)
+        return int((count > 1).sum()) / len(own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +107,30 @@ class Planner:
             risk_m=self.risk if risk is None else risk,
             robust=self.settings.robust,
             unknown_cost=self.settings.unknown,
-            avoid=None if self.avoid is None else tiles_in(self.avoid, tiles.window, tiles.grid),
-            only=None if self.only is None else tiles_in(self.only, tiles.window, tiles.grid, wholly=True),
+            choice=self._choice(tiles.window),
+        )
+
+    def _choice(self, window: TileWindow) -> TileChoice | None:
+        """Return the tiles of a window that the areas of the settings close."""
+        if self.avoid is None and self.only is None:
+            return None
+        grid = self.site.grid
+        return TileChoice(
+            None if self.avoid is None else tiles_in(self.avoid, window, grid),
+            None if self.only is None else tiles_within(self.only, window, grid),
         )
 
     def load(self, window: TileWindow, risk: float | None = None, worn: WornTiles | None = None) -> NDArray[np.float32]:
         """Read the cost per metre of each tile of a window."""
-        cost = self.cost(self.site.read_costs(window), risk)
+        bands = ["c_r_high" if self.settings.robust else "c_r", "p_fail"]
+        if self.settings.unknown is not None:
+            bands.append("obstacle")
+        cost = self.cost(self.site.read(window, bands), risk)
         if worn is not None:
             cost *= worn.factors(window)
         return cost
 
-    def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> Way | None:
+    def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
 
         Parameters
@@ -135,7 +149,7 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        return Way(line, measure_way(self.site, line, stops, self.cost))
+        return PlannedWay(line, measure_way(self.site, line, stops, self.cost))
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""

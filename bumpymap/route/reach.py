@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
+from bumpymap.route._moves import MOVES
 from bumpymap.route.planner import Planner
-from bumpymap.route.search import spread, way_lengths
+from bumpymap.route.search import NOT_REACHED, spread
 from bumpytiles import TileWindow
 
 __all__ = ["Reach", "find_reach"]
@@ -78,7 +79,7 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
     place = planner.place(start, window)
     spent, back = spread(cost, place, margin=planner.margin)
     reached = np.isfinite(spent)
-    length = way_lengths(back, place) * site.grid.tile_size
+    length = _way_lengths(back, place) * site.grid.tile_size
     minutes = np.where(reached, length / site.vehicle.speed_mps / 60.0, np.nan)
     return Reach(
         window=window,
@@ -99,3 +100,22 @@ def _window(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileW
     east = min(whole.col + whole.cols, math.ceil(start[0] + most) + 1)
     north = min(whole.row + whole.rows, math.ceil(start[1] + most) + 1)
     return TileWindow(west, south, max(east - west, 1), max(north - south, 1))
+
+
+def _way_lengths(back: NDArray[np.uint8], start: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the length of the way to each tile, tiles; 0 where there is none.
+
+    Every tile knows the one before it. Adding the length up to that one and looking at the one before that, each time
+    twice as far back, takes as many rounds as the longest way has moves in binary digits.
+    """
+    cols = back.shape[1]
+    moved = back < len(MOVES)
+    move = MOVES[np.where(moved, back, 0)]
+    length = np.where(moved, np.hypot(move[..., 0], move[..., 1]), 0.0).ravel()
+    before = (np.arange(back.size).reshape(back.shape) - np.where(moved, move @ np.array([cols, 1]), 0)).ravel()
+    while (before != before[before]).any():
+        length = length + length[before]
+        before = before[before]
+    row, col = np.divmod(before, cols)
+    first = np.hypot(row + 0.5 - start[0], col + 0.5 - start[1]).reshape(back.shape)
+    return np.where(back == NOT_REACHED, 0.0, length.reshape(back.shape) + first)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.planner import Way, WornTiles
+from bumpymap.route.planner import PlannedWay, WornTiles
 from bumpytiles import TileWindow
 
 
@@ -27,8 +27,8 @@ OWN_RISK = 300.0
 
 def way(ride, hazard, row, tiles=10):
     """Return a way along a row of tiles."""
-    own = np.column_stack([np.arange(tiles), np.full(tiles, row)])
-    return Way(np.zeros((2, 2)), Measured(Figures(ride + OWN_RISK * hazard, hazard), own))
+    own = np.column_stack([np.arange(tiles), np.full(tiles, 5 * row)])
+    return PlannedWay(np.zeros((2, 2)), Measured(Figures(ride + OWN_RISK * hazard, hazard), own))
 
 
 def planner(ways):
