@@ -1,7 +1,7 @@
 """The moves of a search: from the middle of a tile straight to the middle of another, near one.
 
 Between neighbouring directions of the 48 lie at most 14 degrees, so that a way over even ground made of them is at most
-0.75 % too long (the 8 moves of many least-cost tools: 8.2 %); `straighten` takes that off.
+0.75 % too long (the 8 moves of many least-cost tools: 8.2 %); `pull_tight` takes that off.
 """
 
 from functools import cache

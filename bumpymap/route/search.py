@@ -2,7 +2,7 @@
 
 The search goes from middle to middle of tiles by the 48 moves of `MOVES`, each the exact integral of the cost over the
 tiles that it crosses, clear of closed ones. Start and goal lie anywhere in their tiles and see the middles around them
-straight; if they see each other, the straight line competes. `straighten` then pulls the way tight. See
+straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
 A way is planned from the end whose coordinates come first, and turned round if need be: there and back cost the same.
@@ -27,16 +27,18 @@ from bumpymap.route._search_kernels import (
     walk_back,
 )
 from bumpymap.route.line import as_cost, as_margin, is_clear, line_cost
-from bumpymap.route.straighten import straighten
+from bumpymap.route.straighten import pull_tight
 
-__all__ = ["BYTES_PER_TILE", "FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread"]
+__all__ = ["BYTES_PER_TILE", "FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float]
 """Field coordinates (r, c)."""
 
-BYTES_PER_TILE = 34
+BYTES_PER_TILE = 36
 """Memory that a search takes at most, the costs that it is given included; all arrays below together."""
+_AROUND = 8
+"""Tiles around a line by moves within which it is pulled tight."""
 _NEW = -1
 _SETTLED = -2
 
@@ -62,7 +64,7 @@ class Found:
     cost: float
     """Its cost; infinite if there is none."""
     settled: NDArray[np.bool_]
-    """(rows, cols) tiles from which the goal could have been reached for less by a way outside the window."""
+    """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
 
 
 def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0) -> Way | None:
@@ -90,20 +92,48 @@ def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: f
     cost = as_cost(cost)
     first, last = sorted((start, goal))
     found = seek(cost, first, last, margin)
+    return None if found.line is None else tight_way(cost, found, margin, turned=first != start)
+
+
+def tight_way(cost: NDArray[np.float32], found: Found, margin: float, *, turned: bool) -> Way:
+    """Pull a way that has been found tight; turn it round if wanted."""
     if found.line is None:
-        return None
-    line = straighten(cost, found.line, margin)
-    pulled = line_cost(cost, line)
-    return Way(line if first == start else line[::-1].copy(), pulled, found.cost)
+        raise ValueError("no way has been found")
+    near, corner = _cut_out(cost, found.line)
+    line = pull_tight(near, found.line - corner, margin)
+    pulled = line_cost(near, line)
+    line += corner
+    line[[0, -1]] = found.line[[0, -1]]
+    return Way(line[::-1].copy() if turned else line, pulled, found.cost)
 
 
-def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float | None = None) -> Found:
-    """Find the cheapest way by moves; nothing on the way costs less than ``bound``, which the window tells if None."""
+def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return the costs around a line, and the row and column of the first.
+
+    What comes of them depends on the line's place on the map then, and not on the window that it was found in: rounding
+    errors are those of the same numbers.
+    """
+    low = np.floor(line.min(axis=0)).astype(np.int64) - _AROUND
+    high = np.floor(line.max(axis=0)).astype(np.int64) + _AROUND + 1
+    near = np.full(high - low, np.inf, np.float32)
+    first, last = np.maximum(low, 0), np.minimum(high, cost.shape)
+    rows, cols = (slice(a, b) for a, b in zip(first - low, last - low, strict=True))
+    near[rows, cols] = cost[first[0] : last[0], first[1] : last[1]]
+    return near, low
+
+
+def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
+    """Find the cheapest way by moves, in one direction.
+
+    ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
+    """
     window = _Window.of(cost, margin)
+    if not (window.is_open(start) and window.is_open(goal)):
+        return Found(None, math.inf, np.zeros(cost.shape, np.bool_))
     straight = np.array([start, goal], np.float64)
     seen = is_clear(cost, straight, margin)
     seeds = window.seeds(start, goal, line_cost(cost, straight) if seen else math.inf)
-    reached = window.search(seeds, goal, window.least if bound is None else bound)
+    reached = window.search(seeds, goal, min(window.least, bound))
     settled = window.inner(reached.place) == _SETTLED
     if not reached.best[0] < math.inf:
         return Found(None, math.inf, settled)
@@ -208,15 +238,19 @@ class _Window:
         exits = np.full_like(first, math.inf) if goal is None else self._connect(goal)
         return Seeds(tile, first[row, col], exits, straight)
 
+    def is_open(self, point: Point) -> bool:
+        """Say whether a point lies in an open tile."""
+        if not (math.isfinite(point[0]) and math.isfinite(point[1])):
+            raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
+        row, col = math.floor(point[0]) + REACH, math.floor(point[1]) + REACH
+        inside = 0 <= row < self.cost.shape[0] and 0 <= col < self.cost.shape[1]
+        return inside and bool(self.cost[row, col] < math.inf)
+
     def _connect(self, point: Point) -> Floats:
         """Costs straight from a point to the middles of tiles around it; infinite if it lies in a closed tile."""
         out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        r, c = point[0] + REACH, point[1] + REACH
-        if not (math.isfinite(r) and math.isfinite(c)):
-            raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-        row, col = math.floor(r), math.floor(c)
-        if 0 <= row < self.cost.shape[0] and 0 <= col < self.cost.shape[1] and self.cost[row, col] < math.inf:
-            connect(self.cost, r, c, self.margin, out)
+        if self.is_open(point):
+            connect(self.cost, point[0] + REACH, point[1] + REACH, self.margin, out)
         return out
 
     def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
