@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -71,7 +72,7 @@ def test_a_line_lies_where_the_way_is(epsg, unit, middle, tmp_path):
 
 
 def test_another_reader_reads_lines_and_figures(tmp_path):
-    routes = [make_route(), make_route("alternative 1", CORNERS + [0.0, 30.0])]
+    routes = [make_route(), make_route("alternative 1", CORNERS + np.array([0.0, 30.0]))]
     write_route_geojson(routes, tmp_path / "route.geojson")
     meta, _, geometries, columns = read(tmp_path / "route.geojson")
     shapes = shapely.from_wkb(geometries)
@@ -137,7 +138,7 @@ def test_a_way_over_the_antimeridian_is_cut(tmp_path):
     parts = [np.array(part) for part in line["geometry"]["coordinates"]]
     assert len(parts) == 3
     assert all(np.abs(np.diff(part[:, 0])).max() < 1.0 for part in parts)
-    for before, after in zip(parts[:-1], parts[1:], strict=True):
+    for before, after in pairwise(parts):
         assert before[-1, 0] == -after[0, 0]
         assert abs(before[-1, 0]) == 180.0
         assert before[-1, 1] == after[0, 1]
@@ -166,7 +167,10 @@ def test_a_cut_line_is_the_line(steps, first):
         assert np.abs(np.diff(part[:, 0])).max() <= 180.0
         assert np.abs(part[:, 0]).max() <= 180.0
         middle = (part[:-1] + part[1:]) / 2
-        near = [shapely.distance(shapely.points(middle + [turn, 0.0]), whole) for turn in (-720, -360, 0, 360, 720)]
+        near = [
+            shapely.distance(shapely.points(middle + np.array([turn, 0.0])), whole)
+            for turn in (-720, -360, 0, 360, 720)
+        ]
         assert np.min(near, axis=0).max() < 1e-6
     length = sum(shapely.length(shapely.linestrings(part)) for part in parts)
     assert length == pytest.approx(shapely.length(whole), abs=1e-5)

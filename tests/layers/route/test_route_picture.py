@@ -1,6 +1,7 @@
 """route.png: what is where, in which colour."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,11 +19,10 @@ from bumpymap.layers.route._relief import (
     NO_DATA,
     UNKNOWN_SHADE,
     MapView,
-    colour_of,
     hatched,
-    nice_limit,
     paint_ground,
 )
+from bumpymap.layers.route._ride_scale import RideScale, nice_limit
 from bumpytiles import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -50,11 +50,11 @@ def direction(colours):
 
 
 def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
-    pixels, limit = paint_ground(ground, view)
+    pixels, scale = paint_ground(ground, view)
     place = tile_of(view, ground)
     barred, c_r = ground.barred[place], ground.c_r[place]
     passable = barred == Barred.NO
-    expected = direction(colour_of(c_r[passable], limit))
+    expected = direction(scale.colours(c_r[passable]))
     np.testing.assert_allclose(direction(pixels[passable].astype(float)), expected, atol=0.02)
     closed = ~np.isin(barred, (Barred.NO, Barred.UNKNOWN, NO_TILE))
     lines = hatched(*barred.shape)
@@ -112,7 +112,7 @@ def test_a_sum_in_boxes_is_a_sum_in_boxes(half, rows, cols, seed):
     st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=1, max_size=5),
 )
 def test_a_view_holds_its_points_with_a_margin_and_keeps_angles(points):
-    points = np.array(points) + [5e5, 4e6]
+    points = np.array(points) + np.array([5e5, 4e6])
     view = MapView.around(Grid(), points, 600, (300, 500))
     pixels = view.pixels(points)
     margin = 15.0 / view.metres - 1e-3
@@ -120,10 +120,8 @@ def test_a_view_holds_its_points_with_a_margin_and_keeps_angles(points):
     assert (pixels <= np.array([view.width, view.height]) - margin).all()
     assert view.width == 600
     assert 300 <= view.height <= 500
-    east, south = (
-        view.pixels(points[:1] + [[view.metres * 10, 0.0]]),
-        view.pixels(points[:1] - [[0.0, view.metres * 10]]),
-    )
+    ten = 10 * view.metres * np.eye(2)
+    east, south = (view.pixels(points[:1] + step) for step in (ten[:1], -ten[1:]))
     np.testing.assert_allclose([east - pixels[:1], south - pixels[:1]], [[[10.0, 0.0]], [[0.0, 10.0]]], atol=1e-3)
 
 
@@ -132,19 +130,19 @@ def test_the_way_and_its_ends_stand_where_they_are(ground):
     assert picture.shape[1] == 1600
     view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
     along = np.linspace(0.0, 1.0, 200)[:, None]
-    for first, last in zip(CORNERS[:-1], CORNERS[1:], strict=True):
-        pixels = view.pixels(first + along * (last - first)) + [24, 56]
+    for first, last in pairwise(CORNERS):
+        pixels = view.pixels(first + along * (last - first)) + np.array([24, 56])
         length = np.hypot(*(pixels[-1] - pixels[0]))
         free = (along[:, 0] * length > 20) & ((1 - along[:, 0]) * length > 20)  # clear of the discs
         col, row = np.floor(pixels[free]).astype(int).T
         assert (picture[row, col].max(axis=1) < 60).mean() > 0.98
     for stop, colour in zip(CORNERS, ([255, 255, 255], [255, 236, 170], [0, 0, 0]), strict=True):
-        col, row = np.floor(view.pixels(stop[None])[0] + [24, 56 - 9]).astype(int)  # above the letter
+        col, row = np.floor(view.pixels(stop[None])[0] + np.array([24, 56 - 9])).astype(int)  # above the letter
         assert picture[row, col].tolist() == colour
 
 
 def test_of_several_ways_each_has_its_colour(ground):
-    routes = [make_route(str(number), CORNERS + [0.0, 12.0 * number]) for number in range(7)]
+    routes = [make_route(str(number), CORNERS + np.array([0.0, 12.0 * number])) for number in range(7)]
     picture = np.asarray(paint_route(routes, ground)).reshape(-1, 3)
     for colour in ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)):
         assert (picture == colour).all(axis=1).sum() > 500
@@ -222,11 +220,26 @@ def test_without_values_the_scale_has_an_end():
     assert nice_limit(np.array([np.nan])) == nice_limit(np.array([])) == nice_limit(np.zeros(3)) == 0.1
 
 
+def class_colours(*numbers):
+    return 255 + 0.82 * (np.array([CLASS_COLOURS[number][:3] for number in numbers]) - 255.0)
+
+
 def test_the_scale_of_colours_runs_through_those_of_the_classes():
-    np.testing.assert_allclose(
-        colour_of(np.array([0.0, 1 / 3, 2 / 3, 1.0, 9.0]), 1.0),
-        255 + 0.82 * (np.array([CLASS_COLOURS[number][:3] for number in (0, 1, 2, 3, 3)]) - 255.0),
-    )
+    scale = RideScale.of({}, np.full(9, 1.0))
+    np.testing.assert_allclose(scale.colours(np.array([0.0, 1 / 3, 2 / 3, 1.0, 9.0])), class_colours(0, 1, 2, 3, 3))
+    limits = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}}, np.full(9, 77.0))
+    middles = np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])
+    np.testing.assert_allclose(limits.colours(middles), class_colours(0, 0, 1, 2, 3, 3))
+    assert limits.end == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [None, "rough", [], [0.1, 0.2], [0.1, "a", 0.3], [0.3, 0.2, 0.1], [0.0, 0.1, 0.2], [0.1, 0.2, float("nan")]],
+)
+def test_limits_that_are_none_give_a_round_scale(limits):
+    for calibration in ({"class_limits": limits}, limits):
+        assert RideScale.of({"calibration": calibration}, np.full(9, 1.0)).end == 1.0
 
 
 def test_lines_have_smooth_edges():
