@@ -38,7 +38,9 @@ _BELOW = 70
 ROUTE_COLOURS: tuple[Colour, ...] = ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160))
 """Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
 _WHITE = (255, 255, 255)
-_LEGEND_ROUTES = 5
+_BAR = 250
+"""Length of the bar of colours, pixels."""
+_LEGEND_ROUTES = 3
 """Most ways with figures in the legend."""
 
 
@@ -162,12 +164,13 @@ def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
 def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     left, row = _EDGE + _PANEL + 24, _TITLE
     pen.text((left, row + 8), "ride cost of the ground [rad/m]", INK, size=16)
-    bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, 300)), (22, 300, 3)).astype(np.uint8)
+    bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
     pen.paste(left, row + 24, bar)
-    pen.rectangle((left, row + 24, left + 300, row + 46), None, FAINT)
+    pen.rectangle((left, row + 24, left + _BAR, row + 46), None, FAINT)
+    pen.text((left + _BAR + 8, row + 35), "and more", FAINT, size=14)
     values, decimals = ticks(0.0, scale.end, 5)
     for value in values:
-        place = left + 300 * value / scale.end
+        place = left + _BAR * value / scale.end
         pen.line(np.array([[place, row + 46.0], [place, row + 51.0]]), FAINT)
         pen.text((place, row + 60), f"{value:.{decimals}f}", FAINT, size=14, anchor="mm")
     row += 92
@@ -189,7 +192,7 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
 
 def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
     """Write what each way costs under the legend."""
-    shown = routes[:_LEGEND_ROUTES] if len(routes) <= 3 else routes[:3]
+    shown = routes[:_LEGEND_ROUTES]
     for number, route in enumerate(shown):
         figures = route.figures
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
