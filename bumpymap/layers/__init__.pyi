@@ -49,11 +49,6 @@ from .products import (
 from .regions import (
     dissolve as dissolve,
 )
-from .route_areas import (
-    read_areas as read_areas,
-    tiles_in as tiles_in,
-    tiles_within as tiles_within,
-)
 from .route.contours import (
     write_isochrones as write_isochrones,
 )
@@ -93,6 +88,11 @@ from .route.reach_raster import (
 )
 from .route.source import (
     MapSource as MapSource,
+)
+from .route_areas import (
+    read_areas as read_areas,
+    tiles_in as tiles_in,
+    tiles_within as tiles_within,
 )
 from .route_map import (
     RouteMap as RouteMap,

@@ -14,10 +14,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
-    CANOPY,
-    FREE,
     NO_TILE,
-    OBSTACLE,
     BadInputError,
     Barred,
     CostRule,
@@ -27,6 +24,8 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
+from bumpymap.layers.route_overlap import SheetChoice, window_slices, worse_objects
+from bumpymap.layers.route_relief import read_relief
 from bumpymap.layers.route_sheet import RouteSheet, common_window
 from bumpytiles import Grid, TileWindow
 
@@ -35,9 +34,6 @@ __all__ = ["RouteMap", "open_map"]
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
-_UNKNOWN_OBJECT = 3
-_WORST = np.array([NO_TILE, _UNKNOWN_OBJECT, FREE, CANOPY, OBSTACLE], np.uint8)
-"""States of a pixel of obstacle.tif; of two sheets, the later one counts."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +105,9 @@ class RouteMap:
             part = common_window(window, sheet.window)
             if part is None:
                 continue
-            place = _slices(window, part)
+            place = window_slices(window, part)
             found = sheet.read("barred.tif", part)[0]
-            replaced = _Replaced.of(barred[place], found) if overlapping else None
+            replaced = SheetChoice.of(barred[place], found) if overlapping else None
             barred[place] = found if replaced is None else replaced.codes(barred[place], found)
             for band, read in zip(bands, sheet.read("roughness.tif", part, bands) if bands else (), strict=True):
                 values[band][place] = read if replaced is None else replaced.values(values[band][place], read)
@@ -151,8 +147,8 @@ class RouteMap:
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                barred[_slices(window, part)] = sheet.read("barred.tif", part)[0]
-                factor[_slices(window, part)] = sheet.read("cost.tif", part)[0]
+                barred[window_slices(window, part)] = sheet.read("barred.tif", part)[0]
+                factor[window_slices(window, part)] = sheet.read("cost.tif", part)[0]
         return barred, factor
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
@@ -165,37 +161,13 @@ class RouteMap:
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                place = _slices(window, part, pixels)
+                place = window_slices(window, part, pixels)
                 out[place] = np.fmax(out[place], sheet.read("heightmap.tif", part)[0])
         return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Read heights of the ground at a coarser resolution, for pictures; memory and time follow ``shape``.
-
-        Parameters
-        ----------
-        window : TileWindow
-        shape : tuple
-            Rows and columns of the result, which spans the window.
-
-        Returns
-        -------
-        float32 of that shape
-            Mean heights, m, north row first; NaN where there is none. Sheets are placed to the nearest pixel.
-        """
-        out = np.full(shape, np.nan, np.float32)
-        scale = np.array(shape) / (window.rows, window.cols)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is None:
-                continue
-            rows, cols = _slices(window, part)
-            top, bottom = np.rint(np.array([rows.start, rows.stop]) * scale[0]).astype(int).tolist()
-            left, right = np.rint(np.array([cols.start, cols.stop]) * scale[1]).astype(int).tolist()
-            if bottom > top and right > left:
-                place = slice(top, bottom), slice(left, right)
-                out[place] = np.fmax(out[place], sheet.read_relief(part, (bottom - top, right - left)))
-        return out
+        """Read mean heights of the ground, m, in ``shape`` pixels that span a window; see `read_relief`."""
+        return read_relief(self.sheets, window, shape)
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
@@ -205,13 +177,11 @@ class RouteMap:
         """
         pixels = self.grid.pixels
         out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
-        rank = np.zeros(256, np.uint8)
-        rank[_WORST] = np.arange(len(_WORST))
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                place = _slices(window, part, pixels)
-                out[place] = _WORST[np.maximum(rank[out[place]], rank[sheet.read("obstacle.tif", part)[0]])]
+                place = window_slices(window, part, pixels)
+                out[place] = worse_objects(out[place], sheet.read("obstacle.tif", part)[0])
         return out
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
@@ -316,41 +286,3 @@ def _require_same(first: RouteSheet, second: RouteSheet) -> None:
             f"{first.folder} and {second.folder} are not sheets of one map: {'; '.join(found)}. "
             "Give folders that were mapped with the same vehicle and settings, or one folder only"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Replaced:
-    """Which of two sheets counts, for each tile that they share."""
-
-    newer: NDArray[np.bool_]
-    """(rows, cols) only the new one."""
-    both: NDArray[np.bool_]
-    """(rows, cols) both: the larger value."""
-
-    @classmethod
-    def of(cls, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> "_Replaced":
-        """Compare what bars the tiles."""
-        before, now = _rank(old), _rank(new)
-        return cls(now > before, now == before)
-
-    def codes(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the codes that count."""
-        return np.where(self.newer, new, np.where(self.both, np.maximum(old, new), old))
-
-    def values(self, old: NDArray[np.float32], new: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the values that count; NaN only if both are."""
-        return np.where(self.newer, new, np.where(self.both, np.fmax(old, new), old))
-
-
-def _rank(barred: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return how much a tile counts: no tile, unknown, passable, barred."""
-    rank = np.full(256, 3, np.uint8)
-    rank[[NO_TILE, Barred.UNKNOWN, Barred.NO]] = 0, 1, 2
-    return rank[barred]
-
-
-def _slices(window: TileWindow, part: TileWindow, pixels: int = 1) -> tuple[slice, slice]:
-    """Return where a part of a window lies in its arrays."""
-    top = (window.row + window.rows - part.row - part.rows) * pixels
-    left = (part.col - window.col) * pixels
-    return slice(top, top + part.rows * pixels), slice(left, left + part.cols * pixels)

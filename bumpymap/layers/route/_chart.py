@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import RouteProfile
 from bumpymap.layers.route._pen import Pen, ticks
-from bumpymap.layers.route._relief import UNKNOWN_SHADE, Pixels, colour_of
+from bumpymap.layers.route._relief import UNKNOWN_SHADE, Pixels
+from bumpymap.layers.route._ride_scale import RideScale
 
 __all__ = ["FAINT", "INK", "draw_profile"]
 
@@ -47,7 +48,7 @@ class _Axes:
         return np.asarray(self.top + (1.0 - share) * self.height, dtype=np.float64)
 
 
-def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int], limit: float) -> None:
+def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int], scale: RideScale) -> None:
     """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
 
     Parameters
@@ -56,8 +57,8 @@ def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int]
     profile : RouteProfile
     box : tuple
         Left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below.
-    limit : float
-        Ride cost of the last colour, rad/m.
+    scale : RideScale
+        The colours of the ride cost.
     """
     left, top, width, height = box
     split = round(height * 0.6)
@@ -69,9 +70,9 @@ def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int]
     middle, half = (low + high) / 2, max(high - low, _LEAST_RELIEF_M) / 2
     ground = _Axes(left, top, width, split, far, middle - half - room, middle + half + room)
     ends = profile.c_r_high[np.isfinite(profile.c_r_high)]
-    most = max(limit, float(np.quantile(ends, 0.98))) if len(ends) else limit
+    most = max(scale.end, float(np.quantile(ends, 0.98))) if len(ends) else scale.end
     ride = _Axes(left, top + split + 14, width, height - split - 14, far, 0.0, most * 1.05)
-    _fill_ground(pen, ground, profile, limit)
+    _fill_ground(pen, ground, profile, scale)
     _frame(pen, ground, "height [m]", 4)
     _curve(pen, ground, profile.distance, profile.z)
     nearest = _nearest(profile.distance, ride.distances)
@@ -105,12 +106,12 @@ def _distances(pen: Pen, axes: _Axes) -> None:
     pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{unit}]", INK, size=15, anchor="mm")
 
 
-def _fill_ground(pen: Pen, axes: _Axes, profile: RouteProfile, limit: float) -> None:
+def _fill_ground(pen: Pen, axes: _Axes, profile: RouteProfile, scale: RideScale) -> None:
     """Fill the ground under the curve of the heights, each column in the colour of its ride cost."""
     # NaN on either side makes what lies between unknown too
     row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
     c_r = profile.c_r[_nearest(profile.distance, axes.distances)]
-    colour = colour_of(c_r, limit)
+    colour = scale.colours(c_r)
     colour[np.isnan(c_r)] = UNKNOWN_SHADE
     colour = 255.0 + _FILL * (colour - 255.0)
     canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)

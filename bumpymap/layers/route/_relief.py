@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, Barred
-from bumpymap.layers.geotiff import CLASS_COLOURS
+from bumpymap.layers.route._ride_scale import RideScale
 from bumpymap.layers.route.source import MapSource
 from bumpytiles import Grid, TileWindow
 
@@ -17,21 +17,16 @@ __all__ = [
     "UNKNOWN_SHADE",
     "MapView",
     "Pixels",
-    "colour_of",
     "hatched",
-    "nice_limit",
     "paint_ground",
 ]
 
 Pixels = NDArray[np.uint8]
 BARRED_SHADE, HATCH, UNKNOWN_SHADE, NO_DATA = (222, 219, 213), (112, 108, 102), (168, 172, 184), (250, 250, 250)
 """Colours of barred ground and its hatching, of unknown ground, and where nothing was measured."""
-_ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(4)], np.float64)
 _HATCH_PERIOD, _HATCH_WIDTH = 9, 1
 _STRIP_TILES = 4_000_000
 """Most tiles to read at a time."""
-_TINT = 0.82
-"""Opacity of the colours over white."""
 _DARKEST = (0.45, 0.62)
 """Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
@@ -91,28 +86,19 @@ class MapView:
         return TileWindow.around(cols, lines)
 
 
-def paint_ground(source: MapSource, view: MapView, limit: float | None = None) -> tuple[Pixels, float]:
+def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
     """Paint the ground.
-
-    Parameters
-    ----------
-    source : MapSource
-    view : MapView
-    limit : float, optional
-        Ride cost of the last colour, rad/m; default: a round number that few tiles in view exceed.
 
     Returns
     -------
     uint8 (height, width, 3)
-    float
-        The limit.
+    RideScale
+        The scale of the colours of passable ground.
     """
     barred, c_r = _sample(source, view)
     passable = barred == Barred.NO
-    if limit is None:
-        limit = nice_limit(c_r[passable])
-    rough = np.where(passable, c_r, 0.0)
-    colour = colour_of(rough, limit)
+    scale = RideScale.of(next(iter(source.manifests), {}), c_r[passable])
+    colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
     colour[barred == Barred.UNKNOWN] = UNKNOWN_SHADE
     darkest = np.where(passable, *_DARKEST)
@@ -120,32 +106,13 @@ def paint_ground(source: MapSource, view: MapView, limit: float | None = None) -
     colour[barred == NO_TILE] = NO_DATA
     closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
     colour[closed & hatched(view.height, view.width)] = HATCH
-    return np.clip(colour, 0, 255).astype(np.uint8), limit
-
-
-def colour_of(c_r: NDArray[np.floating], limit: float) -> NDArray[np.float64]:
-    """Return colours, (..., 3), from that of the smoothest class at 0 to that of the roughest at ``limit``, rad/m."""
-    place = np.clip(np.nan_to_num(c_r) / limit, 0.0, 1.0) * (len(_ANCHORS) - 1)
-    below = np.minimum(place.astype(np.int64), len(_ANCHORS) - 2)
-    share = (place - below)[..., None]
-    mixed = (1 - share) * _ANCHORS[below] + share * _ANCHORS[below + 1]
-    return np.asarray(255.0 + _TINT * (mixed - 255.0), dtype=np.float64)
+    return np.clip(colour, 0, 255).astype(np.uint8), scale
 
 
 def hatched(height: int, width: int) -> NDArray[np.bool_]:
     """Return which pixels of a panel lie on the lines of the hatching, (height, width)."""
     across = np.arange(height)[:, None] + np.arange(width)[None, :]
     return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
-
-
-def nice_limit(c_r: NDArray[np.floating]) -> float:
-    """Return 1, 2, 3 or 5 times a power of ten that is not below 95 % of the values, rad/m; 0.1 without values."""
-    known = c_r[np.isfinite(c_r)]
-    most = float(np.quantile(known, 0.95)) if len(known) else 0.1
-    if not most > 1e-6:
-        return 0.1
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(next(step * power for step in (1, 2, 3, 5, 10) if step * power >= most))
 
 
 def _sample(source: MapSource, view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:

@@ -87,6 +87,8 @@ class RouteCoordinates:
         """
         if not self.has_degrees:
             return [self.in_file(grid_m)]
+        if (grid_m == grid_m[0]).all():  # GEOS knows no line of length 0
+            return [self.in_file(grid_m)]
         dense = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(grid_m), SEGMENT_M))
         return split_at_antimeridian(self.in_file(dense))
 

@@ -9,17 +9,17 @@ from PIL import Image
 
 from bumpymap.core import Route, atomic
 from bumpymap.layers.route._chart import FAINT, INK, draw_profile
-from bumpymap.layers.route._pen import Colour, Pen, bar_length
+from bumpymap.layers.route._pen import Colour, Pen, bar_length, ticks
 from bumpymap.layers.route._relief import (
     BARRED_SHADE,
     HATCH,
     NO_DATA,
     UNKNOWN_SHADE,
     MapView,
-    colour_of,
     hatched,
     paint_ground,
 )
+from bumpymap.layers.route._ride_scale import RideScale
 from bumpymap.layers.route.geojson import stop_roles
 from bumpymap.layers.route.source import MapSource
 
@@ -38,7 +38,9 @@ _BELOW = 70
 ROUTE_COLOURS: tuple[Colour, ...] = ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160))
 """Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
 _WHITE = (255, 255, 255)
-_LEGEND_ROUTES = 5
+_BAR = 250
+"""Length of the bar of colours, pixels."""
+_LEGEND_ROUTES = 3
 """Most ways with figures in the legend."""
 
 
@@ -83,7 +85,7 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
     first = routes[0]
     points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
     view = MapView.around(first.grid, points, _PANEL, _PANEL_HEIGHTS)
-    ground, limit = paint_ground(source, view)
+    ground, scale = paint_ground(source, view)
     pen = Pen(WIDTH, _TITLE + view.height + 40 + _CHART + _BELOW)
     pen.text((_EDGE, _TITLE / 2 + 2), _title(routes), INK, size=24)
     pen.paste(_EDGE, _TITLE, ground)
@@ -95,9 +97,9 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
     _draw_scale(pen, view)
     _draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
     pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
-    _draw_legend(pen, routes, limit)
+    _draw_legend(pen, routes, scale)
     top = _TITLE + view.height + 40
-    draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), limit)
+    draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
     _draw_chart_notes(pen, first, len(routes), top)
     return pen.finished()
 
@@ -159,15 +161,18 @@ def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
     pen.text((x, y + 15), "N", INK, size=15, anchor="mm")
 
 
-def _draw_legend(pen: Pen, routes: Sequence[Route], limit: float) -> None:
+def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     left, row = _EDGE + _PANEL + 24, _TITLE
     pen.text((left, row + 8), "ride cost of the ground [rad/m]", INK, size=16)
-    bar = np.broadcast_to(colour_of(np.linspace(0.0, limit, 300), limit), (22, 300, 3)).astype(np.uint8)
+    bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
     pen.paste(left, row + 24, bar)
-    pen.rectangle((left, row + 24, left + 300, row + 46), None, FAINT)
-    for share, anchor in ((0.0, "lm"), (0.5, "mm"), (1.0, "rm")):
-        more = " and more" if share == 1.0 else ""
-        pen.text((left + 300 * share, row + 60), f"{limit * share:g}{more}", FAINT, size=14, anchor=anchor)
+    pen.rectangle((left, row + 24, left + _BAR, row + 46), None, FAINT)
+    pen.text((left + _BAR + 8, row + 35), "and more", FAINT, size=14)
+    values, decimals = ticks(0.0, scale.end, 5)
+    for value in values:
+        place = left + _BAR * value / scale.end
+        pen.line(np.array([[place, row + 46.0], [place, row + 51.0]]), FAINT)
+        pen.text((place, row + 60), f"{value:.{decimals}f}", FAINT, size=14, anchor="mm")
     row += 92
     barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
     barred[hatched(24, 40)] = HATCH
@@ -187,7 +192,7 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], limit: float) -> None:
 
 def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
     """Write what each way costs under the legend."""
-    shown = routes[:_LEGEND_ROUTES] if len(routes) <= 3 else routes[:3]
+    shown = routes[:_LEGEND_ROUTES]
     for number, route in enumerate(shown):
         figures = route.figures
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
