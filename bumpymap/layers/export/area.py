@@ -10,7 +10,7 @@ from bumpymap.core import BadInputError
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import Bounds, TileWindow
 
-__all__ = ["FRAME", "ExportArea", "GridPoint", "LocalFrame", "choose_area"]
+__all__ = ["FRAME", "ExportArea", "ExportPoint", "LocalFrame", "choose_area"]
 
 FRAME = "map"
 """Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
@@ -19,7 +19,7 @@ _STRIP_CELLS = 16_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class GridPoint:
+class ExportPoint:
     """A place on the grid of a map."""
 
     easting: float
@@ -32,7 +32,7 @@ class GridPoint:
 class LocalFrame:
     """A plane frame in metres: x to the east and y to the north of the grid, (0, 0) at the datum (REP-103)."""
 
-    datum: GridPoint
+    datum: ExportPoint
 
     def to_local(self, easting: Any, northing: Any) -> tuple[Any, Any]:
         """Convert easting and northing on the grid to x and y, m; numbers or arrays."""
@@ -113,13 +113,13 @@ class ExportArea:
             "longitude": round(longitude, 9),
             "latitude": round(latitude, 9),
             "crs": {"name": crs.name, "code": ":".join(authority) if authority else None},
-            "grid_convergence_deg": -round(factors.meridian_convergence, 9),
+            "grid_convergence_deg": round(factors.meridian_convergence, 9),
             "grid_scale": round(factors.meridional_scale, 9),
         }
 
 
 def choose_area(
-    route_map: RouteMap, split: int, around: GridPoint | None, radius_m: float, datum: GridPoint | None
+    route_map: RouteMap, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
 ) -> ExportArea:
     """Choose the window to export, and its local frame.
 
@@ -128,10 +128,10 @@ def choose_area(
     route_map : RouteMap
     split : int
         Cells along a side of a tile.
-    around : GridPoint, optional
-        Export the tiles of a square around this point, up to ``radius_m`` to each side; else the whole map.
+    around : ExportPoint, optional
+        Export the tiles of a square around this point, up to ``radius`` to each side; else the whole map.
     radius_m : float
-    datum : GridPoint, optional
+    datum : ExportPoint, optional
         Origin of the frame; else the corner of a tile nearest to ``around``, or to the middle of the map. Then cells
         and origin are aligned, as costmaps that roll with the robot want it.
 
@@ -144,12 +144,12 @@ def choose_area(
     if around is not None:
         window = _crop(route_map, around, radius_m)
     if datum is None:
-        middle = around or GridPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
-        datum = GridPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
+        middle = around or ExportPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
+        datum = ExportPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
     return ExportArea(route_map, window, LocalFrame(datum), split)
 
 
-def _crop(route_map: RouteMap, around: GridPoint, radius_m: float) -> TileWindow:
+def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:
     whole, grid = route_map.window, route_map.grid
     sides = np.array([around.easting, around.northing])
     first = grid.index(sides - radius_m)
@@ -164,7 +164,7 @@ def _crop(route_map: RouteMap, around: GridPoint, radius_m: float) -> TileWindow
         )
         x, y = route_map.to_crs(around.easting, around.northing)
         raise BadInputError(
-            f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} to "
-            f"{right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"
+            f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} "
+            f"to {right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"
         )
     return TileWindow(west, south, east - west, north - south)

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bumpymap.layers.export.line_cost import line_cost
 
-__all__ = ["Lattice", "make_lattice", "thin_tiles"]
+__all__ = ["Lattice", "default_spacing", "make_lattice", "thin_tiles"]
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Squares to the east, south, south-east, south-west; the others are these, seen from the other side."""
@@ -87,8 +87,14 @@ def make_lattice(factor: NDArray[np.floating], every: int, origin: tuple[int, in
     kept = part == np.bincount(part, minlength=1).argmax()
     number = np.cumsum(kept) - 1
     inside = kept[first]
-    ends = (number[end[inside]].astype(np.int64) for end in (first, second))
-    return Lattice(row[kept], col[kept], *ends, cost[inside], left_out=int(len(nodes) - kept.sum()))
+    return Lattice(
+        row[kept],
+        col[kept],
+        number[first[inside]].astype(np.int64),
+        number[second[inside]].astype(np.int64),
+        cost[inside],
+        left_out=int(len(nodes) - kept.sum()),
+    )
 
 
 def _pairs(square: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -59,8 +59,10 @@ def _integrate(
     row, col = (np.rint(axis[line, number]).astype(np.int64) for axis in place)
     around = [factor[row - up, col - left] for up in (0, 1) for left in (0, 1)]
     length = np.hypot(move[:, 0], move[:, 1])[:, None] * piece
-    row, col = (np.minimum(np.floor(axis).astype(np.int64), size - 1) for axis, size in zip(place, factor.shape, strict=True))
-    cost = np.sum(np.where(length > 0.0, factor[row, col], 0.0) * length, axis=1)
+    row, col = (
+        np.minimum(np.floor(axis).astype(np.int64), size - 1) for axis, size in zip(place, factor.shape, strict=True)
+    )
+    cost = np.asarray(np.sum(np.where(length > 0.0, factor[row, col], 0.0) * length, axis=1))
     cost[line[~np.isfinite(np.stack(around)).all(axis=0)]] = np.inf
     return cost
 
@@ -69,5 +71,5 @@ def _crossings(move: NDArray[np.integer]) -> NDArray[np.float64]:
     """Return the shares of the lines at which they cross borders along one axis, (n, most); 1 fills the rest."""
     count = np.abs(move)[:, None]
     number = np.arange(int(count.max(initial=0)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(number < count, (number + 0.5) / count, 1.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(number < count, (number + 0.5) / count, 1.0))

@@ -1,7 +1,7 @@
 """Files for Nav2: a map with graded cost, a keepout mask, a speed mask, and the parameters that load them.
 
-What the readers do with them (map_server, costmaps and their filters, the Smac planner) is stated in docs/pages/robots.md
-and held by the tests.
+What their readers do with them (map_server, costmaps and their filters, the Smac planner) is stated on the page about
+robots, and held by the tests.
 """
 
 from collections.abc import Iterator

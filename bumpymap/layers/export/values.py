@@ -85,7 +85,8 @@ def speed_values(field: TileField, comfort: float) -> NDArray[np.uint8]:
     """
     with np.errstate(divide="ignore"):
         percent = np.floor(100.0 * comfort / (field.c_r.astype(np.float64) * field.vehicle.speed_mps))
-    return np.clip(np.nan_to_num(percent, nan=SLOWEST, posinf=100.0), SLOWEST, 100).astype(np.uint8)
+    limited = np.clip(np.nan_to_num(percent, nan=SLOWEST, posinf=100.0), SLOWEST, 100)
+    return np.asarray(limited, np.uint8)
 
 
 def lay_objects(cells: NDArray[np.uint8], objects: NDArray[np.uint8], unknown: int) -> NDArray[np.uint8]:
