@@ -62,7 +62,8 @@ def _integrate(
     row, col = (
         np.minimum(np.floor(axis).astype(np.int64), size - 1) for axis, size in zip(place, factor.shape, strict=True)
     )
-    cost = np.asarray(np.sum(np.where(length > 0.0, factor[row, col], 0.0) * length, axis=1))
+    # One by one, so that the zeros that fill short lines change no bit.
+    cost = np.cumsum(np.where(length > 0.0, factor[row, col], 0.0) * length, axis=1)[:, -1]
     cost[line[~np.isfinite(np.stack(around)).all(axis=0)]] = np.inf
     return cost
 

@@ -58,7 +58,8 @@ def cost_values(field: TileField, scale: CostScale) -> NDArray[np.uint8]:
     cost = passable_cost(field)
     graded = np.where(np.isnan(cost), UNKNOWN_CELL, scale.values(cost)).astype(np.uint8)
     unknown = (field.barred == Barred.UNKNOWN) | (field.barred == NO_TILE)
-    return np.select([unknown, field.barred != Barred.NO], [UNKNOWN_CELL, LETHAL], graded).astype(np.uint8)
+    choices = [np.uint8(UNKNOWN_CELL), np.uint8(LETHAL)]
+    return np.select([unknown, field.barred != Barred.NO], choices, graded)
 
 
 def keepout_values(field: TileField) -> NDArray[np.uint8]:
