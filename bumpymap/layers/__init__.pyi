@@ -54,9 +54,18 @@ from .products import (
 from .regions import (
     dissolve as dissolve,
 )
+from .route_areas import (
+    read_areas as read_areas,
+    tiles_in as tiles_in,
+    tiles_within as tiles_within,
+)
 from .route_map import (
     RouteMap as RouteMap,
     open_map as open_map,
+)
+from .route_points import (
+    FilePoint as FilePoint,
+    read_points as read_points,
 )
 from .scan.accumulated import (
     AccumulatedSurvey as AccumulatedSurvey,

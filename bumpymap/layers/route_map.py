@@ -114,7 +114,7 @@ class RouteMap:
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
 
-    def read_passable(self, window: TileWindow, *, robust: bool = False) -> TileField:
+    def read_passable(self, window: TileWindow, *, robust: bool = False, unknown: bool = False) -> TileField:
         """Read what the cost of a way depends on and no more: 9 bytes a tile.
 
         Parameters
@@ -122,8 +122,10 @@ class RouteMap:
         window : TileWindow
         robust : bool
             Read ``c_r_high`` in the place of ``c_r``.
+        unknown : bool
+            Read ``obstacle`` too, on which it depends whether an unknown tile may be crossed: 13 bytes a tile.
         """
-        return self.read(window, ("c_r_high" if robust else "c_r", "p_fail"))
+        return self.read(window, ("c_r_high" if robust else "c_r", "p_fail", *(("obstacle",) if unknown else ())))
 
     def read_cost(self, window: TileWindow) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Read what bars the tiles, and their cost at the weights of the layers: 5 bytes a tile, of the smallest files.

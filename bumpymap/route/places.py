@@ -1,0 +1,153 @@
+"""Points that a user names: longitude and latitude, or coordinates of the survey's CRS, as points on the map."""
+
+import math
+import re
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from bumpymap.core import BadInputError, UsageError, describe_crs
+from bumpymap.layers import RouteMap
+
+__all__ = ["GridPoint", "parse_point", "place_point"]
+
+System = Literal["lonlat", "crs"]
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_POINT = re.compile(rf"\s*(?:(lonlat|crs)\s*:)?\s*({_NUMBER})\s*[,;\s]\s*({_NUMBER})\s*", re.IGNORECASE)
+_FORMS = (
+    "Give LON,LAT such as 11.5,48.1, or X,Y in the survey's CRS such as 434100,5411200; lonlat:11.5,48.1 and "
+    "crs:434100,5411200 say which of the two it is"
+)
+
+
+class GridPoint(NamedTuple):
+    """A point on the grid of tiles."""
+
+    easting: float
+    """m."""
+    northing: float
+    """m."""
+
+
+def parse_point(text: str, route_map: RouteMap, *, beyond_m: float = 0.0) -> GridPoint:
+    """Read a point: ``LON,LAT``, or ``X,Y`` in the survey's CRS, whichever lies on the map.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``11.5,48.1`` or ``434100,5411200``. ``lonlat:`` or ``crs:`` before it says which of the two it is.
+    route_map : RouteMap
+    beyond_m : float
+        Distance outside the rectangle of the map up to which a point is accepted, m.
+
+    Raises
+    ------
+    UsageError
+        The text is not a point.
+    BadInputError
+        The point lies outside the map, or could be meant in both ways.
+    """
+    found = _POINT.fullmatch(text)
+    if found is None:
+        raise UsageError(f"'{text}' is not a point. {_FORMS}")
+    system, x, y = found.groups()
+    known: System | None = None if system is None else "crs" if system.lower() == "crs" else "lonlat"
+    return place_point(float(x), float(y), route_map, known, name=f"the point {text.strip()}", beyond_m=beyond_m)
+
+
+def place_point(
+    x: float,
+    y: float,
+    route_map: RouteMap,
+    system: System | None = None,
+    *,
+    name: str = "the point",
+    beyond_m: float = 0.0,
+) -> GridPoint:
+    """Return the point on the grid of a coordinate pair.
+
+    Parameters
+    ----------
+    x, y : float
+        Longitude and latitude [degrees], or coordinates in the survey's CRS.
+    route_map : RouteMap
+    system : {"lonlat", "crs"}, optional
+        Which of the two it is; None: the one that lies on the map.
+    name : str
+        How a message calls the point.
+    beyond_m : float
+        Distance outside the rectangle of the map up to which a point is accepted, m.
+
+    Raises
+    ------
+    BadInputError
+        The point lies outside the map, could be meant in both ways, or is longitude and latitude while the map has no
+        CRS.
+    """
+    systems: tuple[System, ...] = ("lonlat", "crs") if system is None else (system,)
+    meant = {each: point for each in systems if (point := _on_grid(x, y, route_map, each, forced=system is not None))}
+    inside = {each: point for each, point in meant.items() if _outside_m(point, route_map) <= beyond_m}
+    if len(inside) == 1:
+        return next(iter(inside.values()))
+    if inside:
+        raise BadInputError(
+            f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
+            f"crs:{x:.10g},{y:.10g}"
+        )
+    raise BadInputError(
+        f"{name} lies outside the map, which spans {_extent(route_map)}. {_swapped(x, y, route_map)}{_FORMS}"
+    )
+
+
+def _on_grid(x: float, y: float, route_map: RouteMap, system: System, *, forced: bool) -> GridPoint | None:
+    """Return the point if it is one in that system, else None; without a CRS there is no longitude unless forced."""
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return None
+    if system == "crs":
+        return GridPoint(*route_map.to_grid(x, y))
+    if not (forced or route_map.has_crs) or abs(x) > 180.0 or abs(y) > 90.0:
+        return None
+    easting, northing = route_map.from_lonlat(x, y)
+    return GridPoint(easting, northing) if math.isfinite(easting) and math.isfinite(northing) else None
+
+
+def _outside_m(point: GridPoint, route_map: RouteMap) -> float:
+    """Return the distance of a point to the rectangle of the map, m; 0 inside. Its east and north sides are outside."""
+    bounds = route_map.grid.window_bounds(route_map.window)
+    if bounds.west <= point.easting < bounds.east and bounds.south <= point.northing < bounds.north:
+        return 0.0
+    easting = min(max(point.easting, bounds.west), bounds.east)
+    northing = min(max(point.northing, bounds.south), bounds.north)
+    return max(math.hypot(point.easting - easting, point.northing - northing), np.finfo(float).tiny)
+
+
+def _swapped(x: float, y: float, route_map: RouteMap) -> str:
+    """Ask about the order of the two numbers if they lie on the map the other way round."""
+    for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
+        point = _on_grid(y, x, route_map, system, forced=False)
+        if point is not None and _outside_m(point, route_map) == 0.0:
+            order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
+            return f"{order}: did you mean {y:.10g},{x:.10g}? "
+    return ""
+
+
+def _extent(route_map: RouteMap) -> str:
+    """Return the extent of the map in both systems."""
+    bounds = route_map.grid.window_bounds(route_map.window)
+    (west, south), (east, north) = (
+        route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))
+    )
+    crs = route_map.georeference.crs
+    system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
+    text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
+    if crs is None:
+        return text
+    eastings, northings = np.meshgrid(
+        np.linspace(bounds.west, bounds.east, 5), np.linspace(bounds.south, bounds.north, 5)
+    )
+    longitude, latitude = route_map.to_lonlat(eastings.ravel(), northings.ravel())
+    return (
+        f"{text}, or longitude {longitude.min():.6f} to {longitude.max():.6f}, latitude {latitude.min():.6f} to "
+        f"{latitude.max():.6f}"
+    )

@@ -1,0 +1,54 @@
+"""Made-up maps for tests of routes: folders as a run leaves them, and maps without files."""
+
+import json
+from pathlib import Path
+from shutil import copytree
+
+from pyproj import CRS
+
+from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
+from bumpymap.layers import RouteMap, write_products
+from bumpymap.layers.route_sheet import RouteSheet
+from bumpytiles import Grid, TileWindow
+
+VEHICLE = {"name": "warthog", "width_m": 1.38, "height_m": 1.3, "clearance_m": 0.25, "speed_mps": 1.0}
+RUN = {
+    "calibration": {"id": "c0ffee", "vehicle": "warthog"},
+    "settings": {"rating": "ride", "compat": "none"},
+    "vehicle": VEHICLE,
+    "model": "m1",
+    "seconds": {},
+}
+RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
+UTM = CRS.from_epsg(32614)
+
+
+def write_folder(folder, cost_map, **changes):
+    """Write the layers of a map to a folder; ``changes`` replace entries of the manifest (None: leave out)."""
+    folder.mkdir()
+    manifest = {key: value for key, value in (RUN | changes).items() if value is not None}
+    write_products(CostTable.of(cost_map), folder, local=cost_map.georeference.crs is None, manifest=manifest)
+    return folder
+
+
+def copy_folder(folder, target, **changes):
+    """Copy a folder of layers; ``changes`` replace entries of the manifest (None: leave out)."""
+    copytree(folder, target)
+    record = json.loads((target / "run.json").read_text()) | changes
+    (target / "run.json").write_text(json.dumps({key: value for key, value in record.items() if value is not None}))
+    return target
+
+
+def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):
+    """Map without files: its place is known, nothing can be read."""
+    window = window or TileWindow(160_000, 712_000, 100, 80)
+    sheet = RouteSheet(
+        folder=Path("nowhere"),
+        manifest={},
+        grid=grid or Grid(),
+        window=window,
+        georeference=Georeference(crs, unit),
+        rule=RULE,
+        vehicle=RouteVehicle("warthog", 1.38, 1.0),
+    )
+    return RouteMap((sheet,), window)

@@ -1,0 +1,322 @@
+import json
+from dataclasses import fields, is_dataclass, replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+from route_maps import VEHICLE, bare_map, copy_folder, write_folder
+
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, UsageError
+from bumpymap.layers import open_map
+from bumpytiles import Grid, TileWindow
+
+BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+SMALL = Grid(3.0, 4)
+
+
+def part_of(cost_map, chosen):
+    """The same map with some of its tiles."""
+
+    def cut(record):
+        changes = {}
+        for field in fields(record):
+            value = getattr(record, field.name)
+            if isinstance(value, np.ndarray):
+                changes[field.name] = value[chosen]
+            elif is_dataclass(value) and field.name in {"patches", "textures"}:
+                changes[field.name] = cut(value)
+        return replace(record, **changes)
+
+    return cut(cost_map)
+
+
+@pytest.fixture(scope="module")
+def made(make_field):
+    return make_field(50, 37, grid=SMALL, seed=8)
+
+
+@pytest.fixture(scope="module")
+def folder(made, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "layers", made)
+
+
+@pytest.fixture(scope="module")
+def small(make_field, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
+
+
+@pytest.fixture(scope="module")
+def sheets(make_field, tmp_path_factory):
+    """Three maps of places that overlap, with values of their own."""
+    root = tmp_path_factory.mktemp("sheets")
+    places = ((110_000, 680_000, 21), (110_009, 680_004, 22), (110_004, 679_993, 23))
+    return [
+        write_folder(root / str(seed), make_field(20, 16, grid=SMALL, west=west, south=south, seed=seed))
+        for west, south, seed in places
+    ]
+
+
+def same(first, second):
+    return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in BANDS) and (
+        np.array_equal(first.barred, second.barred)
+    )
+
+
+def test_what_a_folder_says(folder):
+    found = open_map([folder])
+    assert found.window == TileWindow(110_000, 680_000, 50, 37)
+    assert found.grid == SMALL
+    assert (found.vehicle.name, found.vehicle.width_m, found.vehicle.speed_mps) == ("warthog", 1.38, 1.0)
+    assert (found.rule.ride_weight, found.rule.fail_weight, found.rule.drive_m) == (2.5, 300.0, 10.0)
+    assert found.calibration_id == "c0ffee"
+    assert found.georeference.crs.to_epsg() == 32614
+    assert found.manifests[0]["vehicle"] == VEHICLE
+
+
+def test_every_tile_lies_where_it_was_measured(folder, made):
+    found = open_map([folder])
+    field = found.read(found.window)
+    row = found.window.row + found.window.rows - 1 - made.patches.row
+    col = made.patches.col - found.window.col
+    held = np.zeros(field.barred.shape, bool)
+    held[row, col] = True
+    assert np.array_equal(field.barred == NO_TILE, ~held)
+    columns = made.lone_columns()
+    assert np.array_equal(field.barred[row, col], columns["barred"])
+    for name in BANDS:
+        assert np.array_equal(getattr(field, name)[row, col], columns[name], equal_nan=True), name
+        assert np.isnan(getattr(field, name)[~held]).all()
+
+
+def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder):
+    found = open_map([folder])
+    whole = found.window
+    around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
+    field, heights, objects = found.read(around), found.heights(around), found.objects(around)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
+        rows, cols = int(rng.integers(1, around.rows - top + 1)), int(rng.integers(1, around.cols - left + 1))
+        window = TileWindow(around.col + left, around.row + around.rows - top - rows, cols, rows)
+        part = found.read(window)
+        for name in ("barred", *BANDS):
+            expected = getattr(field, name)[top : top + rows, left : left + cols]
+            assert np.array_equal(getattr(part, name), expected, equal_nan=True)
+        pixels = np.s_[4 * top : 4 * (top + rows), 4 * left : 4 * (left + cols)]
+        assert np.array_equal(found.heights(window), heights[pixels], equal_nan=True)
+        assert np.array_equal(found.objects(window), objects[pixels])
+
+
+def test_pixels_are_those_of_the_rasters(folder):
+    found = open_map([folder])
+    with rasterio.open(folder / "heightmap.tif") as heights, rasterio.open(folder / "obstacle.tif") as objects:
+        assert np.array_equal(found.heights(found.window), heights.read(1), equal_nan=True)
+        assert np.array_equal(found.objects(found.window), objects.read(1))
+    far = TileWindow(0, 0, 2, 3)
+    assert np.isnan(found.heights(far)).all()
+    assert (found.objects(far) == 255).all()
+    assert (found.read(far).barred == NO_TILE).all()
+
+
+def test_light_reading_gives_the_same_values(folder):
+    found = open_map([folder])
+    field, light = found.read(found.window), found.read_passable(found.window)
+    assert np.array_equal(light.c_r, field.c_r, equal_nan=True)
+    assert np.array_equal(light.p_fail, field.p_fail, equal_nan=True)
+    assert np.isnan(light.obstacle).all()
+    assert light.obstacle.strides == (0, 0)  # no memory
+    robust = found.read_passable(found.window, robust=True, unknown=True)
+    assert np.array_equal(robust.c_r_high, field.c_r_high, equal_nan=True)
+    assert np.array_equal(robust.obstacle, field.obstacle, equal_nan=True)
+    barred, cost = found.read_cost(found.window)
+    with rasterio.open(folder / "cost.tif") as file:
+        assert np.array_equal(cost, file.read(1), equal_nan=True)
+    assert np.array_equal(barred, field.barred)
+
+
+def test_a_map_in_sheets_reads_like_the_whole(made, folder, tmp_path):
+    """Sheets whose rectangles overlap, though no tile is in both."""
+    chosen = (made.patches.col + made.patches.row) % 3
+    parts = [write_folder(tmp_path / str(number), part_of(made, chosen == number)) for number in range(3)]
+    whole, joined = open_map([folder]), open_map(parts)
+    window = TileWindow(whole.window.col - 3, whole.window.row - 2, 60, 44)
+    assert joined.window == whole.window
+    assert same(joined.read(window), whole.read(window))
+    assert np.array_equal(joined.heights(window), whole.heights(window), equal_nan=True)
+    assert np.array_equal(joined.objects(window), whole.objects(window))
+    for light, heavy in zip(joined.read_cost(window), whole.read_cost(window), strict=True):
+        assert np.array_equal(light, heavy, equal_nan=True)
+
+
+def merged_by_hand(values):
+    """(code, bands) of one tile from those of its sheets, as the rule says."""
+
+    def rank(code):
+        return {NO_TILE: 0, Barred.UNKNOWN: 1, Barred.NO: 2}.get(code, 3)
+
+    best = max(rank(code) for code, _ in values)
+    kept = [(code, bands) for code, bands in values if rank(code) == best]
+    bands = [max((b[i] for _, b in kept if not np.isnan(b[i])), default=np.nan) for i in range(len(BANDS))]
+    return max(code for code, _ in kept), bands
+
+
+def test_where_sheets_overlap_the_cautious_one_counts_in_any_order(sheets):
+    alone = [open_map([sheet]) for sheet in sheets]
+    joined = open_map(sheets)
+    window = joined.window
+    assert window == TileWindow(110_000, 679_993, 29, 27)
+    found, singles = joined.read(window), [each.read(window) for each in alone]
+    seen = set()
+    for i, j in np.ndindex(found.barred.shape):
+        values = [(int(s.barred[i, j]), [float(getattr(s, name)[i, j]) for name in BANDS]) for s in singles]
+        code, bands = merged_by_hand(values)
+        assert found.barred[i, j] == code
+        assert np.array_equal([getattr(found, name)[i, j] for name in BANDS], bands, equal_nan=True)
+        seen.add(tuple(sorted(min(each, 3) for each, _ in values)))
+    assert {(0, 0, 3), (0, 1, 3)} <= seen  # barred against passable and unknown
+    pixels = (joined.heights(window), joined.objects(window))
+    for order in permutations(sheets):
+        other = open_map(order)
+        assert same(other.read(window), found)
+        assert np.array_equal(other.heights(window), pixels[0], equal_nan=True)
+        assert np.array_equal(other.objects(window), pixels[1])
+
+
+def test_cost_of_overlapping_sheets_is_that_of_their_bands(sheets):
+    joined = open_map(sheets)
+    field = joined.read(joined.window)
+    barred, cost = joined.read_cost(joined.window)
+    expected = joined.rule.cost(field.c_r.astype(float), joined.rule.hazard(field.p_fail))
+    assert np.array_equal(barred, field.barred)
+    assert np.array_equal(cost, np.where(barred == 0, expected, np.nan).astype(np.float32), equal_nan=True)
+
+
+def test_a_folder_given_twice_counts_once(folder):
+    assert len(open_map([folder, folder / ".." / folder.name]).sheets) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"vehicle": VEHICLE | {"name": "rover"}}, "vehicle is warthog and rover"),
+        ({"vehicle": VEHICLE | {"speed_mps": 2.0}}, "speed"),
+        ({"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is c0ffee and beef"),
+        ({"settings": {"rating": "table", "compat": "none"}}, "rating is ride and table"),
+    ],
+)
+def test_layers_of_two_vehicles_are_refused(small, tmp_path, changes, words):
+    first, second = small, copy_folder(small, tmp_path / "two", **changes)
+    with pytest.raises(BadInputError, match=words) as caught:
+        open_map([first, second])
+    assert str(first) in str(caught.value)
+    assert str(second) in str(caught.value)
+
+
+def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
+    made = make_field(4, 3, grid=SMALL)
+    first = small
+    other = write_folder(tmp_path / "two", make_field(4, 3, grid=Grid(3.0, 5)))
+    with pytest.raises(BadInputError, match="pixels along a tile is 4 and 5"):
+        open_map([first, other])
+    north = write_folder(tmp_path / "three", replace(made, georeference=Georeference(CRS.from_epsg(32613))))
+    with pytest.raises(BadInputError, match="UTM zone 14N and WGS 84 / UTM zone 13N"):
+        open_map([first, north])
+
+
+def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
+    old = copy_folder(small, tmp_path / "old", vehicle=None)
+    with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again"):
+        open_map([old])
+
+
+def test_what_is_no_complete_run_is_refused(small, tmp_path):
+    with pytest.raises(UsageError, match="no folder"):
+        open_map([])
+    with pytest.raises(BadInputError, match="there is no folder"):
+        open_map([tmp_path / "none"])
+    half = copy_folder(small, tmp_path / "half")
+    (half / "run.json").unlink()
+    with pytest.raises(BadInputError, match="no complete run"):
+        open_map([half])
+
+
+@pytest.mark.parametrize("name", ["barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif"])
+def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
+    folder = copy_folder(small, tmp_path / "layers")
+    path = folder / name
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(BadInputError, match=f"{name} is cut off"):
+        open_map([folder])
+    path.unlink()
+    with pytest.raises(BadInputError, match=f"{name} is missing"):
+        open_map([folder])
+    path.write_bytes(content[:-400] + bytes(400))
+    if name in {"heightmap.tif", "obstacle.tif"}:  # compared by size only
+        return
+    with pytest.raises(BadInputError, match=f"{name} is damaged"):
+        open_map([folder])
+
+
+def test_a_file_that_is_damaged_after_opening_is_an_error(small, tmp_path):
+    folder = copy_folder(small, tmp_path / "layers")
+    found = open_map([folder])
+    (folder / "heightmap.tif").write_bytes(b"II*\0 no raster")
+    with pytest.raises(BadInputError, match=r"heightmap\.tif.*Map the survey again"):
+        found.heights(found.window)
+
+
+def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
+    """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
+    folder = copy_folder(small, tmp_path / "layers")
+    other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
+    record, others = (json.loads((each / "run.json").read_text()) for each in (folder, other))
+    for name in ("cost.tif", "heightmap.tif"):
+        (folder / name).write_bytes((other / name).read_bytes())
+    entries = {entry["path"]: entry for entry in others["files"]}
+    swapped = {"cost.tif", "heightmap.tif"}
+    record["files"] = [entries[e["path"]] if e["path"] in swapped else e for e in record["files"]]
+    (folder / "run.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
+        open_map([folder])
+    record["grid"]["tile_size_m"] = 2.5
+    (folder / "run.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match="does not lie on the grid"):
+        open_map([folder])
+
+
+@pytest.mark.parametrize("key", ["grid", "cost", "files", "metres_per_unit", "crs"])
+def test_a_damaged_manifest_is_refused(small, tmp_path, key):
+    folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
+    with pytest.raises(BadInputError, match=r"run\.json is damaged"):
+        open_map([folder])
+
+
+def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
+    unit = 1200 / 3937
+    feet = Georeference(CRS.from_epsg(2229), unit, unit)
+    made = make_field(6, 5, grid=SMALL, west=655_000, south=187_000, georeference=feet)
+    found = open_map([write_folder(tmp_path / "feet", made)])
+    assert found.window == TileWindow(655_000, 187_000, 6, 5)
+    assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
+    assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
+
+
+def test_longitude_and_latitude_of_the_central_meridian():
+    """On the central meridian of a UTM zone the scale is 0.9996 and longitude does not depend on northing."""
+    place = bare_map()
+    longitude, latitude = place.to_lonlat(np.array([500_000.0, 500_000.0]), np.array([0.0, 2_000_000.0]))
+    assert longitude == pytest.approx([-99.0, -99.0], abs=1e-12)
+    assert latitude[0] == pytest.approx(0.0, abs=1e-12)
+    assert 18.0 < latitude[1] < 18.2
+    back = place.from_lonlat(longitude, latitude)
+    assert np.allclose(back, [[500_000.0, 500_000.0], [0.0, 2_000_000.0]], atol=1e-6)
+
+
+def test_without_a_crs_there_is_no_longitude():
+    place = bare_map(crs=None)
+    assert not place.has_crs
+    with pytest.raises(BadInputError, match="no CRS"):
+        place.to_lonlat(1.0, 2.0)

@@ -1,0 +1,126 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from route_maps import RULE, bare_map
+
+from bumpymap.core import NO_TILE, Barred, TileField, UsageError
+from bumpymap.route import TileChoice, cost_of
+from bumpytiles import TileWindow
+
+
+def made_field(rows=600, cols=40, seed=1):
+    """Random tiles of every kind; more rows than are computed at once."""
+    rng = np.random.default_rng(seed)
+    place = bare_map(TileWindow(160_000, 712_000, cols, rows))
+    barred = rng.choice([*Barred, NO_TILE], (rows, cols), p=[0.5, 0.2, 0.05, 0.05, 0.05, 0.05, 0.1]).astype(np.uint8)
+    low, middle, high = np.sort(rng.gamma(2.0, 0.1, (3, rows, cols)).astype(np.float32), axis=0)
+    p_fail = (rng.random(barred.shape) * 0.5).astype(np.float32)
+    obstacle = np.where(rng.random(barred.shape) < 0.3, rng.random(barred.shape), 0.0).astype(np.float32)
+    p_fail[rng.random(barred.shape) < 0.1] = np.nan  # a rating without p_fail
+    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
+    for band in (low, middle, high, p_fail):
+        band[unknown] = np.nan
+    return TileField(
+        place.grid,
+        place.georeference,
+        place.window,
+        barred=barred,
+        c_r=middle,
+        c_r_low=low,
+        c_r_high=high,
+        p_fail=p_fail,
+        obstacle=obstacle,
+        rule=RULE,
+        vehicle=place.vehicle,
+    )
+
+
+def by_hand(field, i, j, *, risk, robust=False, unknown=None):
+    """Cost of one tile in plain Python."""
+    code = int(field.barred[i, j])
+    if code == Barred.UNKNOWN and unknown is not None and not field.obstacle[i, j] > 0:
+        return unknown
+    if code != Barred.NO:
+        return np.inf
+    p_fail = float(field.p_fail[i, j])
+    hazard = 0.0 if np.isnan(p_fail) else -np.log1p(-p_fail) / field.rule.drive_m
+    shaking = float((field.c_r_high if robust else field.c_r)[i, j])
+    return 1.0 + field.rule.ride_weight * shaking + risk * hazard
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("unknown", [None, 12.5])
+@pytest.mark.parametrize("risk", [0.0, 80.0, 4000.0])
+def test_cost_of_every_tile(robust, unknown, risk):
+    field = made_field(300, 7)
+    cost = cost_of(field, risk_m=risk, robust=robust, unknown_cost=unknown)
+    expected = [by_hand(field, i, j, risk=risk, robust=robust, unknown=unknown) for i, j in np.ndindex(cost.shape)]
+    assert cost.dtype == np.float32
+    assert np.array_equal(cost.ravel(), np.float32(expected))
+    assert cost.min() >= 1.0
+
+
+def test_default_risk_is_that_of_the_layers():
+    """The values of cost.tif, as the writer makes them, to the last bit."""
+    field = made_field()
+    factor = RULE.cost(field.c_r.astype(np.float64), RULE.hazard(field.p_fail))
+    written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
+    assert np.array_equal(cost_of(field), np.where(np.isnan(written), np.inf, written))
+    assert np.array_equal(cost_of(field), cost_of(field, risk_m=RULE.fail_weight))
+
+
+def test_tiles_without_points_stay_closed():
+    field = made_field()
+    cost = cost_of(field, unknown_cost=2.0)
+    assert np.isinf(cost[field.barred == NO_TILE]).all()
+    unknown = field.barred == Barred.UNKNOWN
+    assert np.array_equal(cost[unknown] == 2.0, field.obstacle[unknown] == 0.0)
+    free = replace(field, obstacle=np.broadcast_to(np.float32(np.nan), field.barred.shape))
+    assert (cost_of(free, unknown_cost=2.0)[unknown] == 2.0).all()
+
+
+def test_robust_is_never_cheaper_and_needs_the_upper_end():
+    field = made_field()
+    assert (cost_of(field, robust=True) >= cost_of(field)).all()
+    passable = field.barred == Barred.NO
+    without = replace(field, c_r_high=np.full_like(field.c_r, np.nan))
+    assert np.isinf(cost_of(without, robust=True)[passable]).all()
+
+
+def test_cost_rises_with_risk():
+    field = made_field()
+    costs = [cost_of(field, risk_m=risk) for risk in (0.0, 10.0, 300.0, 1e5)]
+    for cheaper, dearer in pairwise(costs):
+        assert (cheaper <= dearer).all()
+        fails = np.isfinite(cheaper) & (field.p_fail > 0.01)
+        assert (cheaper[fails] < dearer[fails]).all()
+
+
+def test_avoid_and_only_close_tiles_and_open_none():
+    field = made_field()
+    rng = np.random.default_rng(5)
+    avoid, only = rng.random((2, *field.barred.shape)) < 0.4
+    cost = cost_of(field, unknown_cost=3.0)
+    for choice, kept in (
+        (TileChoice(), np.ones_like(avoid)),
+        (TileChoice(avoid=avoid), ~avoid),
+        (TileChoice(only=only), only),
+        (TileChoice(avoid, only), only & ~avoid),
+    ):
+        assert np.array_equal(cost_of(field, unknown_cost=3.0, choice=choice), np.where(kept, cost, np.inf))
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"risk_m": -1.0}, "risk=-1"),
+        ({"risk_m": np.nan}, "risk=nan"),
+        ({"unknown_cost": 0.5}, "unknown=0.5"),
+        ({"unknown_cost": np.inf}, "unknown=inf"),
+    ],
+)
+def test_weights_out_of_range_are_refused(settings, words):
+    with pytest.raises(UsageError, match=words):
+        cost_of(made_field(3, 3), **settings)
