@@ -119,7 +119,8 @@ def _summary(done: "Export") -> Iterator[str]:
         yield f"origin of the frame: x,y {place['x']:.3f},{place['y']:.3f} in the survey's CRS{lonlat}"
     if tiles := record.get("tiles"):
         yield ", ".join(f"{count:,} {name}" for name, count in tiles.items()) + " tiles"
-        yield f"cost per metre: 1 is value 0, {record['cost']['value_98']:.3f} is value 98"
+        dearest = record["cost"]["value_98"]
+        yield f"cost per metre: 1 is value 0, {dearest:.3f} is value 98, in steps of {(dearest - 1.0) / 98:.3f}"
     if graph := record.get("graph"):
         yield (
             f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in {graph['tiles_per_node']} x "

@@ -77,14 +77,15 @@ def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2G
     scale = CostScale(dearest or highest)
     cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
     for window, lines in area.strips():
-        field = area.route_map.read(window, _BANDS)
+        field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
         coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
         if area.split == 1:
             cost[lines], keepout[lines], speed[lines] = coarse
             continue
         objects = area.route_map.objects(window)
-        cost[lines] = lay_objects(coarse[0], objects, UNKNOWN_CELL)
-        keepout[lines] = lay_objects(coarse[1], objects, LETHAL)
+        judged = ~np.isnan(field.obstacle)
+        cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
+        keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
         speed[lines] = np.repeat(np.repeat(coarse[2], area.split, axis=0), area.split, axis=1)
     return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
 

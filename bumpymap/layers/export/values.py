@@ -90,7 +90,9 @@ def speed_values(field: TileField, comfort: float) -> NDArray[np.uint8]:
     return np.asarray(limited, np.uint8)
 
 
-def lay_objects(cells: NDArray[np.uint8], objects: NDArray[np.uint8], unknown: int) -> NDArray[np.uint8]:
+def lay_objects(
+    cells: NDArray[np.uint8], objects: NDArray[np.uint8], judged: NDArray[np.bool_], unknown: int
+) -> NDArray[np.uint8]:
     """Split the cells of tiles into pixels, and lay obstacles and unseen ground on them.
 
     Parameters
@@ -99,6 +101,9 @@ def lay_objects(cells: NDArray[np.uint8], objects: NDArray[np.uint8], unknown: i
         Of the tiles.
     objects : uint8 (rows * pixels, cols * pixels)
         Of obstacle.tif.
+    judged : bool (rows, cols)
+        Whether objects were told from ground in the tile. Else they are part of its relief and in its ride cost, and
+        its pixels keep the value of the tile.
     unknown : int
         Value of pixels of passable tiles where neither ground nor anything else was seen.
 
@@ -109,7 +114,7 @@ def lay_objects(cells: NDArray[np.uint8], objects: NDArray[np.uint8], unknown: i
     """
     pixels = objects.shape[0] // cells.shape[0]
     fine = np.repeat(np.repeat(cells, pixels, axis=0), pixels, axis=1)
-    unseen = ((objects == UNDECIDED) | (objects == UNSEEN)) & (fine < LETHAL)
-    fine[unseen] = unknown
+    told = np.repeat(np.repeat(judged, pixels, axis=0), pixels, axis=1)
+    fine[((objects == UNDECIDED) | (objects == UNSEEN)) & told & (fine < LETHAL)] = unknown
     fine[objects == OBSTACLE] = LETHAL
     return fine

@@ -179,6 +179,16 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
         assert grid.data.shape == (7 * round(3 / size), 7 * round(3 / size))
 
 
+def test_where_objects_are_part_of_the_relief_pixels_are_as_their_tile(easy_map, easy_folder, tmp_path):
+    """A survey without ground classes: obstacle.tif is unknown throughout."""
+    with rasterio.open(easy_folder / "obstacle.tif") as file:
+        assert set(np.unique(file.read(1))) == {3, 255}
+    _, _, tiles = exported(easy_map, tmp_path / "tiles")
+    _, _, pixels = exported(easy_map, tmp_path / "pixels", resolution="pixel")
+    for coarse, fine in zip(tiles, pixels, strict=True):
+        np.testing.assert_array_equal(fine.data, np.repeat(np.repeat(coarse.data, 15, axis=0), 15, axis=1))
+
+
 def test_unknown_ground_is_never_free(route_map):
     field = route_map.read(route_map.window)
     lost = replace(field, barred=np.zeros_like(field.barred))  # passable as they say, but with no ride cost
