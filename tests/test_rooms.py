@@ -28,6 +28,8 @@ ROOMS = {
                 "pyogrio",
                 "pyproj",
                 "rasterio",
+                "rosbags",
+                "scipy",
                 "shapely",
                 "xarray",
             )
@@ -43,7 +45,7 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
-    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "lab"}, {"click", "rich"}),
+    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "lab"}, {"click", "rich"}),
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""

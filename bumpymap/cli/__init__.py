@@ -17,6 +17,7 @@ _COMMANDS = {
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
     "demo": "map a synthetic quarry as an example",
     "evaluate": "compare predictions with simulated drives over the same ground",
+    "export": "write a map for robots: Nav2, grid_map, a graph of ways, a mission",
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
     "route": "find the cheapest way over mapped ground, and what can be reached",

@@ -48,6 +48,10 @@ from .errors import (
     error_chain as error_chain,
     missing_resource as missing_resource,
 )
+from .export_types import (
+    ExportFormat as ExportFormat,
+    ExportResolution as ExportResolution,
+)
 from .file_hash import (
     CHECKSUM_METHOD as CHECKSUM_METHOD,
     FileHash as FileHash,

@@ -9,6 +9,11 @@ from .completed_run import (
     refuse_replacing as refuse_replacing,
     verified_record as verified_record,
 )
+from .export.write import (
+    Export as Export,
+    ExportSettings as ExportSettings,
+    export_map as export_map,
+)
 from .folder import (
     write_products as write_products,
 )

@@ -34,6 +34,7 @@ _FAMILIES = {
     "Zlib": r"zlib",
     "BSL-1.0": r"\bbsl-1|boost software",
     "CC0-1.0": r"cc0",
+    "any OSI": r"\bany[- ]osi\b",
 }
 """Family of licences: what its names look like, in lower case."""
 REFUSED = ("AGPL", "LGPL", "GPL")

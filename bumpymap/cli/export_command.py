@@ -1,0 +1,132 @@
+"""``bumpymap export``: write a map for robots."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import click
+
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import given_options, option_name, output_options
+from bumpymap.cli._terminal import FILE, PATH
+from bumpymap.cli._text import print_json, print_line
+from bumpymap.core import ExportFormat, ExportResolution, UsageError
+
+if TYPE_CHECKING:
+    from bumpymap.layers import Export, ExportSettings, RouteMap
+
+__all__ = ["command"]
+
+_ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
+    "around": ("nav2", "gridmap", "graph"),
+    "radius": ("nav2", "gridmap", "graph"),
+    "datum": ("nav2", "gridmap", "graph"),
+    "resolution": ("nav2", "gridmap"),
+    "comfort": ("nav2",),
+    "dearest": ("nav2",),
+    "every": ("graph",),
+    "route": ("plan",),
+}
+"""Formats that an option has an effect on."""
+_DATUM_M = 1e6
+"""How far from the map the origin of the frame may lie, m."""
+
+
+@click.command("export")
+@click.argument("layers", nargs=-1, required=True, type=PATH, metavar="LAYERS...")
+@click.option("--to", required=True, type=click.Choice(get_args(ExportFormat)), help="Format; see above.")
+@click.option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.")
+@click.option(
+    "--around", metavar="POINT", help="Only the tiles around LON,LAT or X,Y in the survey's CRS [default: all]."
+)
+@click.option("--radius", type=float, metavar="M", help="How far around, to each side, in metres [default: 100].")
+@click.option("--datum", metavar="POINT", help="Origin of the local frame [default: a corner of a tile in the middle].")
+@click.option(
+    "--resolution",
+    type=click.Choice(get_args(ExportResolution)),
+    help="nav2, gridmap: one cell a tile, or a pixel (0.2 m) with obstacles [default: tile].",
+)
+@click.option(
+    "--comfort", type=float, metavar="RAD_S", help="nav2: most pitch motion for the speed mask, rad/s [default: 0.3]."
+)
+@click.option(
+    "--dearest", type=float, metavar="COST", help="nav2: cost per metre of the highest value [default: the highest]."
+)
+@click.option("--every", type=int, metavar="N", help="graph: one node in N x N tiles [default: for 5,000 nodes].")
+@click.option(
+    "--route", type=FILE, metavar="FILE", help="plan: GeoJSON file of the route [default: LAYERS/route.geojson]."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
+@output_options("Print no summary.")
+def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
+    """Write the map in LAYERS, folders of `bumpymap map`, in a format that robots read.
+
+    \b
+    nav2     maps with cost, keepout and speed limits for Nav2, and the parameters that load them
+    gridmap  a grid_map message in a ROS 2 bag; needs pip install 'bumpymap[ros]'
+    graph    a graph of ways for Nav2's route server
+    plan     a mission for QGroundControl, from a route
+
+    \b
+    bumpymap export site_layers --to nav2 --out site_nav2
+    bumpymap export site_layers --to plan --route route.geojson --out site_plan
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    set_up_logging(as_json=log_json)
+    _refuse_idle(given_options(given), given["to"])
+    from bumpymap.layers import export_map, open_map
+
+    route_map = open_map(layers)
+    done = export_map(route_map, out, _settings(given, route_map), overwrite=overwrite)
+    if quiet:
+        return
+    if log_json:
+        print_json({"out": str(out), "files": [path.name for path in done.files], **done.record})
+        return
+    for line in _summary(done):
+        print_line(line)
+    print_line(f"Files in {out}: {', '.join(path.name for path in done.files)}")
+
+
+def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
+    """Raise UsageError for options that would have no effect."""
+    for name, formats in _ONLY_FOR.items():
+        if name in given and to not in formats:
+            raise UsageError(f"{option_name(name)} has no effect with --to {to}, only with {', '.join(formats)}")
+    if "radius" in given and "around" not in given:
+        raise UsageError("--radius has no effect without --around POINT")
+
+
+def _settings(given: Mapping[str, Any], route_map: "RouteMap") -> "ExportSettings":
+    from bumpymap.layers import ExportSettings
+    from bumpymap.route import parse_point
+
+    radius, settings = given["radius"], {name: value for name, value in given.items() if value is not None}
+    for name, beyond in (("around", 100.0 if radius is None else radius), ("datum", _DATUM_M)):
+        if name in settings:
+            settings[name] = tuple(parse_point(settings[name], route_map, beyond_m=beyond))
+    return ExportSettings(**settings)
+
+
+def _summary(done: "Export") -> Iterator[str]:
+    record, place = done.record, done.record["datum"]
+    area = record["area"]
+    if record["to"] != "plan":
+        yield (
+            f"{area['east'] - area['west']:,.0f} m x {area['north'] - area['south']:,.0f} m, "
+            f"cells of {record['resolution_m']:g} m, frame {record['frame']}"
+        )
+        lonlat = "" if place["longitude"] is None else f", lon,lat {place['longitude']:.7f},{place['latitude']:.7f}"
+        yield f"origin of the frame: x,y {place['x']:.3f},{place['y']:.3f} in the survey's CRS{lonlat}"
+    if tiles := record.get("tiles"):
+        yield ", ".join(f"{count:,} {name}" for name, count in tiles.items()) + " tiles"
+        dearest = record["cost"]["value_98"]
+        yield f"cost per metre: 1 is value 0, {dearest:.3f} is value 98, in steps of {(dearest - 1.0) / 98:.3f}"
+    if graph := record.get("graph"):
+        yield (
+            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in {graph['tiles_per_node']} x "
+            f"{graph['tiles_per_node']} tiles; {graph['nodes_left_out']:,} nodes left out, not connected with these"
+        )
+    if layers := record.get("layer_names"):
+        yield f"grid_map on {record['topic']}: {', '.join(layers)}"
+    if plan := record.get("plan"):
+        yield f"{plan['waypoints']:,} waypoints at {plan['speed_m_per_s']:g} m/s"

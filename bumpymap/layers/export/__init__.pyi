@@ -1,0 +1,5 @@
+from .write import (
+    Export as Export,
+    ExportSettings as ExportSettings,
+    export_map as export_map,
+)

@@ -1,0 +1,170 @@
+"""What of a map is exported, and the local frame of the robot that it is written in."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bumpymap.core import BadInputError
+from bumpymap.layers.route_map import RouteMap
+from bumpytiles import Bounds, TileWindow
+
+__all__ = ["FRAME", "ExportArea", "ExportPoint", "LocalFrame", "choose_area"]
+
+FRAME = "map"
+"""Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
+_STRIP_CELLS = 16_000_000
+"""Cells that are read at once: few strips, so that few blocks of a raster are decoded twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportPoint:
+    """A place on the grid of a map."""
+
+    easting: float
+    """m."""
+    northing: float
+    """m."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFrame:
+    """A plane frame in metres: x to the east and y to the north of the grid, (0, 0) at the datum (REP-103)."""
+
+    datum: ExportPoint
+
+    def to_local(self, easting: Any, northing: Any) -> tuple[Any, Any]:
+        """Convert easting and northing on the grid to x and y, m; numbers or arrays."""
+        return easting - self.datum.easting, northing - self.datum.northing
+
+
+@dataclass(frozen=True, slots=True)
+class ExportArea:
+    """A window of a map, its cells and its frame."""
+
+    route_map: RouteMap
+    window: TileWindow
+    frame: LocalFrame
+    split: int
+    """Cells along a side of a tile: 1, or the pixels of the heightmap."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        return self.window.rows * self.split, self.window.cols * self.split
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell, m."""
+        return self.route_map.grid.tile_size / self.split
+
+    @property
+    def bounds(self) -> Bounds:
+        """Sides of the area in the local frame, m."""
+        whole = self.route_map.grid.window_bounds(self.window)
+        west, south = self.frame.to_local(whole.west, whole.south)
+        east, north = self.frame.to_local(whole.east, whole.north)
+        return Bounds(west, south, east, north)
+
+    def strips(self) -> Iterator[tuple[TileWindow, slice]]:
+        """Yield windows of whole rows of tiles, north first, and their rows of cells."""
+        window, split = self.window, self.split
+        height = max(1, _STRIP_CELLS // (window.cols * split * split))
+        for top in range(0, window.rows, height):
+            rows = min(height, window.rows - top)
+            part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
+            yield part, slice(top * split, (top + rows) * split)
+
+    def describe(self) -> dict[str, Any]:
+        """Return where the frame lies on Earth, for the sidecar file.
+
+        ``grid_convergence_deg`` is the angle from true north to grid north, clockwise; ``grid_scale`` is a length on
+        the grid over the same length on the ellipsoid.
+        """
+        datum, bounds = self.frame.datum, self.bounds
+        x, y = self.route_map.to_crs(datum.easting, datum.northing)
+        place: dict[str, Any] = {"longitude": None, "latitude": None, "x": x, "y": y, "crs": None}
+        if self.route_map.has_crs:
+            place |= self._on_earth()
+        return {
+            "frame": FRAME,
+            "axes": "x to the east and y to the north of the grid, m",
+            "datum": place,
+            "metres_per_unit": self.route_map.georeference.metres_per_unit,
+            "area": {"west": bounds.west, "south": bounds.south, "east": bounds.east, "north": bounds.north},
+            "resolution_m": self.resolution,
+        }
+
+    def _on_earth(self) -> dict[str, Any]:
+        from pyproj import Proj
+
+        datum, crs = self.frame.datum, self.route_map.georeference.crs
+        longitude, latitude = self.route_map.to_lonlat(datum.easting, datum.northing)
+        if crs is None or not np.isfinite([longitude, latitude]).all():
+            raise BadInputError(
+                "the datum cannot be converted to longitude and latitude: it lies outside the area of the map's CRS. "
+                "Choose a datum near the map"
+            )
+        crs = crs.to_2d()
+        factors = Proj(crs).get_factors(longitude, latitude)
+        authority = crs.to_authority()
+        return {
+            "longitude": round(longitude, 9),
+            "latitude": round(latitude, 9),
+            "crs": {"name": crs.name, "code": ":".join(authority) if authority else None},
+            "grid_convergence_deg": round(factors.meridian_convergence, 9),
+            "grid_scale": round(factors.meridional_scale, 9),
+        }
+
+
+def choose_area(
+    route_map: RouteMap, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
+) -> ExportArea:
+    """Choose the window to export, and its local frame.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+    split : int
+        Cells along a side of a tile.
+    around : ExportPoint, optional
+        Export the tiles of a square around this point, up to ``radius`` to each side; else the whole map.
+    radius_m : float
+    datum : ExportPoint, optional
+        Origin of the frame; else the corner of a tile nearest to ``around``, or to the middle of the map. Then cells
+        and origin are aligned, as costmaps that roll with the robot want it.
+
+    Raises
+    ------
+    BadInputError
+        The square does not touch the map.
+    """
+    window, size = route_map.window, route_map.grid.tile_size
+    if around is not None:
+        window = _crop(route_map, around, radius_m)
+    if datum is None:
+        middle = around or ExportPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
+        datum = ExportPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
+    return ExportArea(route_map, window, LocalFrame(datum), split)
+
+
+def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:
+    whole, grid = route_map.window, route_map.grid
+    sides = np.array([around.easting, around.northing])
+    first = grid.index(sides - radius_m)
+    last = grid.index(sides + radius_m)
+    west, south = max(int(first[0]), whole.col), max(int(first[1]), whole.row)
+    east, north = min(int(last[0]) + 1, whole.col + whole.cols), min(int(last[1]) + 1, whole.row + whole.rows)
+    if east <= west or north <= south:
+        bounds = grid.window_bounds(whole)
+        (left, low), (right, top) = (
+            route_map.to_crs(bounds.west, bounds.south),
+            route_map.to_crs(bounds.east, bounds.north),
+        )
+        x, y = route_map.to_crs(around.easting, around.northing)
+        raise BadInputError(
+            f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} "
+            f"to {right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"
+        )
+    return TileWindow(west, south, east - west, north - south)

@@ -1,0 +1,134 @@
+"""Files for Nav2: a map with graded cost, a keepout mask, a speed mask, and the parameters that load them.
+
+What their readers do with them (map_server, costmaps and their filters, the Smac planner) is stated on the page about
+robots, and held by the tests.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import NO_TILE, BadInputError, Barred
+from bumpymap.layers.export.area import ExportArea
+from bumpymap.layers.export.nav2_params import params_text
+from bumpymap.layers.export.target import write_file
+from bumpymap.layers.export.values import (
+    DEAREST,
+    LETHAL,
+    UNKNOWN_CELL,
+    CostScale,
+    cost_values,
+    keepout_values,
+    lay_objects,
+    passable_cost,
+    speed_values,
+)
+
+__all__ = ["Nav2Grids", "make_grids", "write_nav2"]
+
+_MAX_CELLS = 100_000_000
+"""Most cells of an occupancy grid: every node of Nav2 that uses it keeps a copy."""
+_BANDS = ("c_r", "p_fail")
+
+
+@dataclass(frozen=True, slots=True)
+class Nav2Grids:
+    """The three images, uint8 (rows, cols) each, north row first."""
+
+    cost: NDArray[np.uint8]
+    keepout: NDArray[np.uint8]
+    speed: NDArray[np.uint8]
+    scale: CostScale
+    comfort: float
+    """Most pitch motion, rad/s."""
+    tiles: dict[str, int]
+    """Tiles in the area: passable, barred, unknown."""
+
+
+def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2Grids:
+    """Make the images of an area.
+
+    Parameters
+    ----------
+    area : ExportArea
+    comfort : float
+        See `speed_values`.
+    dearest : float, optional
+        Cost per metre that gets the highest value; else that of the dearest passable tile of the area.
+
+    Raises
+    ------
+    BadInputError
+        There are too many cells, or no tile of the area is passable.
+    """
+    rows, cols = area.shape
+    if rows * cols > _MAX_CELLS:
+        raise BadInputError(
+            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a map for Nav2 may have {_MAX_CELLS:,}. "
+            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
+        )
+    highest, tiles = _survey(area)
+    if not tiles["passable"]:
+        raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
+    scale = CostScale(dearest or highest)
+    cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
+    for window, lines in area.strips():
+        field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
+        coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
+        if area.split == 1:
+            cost[lines], keepout[lines], speed[lines] = coarse
+            continue
+        objects = area.route_map.objects(window)
+        judged = ~np.isnan(field.obstacle)
+        cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
+        keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
+        speed[lines] = np.repeat(np.repeat(coarse[2], area.split, axis=0), area.split, axis=1)
+    return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
+
+
+def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
+    """Return the highest cost of a passable tile, and the numbers of tiles by state."""
+    highest, counts = 1.0, np.zeros(3, np.int64)
+    for window, _ in area.strips():
+        field = area.route_map.read(window, _BANDS)
+        cost = passable_cost(field)
+        highest = float(np.fmax(highest, np.nanmax(cost, initial=1.0)))
+        passable, unknown = np.count_nonzero(~np.isnan(cost)), np.count_nonzero(field.barred == Barred.UNKNOWN)
+        there = np.count_nonzero(field.barred != NO_TILE)
+        counts += passable, there - passable - unknown, unknown
+    return highest, dict(zip(("passable", "barred", "unknown"), map(int, counts), strict=True))
+
+
+def write_nav2(folder: Path, area: ExportArea, grids: Nav2Grids) -> dict[str, Any]:
+    """Write the files, and return what the sidecar file says of them."""
+    for name, cells in (("map", grids.cost), ("keepout_mask", grids.keepout), ("speed_mask", grids.speed)):
+        header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
+        write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
+        write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
+    vehicle = area.route_map.vehicle
+    write_file(folder / "nav2_params.yaml", params_text(vehicle, grids.scale, area.resolution).encode())
+    return {
+        "cost": {
+            "value_0": 1.0,
+            f"value_{DEAREST}": grids.scale.dearest,
+            "unit": "cost per metre of level, smooth and safe ground",
+        },
+        "speed": {"comfort_rad_per_s": grids.comfort, "value_100_m_per_s": vehicle.speed_mps},
+        "tiles": grids.tiles,
+    }
+
+
+def _map_yaml(image: str, area: ExportArea) -> Iterator[str]:
+    """Yield the lines of a map's metadata; the thresholds are required, though mode ``raw`` does not use them."""
+    bounds = area.bounds
+    yield f"image: {image}\n"
+    yield "mode: raw\n"
+    yield f"resolution: {area.resolution!r}\n"
+    yield f"origin: [{float(bounds.west)!r}, {float(bounds.south)!r}, 0.0]\n"
+    yield "negate: 0\n"
+    yield "occupied_thresh: 0.65\n"
+    yield "free_thresh: 0.25\n"

@@ -1,0 +1,162 @@
+"""A mission for QGroundControl (.plan): the corners of a route as waypoints of a ground vehicle."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, parse_json
+from bumpymap.layers.export.target import write_json
+from bumpymap.layers.route_map import RouteMap
+from bumpytiles import TileWindow
+
+__all__ = ["Mission", "make_mission", "read_route_line", "write_plan"]
+
+_WAYPOINT = 16
+"""MAV_CMD_NAV_WAYPOINT."""
+_RELATIVE = 3
+"""MAV_FRAME_GLOBAL_RELATIVE_ALT: heights above the home position. Rovers stay on the ground whatever it is."""
+_ARDUPILOT, _ROVER = 3, 10
+"""MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
+_MOST_BYTES = 64 << 20
+_MOST_WAYPOINTS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Waypoints on the ground."""
+
+    longitude: NDArray[np.float64]
+    """(n,) degrees, WGS 84."""
+    latitude: NDArray[np.float64]
+    """(n,) degrees."""
+    home_z: float
+    """Height of the ground at the first waypoint, m; 0 if unknown."""
+    speed_mps: float
+
+
+def read_route_line(path: Path) -> NDArray[np.float64]:
+    """Read the first line of a route file.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``.
+
+    Returns
+    -------
+    float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, or holds no such line.
+    """
+    try:
+        size = path.stat().st_size
+        if size > _MOST_BYTES:
+            raise BadInputError(f"{path} has {size:,} bytes; a route has {_MOST_BYTES:,} at most. Give a route file")
+        record = parse_json(path.read_text(encoding="utf-8"))
+        corners = np.array(_first_line(record), np.float64)[:, :2]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise BadInputError(
+            f"cannot read a route from {path}: {error}. Give a GeoJSON file with a line, such as the route.geojson "
+            "that `bumpymap route` writes"
+        ) from error
+    longitude, latitude = corners.T
+    if len(corners) < 2 or not (np.abs(longitude) <= 180.0).all() or not (np.abs(latitude) <= 90.0).all():
+        raise BadInputError(f"the line in {path} is not one of two or more points in longitude and latitude (degrees)")
+    return corners
+
+
+def _first_line(record: Any) -> list[Any]:
+    """Return the positions of the first line of a GeoJSON object; of a line in parts, one after the other."""
+    features = record["features"] if record["type"] == "FeatureCollection" else [record]
+    for feature in features:
+        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+        if geometry is not None and geometry["type"] == "LineString":
+            return [position[:2] for position in geometry["coordinates"]]
+        if geometry is not None and geometry["type"] == "MultiLineString":
+            return [position[:2] for part in geometry["coordinates"] for position in part]
+    raise LookupError("it holds no line")
+
+
+def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
+    """Make a mission of a line over a map.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        Gives the speed, and the height of the ground at the start.
+    line : float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+
+    Raises
+    ------
+    BadInputError
+        The line leaves the map, or has too many corners.
+    """
+    if len(line) > _MOST_WAYPOINTS:
+        raise BadInputError(f"the route has {len(line):,} corners; a mission may have {_MOST_WAYPOINTS:,}")
+    easting, northing = route_map.from_lonlat(line[:, 0], line[:, 1])
+    bounds, edge = route_map.grid.window_bounds(route_map.window), 0.1  # m: files round coordinates to 1 cm
+    inside = (easting >= bounds.west - edge) & (easting <= bounds.east + edge)
+    inside &= (northing >= bounds.south - edge) & (northing <= bounds.north + edge)
+    if not inside.all():
+        number = int(np.flatnonzero(~inside)[0])
+        raise BadInputError(
+            f"point {number + 1} of the route, {line[number, 0]:.7f},{line[number, 1]:.7f}, lies outside of the map. "
+            "Give the layers that the route was planned on"
+        )
+    height = _ground(route_map, float(easting[0]), float(northing[0]))
+    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
+
+
+def _ground(route_map: RouteMap, easting: float, northing: float) -> float:
+    """Return the mean height of the tile at a place, m; 0 if unknown."""
+    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
+    heights = route_map.heights(TileWindow(col, row, 1, 1))
+    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
+
+
+def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
+    """Write route.plan, and return what the sidecar file says of it."""
+    places = list(zip(mission.latitude.tolist(), mission.longitude.tolist(), strict=True))
+    items = [_item(number, *place) for number, place in enumerate(places, start=1)]
+    record = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": _ARDUPILOT,
+            "vehicleType": _ROVER,
+            "cruiseSpeed": mission.speed_mps,
+            "hoverSpeed": mission.speed_mps,
+            "globalPlanAltitudeMode": 1,
+            "plannedHomePosition": [*places[0], mission.home_z],
+            "items": items,
+        },
+    }
+    write_json(folder / "route.plan", record)
+    return {"plan": {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}}
+
+
+def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
+    """Return a waypoint: no hold, no heading of its own, on the ground."""
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": _WAYPOINT,
+        "doJumpId": number,
+        "frame": _RELATIVE,
+        "params": [0, 0, 0, None, latitude, longitude, 0],
+        "AMSLAltAboveTerrain": None,
+        "Altitude": 0,
+        "AltitudeMode": 1,
+    }
