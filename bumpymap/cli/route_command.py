@@ -47,7 +47,7 @@ def command(*, quiet: bool, log_json: bool, **given: Any) -> None:
     set_up_logging(as_json=log_json)
     settings = given_options(given)
     if not settings.get("layers"):
-        raise UsageError("no layers given: add the folder that `bumpymap map` wrote")
+        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.route import CostSettings, RouteConfig, plan_routes
 
     cost = CostSettings(**{name: settings.pop(name) for name in _OF_COST if name in settings})

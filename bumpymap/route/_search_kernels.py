@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper, kernel
 
-__all__ = ["FROM_START", "NOT_REACHED", "Ground", "MoveTables", "Reached", "Seeds", "mark_crowded", "search", "walk_back"]
+__all__ = [
+    "FROM_START",
+    "NOT_REACHED",
+    "Ground",
+    "MoveTables",
+    "Reached",
+    "Seeds",
+    "mark_crowded",
+    "search",
+    "walk_back",
+]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

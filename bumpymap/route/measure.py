@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField
+from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
 from bumpymap.layers import RouteMap
 from bumpymap.route.line import trace
 from bumpytiles import TileWindow
@@ -113,11 +113,14 @@ def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray
     window = _window_around(site, line)
     tiles = site.read(window)
     cost = cost_of(tiles)
-    found = trace(cost, _in_window(site, line, window))
+    place = _in_window(site, line, window)
+    found = trace(cost, place)
+    if not len(found.length):  # a way of no length lies in one tile
+        row, col = np.floor(place[:1]).astype(np.int64).T
+        found = TracedLine(row, col, np.zeros(1))
     at = found.row, found.col
     unknown = tiles.barred[at] == Barred.UNKNOWN
-    hazard = np.nan_to_num(tiles.rule.hazard(tiles.p_fail[at]), nan=0.0, posinf=np.inf)
-    # A piece of length 0 at infinite cost or hazard counts nothing.
+    hazard = tiles.rule.hazard(tiles.p_fail[at])
     return _Pieces(
         col=window.col + found.col,
         row=window.row + window.rows - 1 - found.row,
@@ -126,7 +129,7 @@ def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray
         c_r=np.where(unknown, np.nan, tiles.c_r[at]),
         c_r_low=np.where(unknown, np.nan, tiles.c_r_low[at]),
         c_r_high=np.where(unknown, np.nan, tiles.c_r_high[at]),
-        hazard=np.where(unknown, 0.0, hazard),
+        hazard=np.where(unknown | np.isnan(hazard), 0.0, hazard),
         p_fail=np.where(unknown, np.nan, tiles.p_fail[at]),
         obstacle=tiles.obstacle[at].astype(np.float64),
         unknown=unknown,
@@ -208,7 +211,7 @@ def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
 def _heights(site: RouteMap, points: Floats) -> Floats:
     """Return the mean height of the pixels within half a metre of each point, or of its pixel alone; NaN if unknown."""
     out = np.full(len(points), np.nan)
-    size, pixels = site.grid.tile_size, site.grid.pixels
+    _size, pixels = site.grid.tile_size, site.grid.pixels
     reach = pixels // (2 * _SAMPLES_A_TILE)
     around = np.arange(-reach, reach + 1)
     for some in np.array_split(np.arange(len(points)), max(1, len(points) // (_STRETCH_TILES * _SAMPLES_A_TILE))):
@@ -231,4 +234,4 @@ def _slope(distance: Floats, z: Floats, span: float) -> Floats:
     low = np.maximum(distance - span / 2, 0.0)
     high = np.minimum(distance + span / 2, distance[-1])
     rise = np.interp(high, distance, z) - np.interp(low, distance, z)
-    return np.degrees(np.arctan2(rise, high - low))
+    return np.asarray(np.degrees(np.arctan2(rise, high - low)))

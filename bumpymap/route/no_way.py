@@ -39,8 +39,8 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
         smaller = min(reached, key=lambda part: int(part.sum()))
         return (
             f"{between}: {areas[0]} can be reached from the first, {areas[1]} from the second, and no tile from both. "
-            f"The smaller area is closed in by {_closed_by(smaller, barred)}. Choose other points, cross unknown ground "
-            "with `unknown=COST`, or map the survey for another vehicle"
+            f"The smaller area is closed in by {_closed_by(smaller, barred)}. Choose other points, cross unknown "
+            "ground with `unknown=COST`, or map the survey for another vehicle"
         )
     return "there is no way through all points"
 

@@ -1,5 +1,6 @@
 """Plan ways over a map: costs of its tiles by window, the search, and what a way costs."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -58,7 +59,7 @@ class PlannedWay:
         own = np.unique(self.measured.tiles, axis=0)
         beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
         near = (other.measured.tiles[:, None] + beside).reshape(-1, 2)
-        both, count = np.unique(np.concatenate([own, np.unique(near, axis=0)]), axis=0, return_counts=True)
+        _both, count = np.unique(np.concatenate([own, np.unique(near, axis=0)]), axis=0, return_counts=True)
         return int((count > 1).sum()) / len(own)
 
 
@@ -143,7 +144,7 @@ class Planner:
             Tiles that are dearer for this way.
         """
         legs = []
-        for start, goal in zip(stops[:-1], stops[1:], strict=True):
+        for start, goal in itertools.pairwise(stops):
             leg = self._leg(start, goal, risk, worn)
             if leg is None:
                 return None

@@ -29,7 +29,18 @@ from bumpymap.route._search_kernels import (
 from bumpymap.route.line import as_cost, as_margin, is_clear, line_cost
 from bumpymap.route.straighten import pull_tight
 
-__all__ = ["BYTES_PER_TILE", "FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
+__all__ = [
+    "BYTES_PER_TILE",
+    "FROM_START",
+    "NOT_REACHED",
+    "Found",
+    "Way",
+    "find_way",
+    "follow_back",
+    "seek",
+    "spread",
+    "tight_way",
+]
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float]
@@ -145,9 +156,7 @@ def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bo
     return Found(line, float(reached.best[0]), settled)
 
 
-def spread(
-    cost: NDArray[np.floating], start: Point, *, margin: float = 0.0
-) -> tuple[Floats, NDArray[np.uint8]]:
+def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> tuple[Floats, NDArray[np.uint8]]:
     """Find what every tile costs to reach.
 
     Parameters
@@ -258,9 +267,7 @@ class _Window:
         crowded = np.ones(self.cost.shape, np.uint8)
         mark_crowded(self.cost, REACH, np.zeros(self.cost.shape[1], np.int64), crowded)
         width, count = self.cost.shape[1], self.cost.size
-        ground = Ground(
-            self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound
-        )
+        ground = Ground(self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound)
         reached = Reached(
             np.full(count, math.inf),
             np.full(count, NOT_REACHED, np.uint8),

@@ -67,11 +67,11 @@ class RouteConfig:
 
     def __post_init__(self) -> None:
         if not self.layers:
-            raise UsageError("no layers given: add the folder that `bumpymap map` wrote")
+            raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
         if (self.start is None) == (self.points is None):
-            raise UsageError("give either the start (--from) or a file of points (--points)")
+            raise UsageError("give either the `start` or a file of `points`")
         if self.points is not None and (self.goal is not None or self.via):
-            raise UsageError("the file of points holds start, points to pass and goal: leave out --to and --via")
+            raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
         if not 1 <= self.alternatives <= _MOST_ALTERNATIVES:
             raise UsageError(f"alternatives is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}")
         _number("snap", self.snap, 0.0)
@@ -80,13 +80,15 @@ class RouteConfig:
                 _number(name, value, 0.0)
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
-                "without a goal the run maps what can be reached from the start; visit, return, alternatives and "
-                "compare belong to a way: add --to, --via or --points"
+                "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` and "
+                "`compare` belong to a way: add `goal`, `via` or `points`"
             )
         if self.is_reach and self.out is None:
-            raise UsageError("the map of what can be reached is written to a folder: add --out DIR")
+            raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
+        if self.isochrones and self.isocosts:
+            raise UsageError("isochrones and isocosts are outlines of one run each: give one of them")
         if not self.is_reach and (self.isochrones or self.isocosts):
-            raise UsageError("isochrones and isocosts are those of a start without a goal: leave out --to and --via")
+            raise UsageError("isochrones and isocosts are those of a start without a goal: leave out `goal` and `via`")
 
     @property
     def is_reach(self) -> bool:

@@ -46,6 +46,7 @@ def reached(monkeypatch, tmp_path):
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
+    monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr("bumpymap.scan.fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
@@ -64,6 +65,7 @@ WORDS = {
     "map": ["site.laz", "--out", "o"],
     "scan": ["drive", "--out", "o"],
     "info": ["site.laz"],
+    "route": ["layers", "--from", "1,1", "--to", "2,2"],
     "calibrate": ["--out", "c.json"],
     "evaluate": ["site.laz", "--out", "o"],
     "train": ["--out", "m.onnx"],

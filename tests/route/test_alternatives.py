@@ -73,7 +73,7 @@ def test_where_the_hull_ends_ways_over_other_ground_follow():
 
 
 def test_no_way_gives_none():
-    assert find_alternatives(lambda risk, worn: None, 3, OWN_RISK) == []
+    assert find_alternatives(lambda _risk, _worn: None, 3, OWN_RISK) == []
 
 
 @pytest.mark.parametrize("tile", [(10, 20), (13, 21)])

@@ -1,6 +1,6 @@
 """The best order of points: against every permutation."""
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from bumpymap.route.visits import best_order
 
 
 def tour_cost(costs, order):
-    return sum(costs[a, b] for a, b in zip(order[:-1], order[1:], strict=True))
+    return sum(costs[a, b] for a, b in pairwise(order))
 
 
 @pytest.mark.parametrize("fixed_end", [True, False])

@@ -1,0 +1,217 @@
+"""`bumpymap route` as a user gives it, on layers of a made-up site."""
+
+import json
+from dataclasses import replace
+from shutil import copytree
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from click.testing import CliRunner
+from cost_maps import make_map
+from pyproj import Transformer
+from route_maps import write_folder
+
+from bumpymap.cli import main
+from bumpymap.core import NO_CLASS, Reason, TextureMap
+from bumpytiles import Grid
+
+ROWS, COLS = 24, 30
+WEST, SOUTH = 160_000, 712_000
+TO_DEGREES = Transformer.from_crs("EPSG:32614", "EPSG:4326", always_xy=True)
+
+
+def place(row, col):
+    """Easting and northing of field coordinates, as text."""
+    return f"{(WEST + col) * 3.0},{(SOUTH + ROWS - row) * 3.0}"
+
+
+def lonlat(row, col):
+    lon, lat = TO_DEGREES.transform((WEST + col) * 3.0, (SOUTH + ROWS - row) * 3.0)
+    return f"{lon:.9f},{lat:.9f}"
+
+
+def site(*, seed=1):
+    """A wall of steep ground in the middle, with a gap in the north; a patch of unknown ground in the south-west."""
+    row, col = (index.ravel() for index in np.mgrid[0:ROWS, 0:COLS])
+    unknown = (row > 18) & (col < 5)
+    reason = np.where(unknown, Reason.TOO_FEW_POINTS, Reason.OK)
+    class_id = np.where(unknown, NO_CLASS, 0)
+    made = make_map(WEST + col, SOUTH + ROWS - 1 - row, class_id, reason, grid=Grid(3.0, 4), seed=seed, easy=True)
+    wall = (col == 15) & (row > 2)
+    slope = np.where(wall, 60.0, 2.0)
+    c_r = np.where(unknown, np.nan, 0.1 + 0.05 * (seed - 1)).astype(np.float32)
+    p_fail = np.where(unknown, np.nan, 0.01).astype(np.float32)
+    patches = replace(made.patches, slope=slope)
+    nothing = TextureMap.unknown(len(col))
+    return replace(
+        made, patches=patches, textures=nothing, c_r=c_r, c_r_low=c_r * 0.8, c_r_high=c_r * 1.2, p_fail=p_fail
+    )
+
+
+@pytest.fixture(scope="module")
+def layers(tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "layers", site())
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """The site for another vehicle."""
+    vehicle = {"name": "small_rover", "width_m": 0.7, "height_m": 0.5, "clearance_m": 0.1, "speed_mps": 0.5}
+    return write_folder(
+        tmp_path_factory.mktemp("route") / "rover",
+        site(seed=3),
+        vehicle=vehicle,
+        calibration={"id": "abc", "vehicle": "small_rover"},
+    )
+
+
+def run(*words):
+    return CliRunner().invoke(main, ["route", *(str(word) for word in words)])
+
+
+def record(*words):
+    result = run(*words, "--log-json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def test_the_way_goes_through_the_gap_and_all_files_are_there(layers, tmp_path):
+    out = tmp_path / "way"
+    result = run(layers, "--from", lonlat(20.5, 8.5), "--to", lonlat(20.5, 22.5), "--out", out)
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in out.iterdir()} == {
+        *("route.geojson", "route.gpx", "profile.csv", "route.png", "route.json")
+    }
+    assert "arrives" in result.stdout
+    lines = pyogrio.read_dataframe(out / "route.geojson").to_crs("EPSG:32614")
+    (line,) = lines.geometry[lines.geom_type == "LineString"]
+    north = max(y for _, y in line.coords)
+    assert north > (SOUTH + ROWS - 3) * 3.0
+    properties = json.loads((out / "route.geojson").read_text())["features"][0]["properties"]
+    assert properties["detour"] > 1.5
+    assert properties["length_m"] == pytest.approx(line.length, rel=1e-6)
+    assert properties["cost_m"] == pytest.approx(line.length * (1 + 2.5 * 0.1 - 300 * np.log(0.99) / 10), rel=1e-5)
+
+
+def test_without_a_place_to_write_only_the_summary_is_printed(layers, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run(layers, "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
+    assert result.exit_code == 0
+    assert list(tmp_path.iterdir()) == []
+    assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--to", place(5.5, 5.5)], "give either the --from or a file of --points"),
+        (["--from", "here", "--to", place(5.5, 5.5)], "'here' is not a point"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--unknown", "0.5"], "unknown is 0.5"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--alternatives", "99"], "alternatives is 99"),
+        (["--from", place(5.5, 5.5)], "--out DIR"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--isochrones", "1"], "without a goal"),
+        (["--from", place(5.5, 5.5), "--isochrones", "1", "--isocosts", "50", "--out", "o"], "isochrones and isocosts"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--memory", "1MB"], "memory is '1MB'"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(layers, words, says):
+    result = run(layers, *words)
+    assert result.exit_code == 2
+    assert says in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--from", "1,1", "--to", place(5.5, 5.5)], "lies outside the map"),
+        (["--from", place(10.5, 15.5), "--to", place(5.5, 5.5)], "not passable (too steep). The nearest point"),
+        (["--from", place(20.5, 2.5), "--to", place(5.5, 5.5)], "unknown ground; --unknown COST"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--avoid", "none.geojson"], "none.geojson is missing"),
+        (["--points", "none.csv"], "there is no file none.csv"),
+    ],
+)
+def test_bad_input_is_exit_code_3_and_nothing_is_written(layers, words, says, tmp_path):
+    out = tmp_path / "way"
+    result = run(layers, *words, "--out", out)
+    assert result.exit_code == 3
+    assert says in " ".join(result.output.split())
+    assert not out.exists()
+
+
+def test_no_way_says_how_far_both_ends_reach(tmp_path):
+    made = site()
+    closed = replace(made, patches=replace(made.patches, slope=np.where(made.patches.col == WEST + 15, 60.0, 2.0)))
+    folder = write_folder(tmp_path / "closed", closed)
+    result = run(folder, "--from", place(5.5, 5.5), "--to", place(5.5, 25.5))
+    assert result.exit_code == 3
+    text = " ".join(result.output.split())
+    assert "no way from point 1 to point 2: 335 tiles (0.30 ha) can be reached from the first, 336 tiles" in text
+    assert "closed in by" in text
+    assert "too steep" in text
+
+
+def test_layers_of_two_vehicles_are_no_map_but_can_be_compared(layers, others):
+    ends = ["--from", place(20.5, 8.5), "--to", place(20.5, 22.5)]
+    result = run(layers, others, *ends)
+    assert result.exit_code == 3
+    assert "are not sheets of one map" in result.output
+    routes = record(layers, "--compare", others, *ends)["routes"]
+    assert [(route["name"], route["vehicle"]) for route in routes] == [
+        ("route", "warthog"),
+        ("route, small_rover", "small_rover"),
+    ]
+    assert routes[1]["seconds"] > routes[0]["seconds"]
+
+
+def test_a_cut_off_layer_is_refused(layers, tmp_path):
+    folder = copytree(layers, tmp_path / "cut")
+    raster = folder / "roughness.tif"
+    raster.write_bytes(raster.read_bytes()[:-1000])
+    result = run(folder, "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
+    assert result.exit_code == 3
+    assert "roughness.tif is cut off or was changed" in result.output
+
+
+def test_snap_moves_a_point_and_says_so(layers):
+    found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)
+    (note,) = found["notes"]
+    assert note.startswith(f"the start {place(10.5, 15.5)} was moved by ")
+
+
+def test_visits_are_put_in_order_and_the_way_returns(layers, tmp_path):
+    points = tmp_path / "points.csv"
+    stops = [(5.5, 2.5), (5.5, 12.5), (5.5, 6.5), (5.5, 9.5), (5.5, 13.5)]
+    points.write_text("x,y\n" + "\n".join(place(*stop) for stop in stops) + "\n")
+    given = record(layers, "--points", points)["routes"][0]
+    best = record(layers, "--points", points, "--visit")["routes"][0]
+    back = record(layers, "--points", points, "--visit", "--return")["routes"][0]
+    assert given["length_m"] == pytest.approx((10 + 6 + 3 + 4) * 3.0)
+    assert best["length_m"] == pytest.approx(11 * 3.0)
+    assert back["length_m"] == pytest.approx(22 * 3.0)
+
+
+def test_what_can_be_reached_is_a_raster_and_outlines(layers, tmp_path):
+    out = tmp_path / "reach"
+    result = run(layers, "--from", place(20.5, 8.5), "--out", out, "--isochrones", "0.5,1")
+    assert result.exit_code == 0, result.output
+    assert "can be reached from the start" in result.stdout
+    with rasterio.open(out / "reach.tif") as file:
+        assert file.descriptions == ("cost", "minutes")
+        assert file.crs.to_epsg() == 32614
+        (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
+    assert not cost[0] <= 60.0 * 1.6  # only around the wall
+    assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
+
+
+def test_an_earlier_run_is_replaced_only_if_told(layers, tmp_path):
+    words = [layers, "--from", place(20.5, 8.5), "--to", place(5.5, 8.5), "--out", tmp_path / "way"]
+    assert run(*words).exit_code == 0
+    again = run(*words)
+    assert again.exit_code == 3
+    assert "--overwrite" in again.output
+    before = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
+    assert run(*words, "--overwrite").exit_code == 0
+    after = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
+    assert {name for name in before if before[name] != after[name]} <= {"route.json"}

@@ -1,0 +1,78 @@
+"""A made-up map: every class, every reason, gaps without rows, heights with holes."""
+
+import numpy as np
+from pyproj import CRS
+
+from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
+from bumpytiles import Grid
+
+UTM = CRS.from_epsg(32614)
+RULE = CostRule(ride_weight=2.5, fail_weight=300.0, drive_m=10.0, slope_limit_deg=25.0)
+
+
+def make_map(col, row, class_id, reason, *, georeference=None, grid=None, seed=5, easy=False):
+    """CostMap of given tiles, classes and reasons; every other number is drawn at random.
+
+    ``easy`` ground is level and fails no drive: all of it with a class is passable.
+    """
+    rng = np.random.default_rng(seed)
+    grid = grid or Grid()
+    col, row = np.asarray(col, np.int64), np.asarray(row, np.int64)
+    class_id, reason = np.asarray(class_id, np.uint8), np.asarray(reason, np.uint8)
+    n, known = len(col), class_id != NO_CLASS
+    heights = rng.normal(2000.0, 0.3, (n, grid.pixels, grid.pixels)).astype(np.float32)
+    heights[rng.random(heights.shape) < 0.2] = np.nan
+    relief = rng.normal(0.0, 0.1, heights.shape).astype(np.float32)
+    chance = rng.dirichlet(np.ones(4), n).astype(np.float32)
+    chance[~known] = np.nan
+    low, middle, high = np.sort(rng.gamma(2.0, 0.1, (3, n)).astype(np.float32), axis=0)
+    low[~known] = middle[~known] = high[~known] = np.nan
+    plane = np.where(reason == Reason.TOO_FEW_POINTS, np.nan, rng.random(n))
+    patches = PatchStack(
+        grid=grid,
+        col=col,
+        row=row,
+        count=rng.integers(1, 5000, n),
+        z_min=1999.0 - rng.random(n),
+        z_max=2001.0 + rng.random(n),
+        z_variance=rng.random(n),
+        ransac_residual=plane,
+        slope=np.where(easy, 0.0, plane * 30.0),
+        z_range=rng.random(n),
+        density=rng.random(n) * 500.0,
+        coverage=rng.random(n),
+        heights=heights,
+        spread_count=rng.integers(0, 9, heights.shape).astype(np.int32),
+        spread_variance=np.abs(relief),
+        relief_map=relief,
+        relief=np.where(known, rng.random(n), np.nan),
+        reason=reason,
+    )
+    return CostMap(
+        georeference=georeference or Georeference(UTM),
+        patches=patches,
+        textures=TextureMap(chance),
+        class_id=class_id,
+        c_r=middle,
+        c_r_low=low,
+        c_r_high=high,
+        p_fail=np.where(known, 0.0 if easy else rng.random(n), np.nan).astype(np.float32),
+        confidence=np.where(known, rng.random(n), np.nan).astype(np.float32),
+        rule=RULE,
+    )
+
+
+def make_field(cols, rows, *, west=110_000, south=680_000, holes=0.15, seed=3, **options):
+    """Map of cols x rows tiles, smooth patches of class, some unknown, some missing; shuffled."""
+    rng = np.random.default_rng(seed)
+    rough = rng.normal(size=(rows, cols))
+    for _ in range(3):
+        rough += np.roll(rough, 1, 0) + np.roll(rough, 1, 1)
+    class_id = np.digitize(rough, np.quantile(rough, [0.25, 0.5, 0.75])).astype(np.uint8)
+    unknown = rng.random(class_id.shape) < 0.2
+    class_id[unknown] = NO_CLASS
+    reason = np.where(unknown, rng.integers(2, 6, class_id.shape), 0)
+    row, col = np.nonzero(rng.random(class_id.shape) >= holes)
+    shuffle = rng.permutation(len(row))
+    row, col = row[shuffle], col[shuffle]
+    return make_map(col + west, row + south, class_id[row, col], reason[row, col], seed=seed, **options)

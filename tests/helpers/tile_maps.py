@@ -1,0 +1,83 @@
+"""Maps in memory whose tiles, heights and risks a test chooses, with the methods of a RouteMap that planning uses."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pyproj import CRS
+
+from bumpymap.core import NO_TILE, CostRule, Georeference, RouteVehicle, TileField
+from bumpytiles import Grid, TileWindow
+
+GRID = Grid()
+UTM = Georeference(CRS.from_epsg(32614))
+WARTHOG = RouteVehicle("warthog", 1.38, 2.0)
+RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
+
+
+@dataclass
+class TileMap:
+    """A map in memory; arrays are (rows, cols), north row first."""
+
+    c_r: np.ndarray
+    barred: np.ndarray = None
+    p_fail: np.ndarray = None
+    obstacle: np.ndarray = None
+    height: object = None
+    """Height [m] at easting and northing; None: level ground."""
+    west: int = 160_000
+    south: int = 712_000
+    grid: Grid = GRID
+    georeference: Georeference = UTM
+    rule: CostRule = RULE
+    vehicle: RouteVehicle = WARTHOG
+    has_crs: bool = True
+    windows: list = field(default_factory=list)
+
+    def __post_init__(self):
+        self.c_r = np.asarray(self.c_r, np.float32)
+        self.barred = np.zeros(self.c_r.shape, np.uint8) if self.barred is None else np.asarray(self.barred, np.uint8)
+        self.p_fail = np.zeros_like(self.c_r) if self.p_fail is None else np.asarray(self.p_fail, np.float32)
+        self.obstacle = np.zeros_like(self.c_r) if self.obstacle is None else np.asarray(self.obstacle, np.float32)
+
+    @property
+    def window(self):
+        rows, cols = self.c_r.shape
+        return TileWindow(self.west, self.south, cols, rows)
+
+    def at(self, row, col):
+        """Easting and northing of field coordinates."""
+        return np.array([self.west + col, self.south + len(self.c_r) - row]) * self.grid.tile_size
+
+    def _cut(self, values, window, nothing):
+        out = np.full((window.rows, window.cols), nothing, values.dtype)
+        rows = self.south + len(values) - (window.row + window.rows) + np.arange(window.rows)
+        cols = window.col - self.west + np.arange(window.cols)
+        in_rows, in_cols = ((at >= 0) & (at < size) for at, size in zip((rows, cols), values.shape, strict=True))
+        out[np.ix_(in_rows, in_cols)] = values[np.ix_(rows[in_rows], cols[in_cols])]
+        return out
+
+    def read(self, window, bands=()):
+        self.windows.append(window)
+        c_r = self._cut(self.c_r, window, np.nan)
+        return TileField(
+            self.grid,
+            self.georeference,
+            window,
+            self._cut(self.barred, window, NO_TILE),
+            c_r,
+            c_r * np.float32(0.8),
+            c_r * np.float32(1.25),
+            self._cut(self.p_fail, window, np.nan),
+            self._cut(self.obstacle, window, np.nan),
+            self.rule,
+            self.vehicle,
+        )
+
+    def heights(self, window):
+        pixel = self.grid.tile_size / self.grid.pixels
+        rows, cols = window.rows * self.grid.pixels, window.cols * self.grid.pixels
+        if self.height is None:
+            return np.zeros((rows, cols), np.float32)
+        north = (window.row + window.rows) * self.grid.tile_size - (np.arange(rows) + 0.5) * pixel
+        east = window.col * self.grid.tile_size + (np.arange(cols) + 0.5) * pixel
+        return self.height(east[None, :], north[:, None]).astype(np.float32)

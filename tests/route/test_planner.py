@@ -1,0 +1,102 @@
+"""Ways over maps in memory: weights of risk, closed tiles, areas, stops."""
+
+import numpy as np
+import pytest
+import shapely
+from tile_maps import TileMap
+
+from bumpymap.core import Barred
+from bumpymap.route.line import is_clear
+from bumpymap.route.planner import Planner
+from bumpymap.route.settings import CostSettings
+
+
+def planner(site, **settings):
+    return Planner(site, CostSettings(**settings), 10**7)
+
+
+def rough_map(seed, rows=60, cols=70, barred_share=0.15):
+    """Smooth hills of ride cost, and risk where the ride is smooth, so that both pull apart."""
+    rng = np.random.default_rng(seed)
+    relief = rng.normal(size=(rows, cols))
+    for _ in range(4):
+        relief += np.roll(relief, 1, 0) + np.roll(relief, 1, 1) + np.roll(relief, -1, 0) + np.roll(relief, -1, 1)
+    rank = relief.argsort(axis=None).argsort().reshape(relief.shape) / relief.size
+    barred = np.where(rng.random(relief.shape) < barred_share, Barred.SLOPE, Barred.NO)
+    barred[:3], barred[-3:] = Barred.NO, Barred.NO
+    return TileMap(0.02 + 0.5 * rank, barred, p_fail=0.3 * (1 - rank) ** 2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heavier_risk_costs_more_and_arrives_more_surely(seed):
+    site = rough_map(seed)
+    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
+    ways = [planner(site).way(stops, risk) for risk in (0.0, 30.0, 300.0, 3000.0, 30000.0)]
+    hazard = [way.measured.figures.hazard for way in ways]
+    ride = [way.measured.figures.cost_m - 300.0 * way.measured.figures.hazard for way in ways]
+    for first, second in zip(range(4), range(1, 5), strict=True):
+        assert hazard[second] <= hazard[first] * (1 + 1e-3)
+        assert ride[second] >= ride[first] * (1 - 1e-3)
+    assert hazard[-1] < 0.9 * hazard[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_way_crosses_a_closed_tile_or_comes_too_near(seed):
+    site = rough_map(seed, barred_share=0.25)
+    plan = planner(site)
+    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
+    way = plan.way(stops)
+    cost = plan.load(site.window)
+    line = np.array([plan.place(point, site.window) for point in way.line])
+    assert is_clear(cost, line, plan.margin)
+    col, row = (way.measured.tiles - (site.west, site.south)).T
+    assert (site.barred[len(site.barred) - 1 - row, col] == Barred.NO).all()
+
+
+def test_unknown_ground_is_crossed_only_at_a_price():
+    barred = np.zeros((9, 30), np.uint8)
+    barred[:, 14:17] = Barred.UNKNOWN
+    site = TileMap(np.full((9, 30), 0.1), barred)
+    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 28.5)])
+    assert planner(site).way(stops) is None
+    way = planner(site, unknown=4.0).way(stops)
+    assert way.measured.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
+    assert way.measured.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
+
+
+def test_areas_close_tiles():
+    site = TileMap(np.full((20, 30), 0.1))
+    stops = np.array([site.at(10.5, 1.5), site.at(10.5, 28.5)])
+    (west, south), (east, north) = site.at(20, 14), site.at(5, 16)
+    wall = np.array([shapely.box(west + 1, south, east - 1, north)])
+    free = planner(site).way(stops).measured
+    around = Planner(site, CostSettings(), 10**7, avoid=wall).way(stops).measured
+    assert free.figures.detour == pytest.approx(1.0)
+    assert around.figures.detour > 1.05
+    assert not ({14, 15} & set(around.tiles[around.tiles[:, 1] < site.south + 15][:, 0] - site.west))
+    assert Planner(site, CostSettings(), 10**7, only=wall).way(stops) is None
+
+
+def test_the_upper_end_of_the_interval_is_dearer():
+    site = rough_map(7)
+    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
+    usual, robust = (planner(site, robust=robust, risk=0.0).way(stops).measured.figures for robust in (False, True))
+    assert robust.cost_m > usual.cost_m
+    assert robust.c_r_mean == pytest.approx(usual.c_r_mean, rel=0.05)
+
+
+def test_a_way_passes_its_stops_in_order():
+    site = rough_map(4, barred_share=0.0)
+    stops = np.array([site.at(5.5, 5.5), site.at(50.2, 8.8), site.at(30.5, 60.5)])
+    way = planner(site).way(stops)
+    for stop in stops:
+        assert np.hypot(*(way.line - stop).T).min() < 1e-6
+    legs = [planner(site).way(pair).measured.figures.cost_m for pair in (stops[:2], stops[1:])]
+    assert way.measured.figures.cost_m == pytest.approx(sum(legs), rel=1e-9)
+
+
+def test_there_and_back_cost_the_same():
+    site = rough_map(9)
+    stops = np.array([site.at(1.2, 1.9), site.at(58.7, 66.1)])
+    there, back = (planner(site).way(points).measured.figures for points in (stops, stops[::-1]))
+    assert there.cost_m == pytest.approx(back.cost_m, rel=1e-12)
