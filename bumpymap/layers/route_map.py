@@ -260,7 +260,7 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
         There is no folder.
     """
     if not folders:
-        raise UsageError("no folder of layers is given. Give the folder that `bumpymap map` wrote with --out")
+        raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
     opened = {path.resolve(): RouteSheet.open(path) for path in map(Path, folders)}
     first, *others = sheets = tuple(opened.values())
     for other in others:

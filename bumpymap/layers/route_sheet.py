@@ -259,6 +259,7 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
     vehicle = manifest.get("vehicle")
     if vehicle is None:
         raise BadInputError(
-            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. {_AGAIN}"
+            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
+            "survey again, with `overwrite=True` to replace these layers"
         )
     return RouteVehicle(str(vehicle["name"]), float(vehicle["width_m"]), float(vehicle["speed_mps"]))

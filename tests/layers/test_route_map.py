@@ -220,6 +220,17 @@ def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
 
 
+def test_a_map_without_a_crs_and_one_with_heights_above_a_datum(tmp_path, make_field):
+    """The rasters of the second carry a compound CRS; places depend on its horizontal part only."""
+    for name, crs in (("local", None), ("compound", CRS("EPSG:32614+5703"))):
+        made = make_field(4, 3, grid=SMALL, georeference=Georeference(crs))
+        found = open_map([write_folder(tmp_path / name, made)])
+        assert found.window == TileWindow(110_000, 680_000, 4, 3)
+        assert found.has_crs == (crs is not None)
+    assert found.georeference.crs.is_compound
+    assert found.to_lonlat(330_000.0, 2_040_000.0) == bare_map().to_lonlat(330_000.0, 2_040_000.0)
+
+
 def test_longitude_and_latitude_of_the_central_meridian():
     """On the central meridian of a UTM zone the scale is 0.9996 and longitude does not depend on northing."""
     place = bare_map()

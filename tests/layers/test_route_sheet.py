@@ -49,7 +49,7 @@ def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
 
 def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
     old = copy_folder(small, tmp_path / "old", vehicle=None)
-    with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again"):
+    with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again, with `overwrite=True`"):
         open_map([old])
 
 
