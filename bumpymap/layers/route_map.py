@@ -106,11 +106,17 @@ class RouteMap:
             if part is None:
                 continue
             place = window_slices(window, part)
-            found = sheet.read("barred.tif", part)[0]
-            replaced = SheetChoice.of(barred[place], found) if overlapping else None
-            barred[place] = found if replaced is None else replaced.codes(barred[place], found)
-            for band, read in zip(bands, sheet.read("roughness.tif", part, bands) if bands else (), strict=True):
-                values[band][place] = read if replaced is None else replaced.values(values[band][place], read)
+            if overlapping:
+                found = sheet.read("barred.tif", part)[0]
+                choice = SheetChoice.of(barred[place], found)
+                barred[place] = choice.codes(barred[place], found)
+                read = sheet.read("roughness.tif", part, bands) if bands else []
+                for band, new in zip(bands, read, strict=True):
+                    values[band][place] = choice.values(values[band][place], new)
+            else:
+                sheet.read_into([barred[place]], "barred.tif", part)
+                if bands:
+                    sheet.read_into([values[band][place] for band in bands], "roughness.tif", part, bands)
         nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
@@ -147,8 +153,9 @@ class RouteMap:
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                barred[window_slices(window, part)] = sheet.read("barred.tif", part)[0]
-                factor[window_slices(window, part)] = sheet.read("cost.tif", part)[0]
+                place = window_slices(window, part)
+                sheet.read_into([barred[place]], "barred.tif", part)
+                sheet.read_into([factor[place]], "cost.tif", part)
         return barred, factor
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
@@ -263,7 +270,7 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
         There is no folder.
     """
     if not folders:
-        raise UsageError("no folder of layers is given. Give the folder that `bumpymap map` wrote with --out")
+        raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
     opened = {path.resolve(): RouteSheet.open(path) for path in map(Path, folders)}
     first, *others = sheets = tuple(opened.values())
     for other in others:

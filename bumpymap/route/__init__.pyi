@@ -4,6 +4,7 @@ from ._moves import (
 from .cost_field import (
     TileChoice as TileChoice,
     cost_of as cost_of,
+    load_cost as load_cost,
 )
 from .growing import (
     plan_way as plan_way,
