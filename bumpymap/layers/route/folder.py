@@ -59,7 +59,7 @@ class ReachLevels:
 
 
 @dataclass(frozen=True)
-class _Output:
+class _RouteOutput:
     """The files of a run: how each is written, and what route.json says beside them."""
 
     writers: Mapping[str, Writer]
@@ -112,7 +112,7 @@ def write_routes(
         "route.png": partial(write_route_picture, routes, source),
     }
     own = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
-    output = _Output(writers, ROUTE_KINDS, own)
+    output = _RouteOutput(writers, ROUTE_KINDS, own)
     if not place.has_degrees and not is_one_file(out, ROUTE_KINDS):
         del writers["route.gpx"]
         output.notes.append("route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown")
@@ -142,14 +142,14 @@ def write_reach_files(
     if levels is not None:
         writers["isochrones.geojson"] = partial(_write_levels, reach, levels, about)
     own = {**manifest, **_describe_layers(source)}
-    return _write(_Output(writers, REACH_KINDS, own), out, overwrite=overwrite)
+    return _write(_RouteOutput(writers, REACH_KINDS, own), out, overwrite=overwrite)
 
 
 def _write_levels(reach: ReachField, levels: ReachLevels, about: Mapping[str, Any], path: Path) -> None:
     write_isochrones(reach, levels.values, path, by=levels.by, about=about)
 
 
-def _write(output: _Output, out: Path, *, overwrite: bool) -> list[Path]:
+def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
     """Write all files to the folder ``out``, or the one that its suffix names."""
     check_out(out, output.kinds, overwrite=overwrite)
     for note in output.notes:
@@ -171,15 +171,17 @@ def _write(output: _Output, out: Path, *, overwrite: bool) -> list[Path]:
     return [out / name for name in ROUTE_NAMES if name in output.writers or name == ROUTE_MANIFEST_NAME]
 
 
-def _write_one(output: _Output, out: Path) -> Path:
+def _write_one(output: _RouteOutput, out: Path) -> Path:
     name = output.kinds[out.suffix.lower()]
     if name not in output.writers:
-        raise UsageError(f"{out} would hold {name}, which needs levels. Give them with `isochrones`, or a folder")
+        raise UsageError(
+            f"{out} would hold {name}, which needs levels. Give the levels of the isochrones too, or a folder"
+        )
     output.writers[name](out)
     return out
 
 
-def _complete(output: _Output, files: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _complete(output: _RouteOutput, files: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "format": ROUTE_MANIFEST_FORMAT,
         "version": _VERSION,

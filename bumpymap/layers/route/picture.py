@@ -108,8 +108,13 @@ def _title(routes: Sequence[Route]) -> str:
     first = routes[0]
     length = _length(first.figures.length_m)
     if len(routes) == 1:
-        return f"{first.name}: {length} for {first.vehicle.name}"
-    return f"{len(routes)} ways for {first.vehicle.name}, the first {length}"
+        return f"{_shortened(first.name, 80)}: {length} for {first.vehicle.name}"
+    vehicles = dict.fromkeys(route.vehicle.name for route in routes)
+    return _shortened(f"{len(routes)} ways for {', '.join(vehicles)}, the first {length}", 100)
+
+
+def _shortened(name: str, most: int) -> str:
+    return name if len(name) <= most else f"{name[: most - 3]}..."
 
 
 def _length(metres: float) -> str:
@@ -193,10 +198,16 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
 def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
     """Write what each way costs under the legend."""
     shown = routes[:_LEGEND_ROUTES]
+    several = len({route.vehicle.name for route in routes}) > 1
     for number, route in enumerate(shown):
         figures = route.figures
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
-        pen.text((left + 54, row + 12), route.name[:30], INK, size=16)
+        pen.text(
+            (left + 54, row + 12),
+            _shortened(f"{route.name}, {route.vehicle.name}" if several else route.name, 32),
+            INK,
+            size=16,
+        )
         lines = (
             f"{_length(figures.length_m)}, cost {figures.cost_m:,.0f} m",
             f"mean {figures.c_r_mean:.3f}, most {figures.c_r_max:.3f} rad/m",
@@ -212,7 +223,7 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
 def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
     """Explain the profile to its right."""
     left = _EDGE + _PANEL + 24
-    of_which = f" of {route.name[:24]}" if routes > 1 else ""
+    of_which = f" of {_shortened(route.name, 16)}" if routes > 1 else ""
     figures = route.figures
     lines = [
         (f"height of the ground{of_which}", INK),

@@ -101,7 +101,9 @@ def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | N
         raise ValueError("this reach has no back-links")
     own = {"title": "move that leads back to the start", "moves": json.dumps(reach.moves.tolist())}
     spec = RasterSpec(
-        bands=[BandSpec("back", text="number of the move towards the start, rows south and columns east: see `moves`")],
+        bands=[
+            BandSpec("back", text="number of the move towards the start, rows south and columns east: see the metadata")
+        ],
         dtype="uint8",
         nodata=NO_MOVE,
         pixels=1,

@@ -9,9 +9,9 @@ import rasterio
 from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
-from bumpymap.core import NO_TILE, Barred
+from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
-from bumpymap.layers.route import _relief
+from bumpymap.layers.route import _relief, picture as picture_module
 from bumpymap.layers.route._pen import Pen, bar_length, tick_step, ticks
 from bumpymap.layers.route._relief import (
     BARRED_SHADE,
@@ -248,3 +248,13 @@ def test_lines_have_smooth_edges():
     shades = np.unique(np.asarray(pen.finished()))
     assert len(shades) > 3
     assert shades[[0, -1]].tolist() == [0, 255]
+
+
+def test_the_title_says_how_far_and_for_whom():
+    one, other = make_route("to the quarry"), replace(make_route(), vehicle=RouteVehicle("jackal", 0.4, 1.0))
+    assert picture_module._title([one]) == "to the quarry: 261 m for warthog"
+    assert picture_module._title([one, one]) == "2 ways for warthog, the first 261 m"
+    assert picture_module._title([one, other]) == "2 ways for warthog, jackal, the first 261 m"
+    far = replace(one, figures=replace(one.figures, length_m=12_345.0))
+    assert picture_module._title([far]) == "to the quarry: 12.3 km for warthog"
+    assert len(picture_module._title([replace(one, name="n" * 500)])) < 120
