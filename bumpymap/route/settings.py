@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bumpymap.core import UsageError
+from bumpymap.core import UsageError, memory_limit
 
 __all__ = ["CostSettings", "RouteConfig"]
 
@@ -75,6 +75,7 @@ class RouteConfig:
         if not 1 <= self.alternatives <= _MOST_ALTERNATIVES:
             raise UsageError(f"alternatives is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}")
         _number("snap", self.snap, 0.0)
+        memory_limit(self.memory)
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
             for value in values:
                 _number(name, value, 0.0)

@@ -15,6 +15,7 @@ from bumpymap.core.settings_file import read_settings_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
+OWN_PAGES = {"scan": "scans.md", "route": "routes.md"}
 COMMANDS = main.list_commands(click.Context(main))
 
 
@@ -30,9 +31,9 @@ def options(name):
 
 
 def section(name):
-    """Return what the pages say about a command; scans have a page of their own."""
-    if name == "scan":
-        return (PAGES / "scans.md").read_text(encoding="utf-8").split("## Files")[0]
+    """Return what the pages say about a command; scans and routes have pages of their own."""
+    if name in OWN_PAGES:
+        return (PAGES / OWN_PAGES[name]).read_text(encoding="utf-8").split("## Files")[0]
     text = (PAGES / "command-line.md").read_text(encoding="utf-8")
     found = re.search(rf"^## {name}\n(.*?)(?=^## )", text, re.DOTALL | re.MULTILINE)
     assert found, f"command-line.md has no section {name}"

@@ -76,6 +76,8 @@ MEANT = {
     ("evaluate", "seed", 0): lambda got: got[0].seed,
     ("train", "seed", 0): lambda got: got[0].seed,
     ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
+    ("route", "risk", 0): lambda got: got[0].cost.risk,
+    ("route", "snap", 0): lambda got: got[0].snap,
 }
 SCENES = {"scenes", "sectors_per_class"}
 """Numbers of scans; they have words of their own."""
