@@ -1,7 +1,7 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
-``map_survey`` maps surveys, ``open`` opens the layers of a run, ``classify_scan`` and ``ScanClassifier`` classify the
-ground in the scans of a robot. Names are imported on first use.
+``map_survey`` maps surveys, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach`` plan ways over them,
+``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -11,9 +11,11 @@ if TYPE_CHECKING:
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
     from bumpymap.layers import (
         Layers,
+        PlannedRoute,
         open_layers as open,  # noqa: A004 (as bumpymap.open)
     )
     from bumpymap.rating import Calibration, Vehicle
+    from bumpymap.route import find_routes, map_reach
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
     from bumpymap.survey import map_survey
 
@@ -25,12 +27,15 @@ __all__ = [
     "Calibration",
     "Layers",
     "OutputError",
+    "PlannedRoute",
     "ScanClassifier",
     "ScanResult",
     "UsageError",
     "Vehicle",
     "__version__",
     "classify_scan",
+    "find_routes",
+    "map_reach",
     "map_survey",
     "open",
 ]
@@ -41,11 +46,14 @@ _EXPORTS = {
     "Calibration": ("bumpymap.rating", "Calibration"),
     "Layers": ("bumpymap.layers", "Layers"),
     "OutputError": ("bumpymap.core", "OutputError"),
+    "PlannedRoute": ("bumpymap.layers", "PlannedRoute"),
     "ScanClassifier": ("bumpymap.scan", "ScanClassifier"),
     "ScanResult": ("bumpymap.scan", "ScanResult"),
     "UsageError": ("bumpymap.core", "UsageError"),
     "Vehicle": ("bumpymap.rating", "Vehicle"),
     "classify_scan": ("bumpymap.scan", "classify_scan"),
+    "find_routes": ("bumpymap.route", "find_routes"),
+    "map_reach": ("bumpymap.route", "map_reach"),
     "map_survey": ("bumpymap.survey", "map_survey"),
     "open": ("bumpymap.layers", "open_layers"),
 }

@@ -81,6 +81,10 @@ from .route.picture import (
     paint_route as paint_route,
     write_route_picture as write_route_picture,
 )
+from .route.planned import (
+    PlannedRoute as PlannedRoute,
+    reach_dataset as reach_dataset,
+)
 from .route.profile_csv import (
     PROFILE_COLUMNS as PROFILE_COLUMNS,
     write_profile as write_profile,

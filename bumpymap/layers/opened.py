@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     import geopandas
     import xarray
 
+    from bumpymap.layers.route.planned import PlannedRoute
+
+    Point = str | tuple[float, float]
+
 __all__ = ["Layers", "open_layers", "read_manifest", "temporary_folder"]
 
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
@@ -100,7 +104,7 @@ class Layers:
             *self._variables("cost.tif", (_COST,)),
             *self._variables("barred.tif", (_BARRED,)),
         ]
-        dataset = _import("xarray").Dataset({variable.name: variable for variable in found})
+        dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
         vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
         dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
         return dataset
@@ -155,7 +159,7 @@ class Layers:
             The file is missing or damaged.
         """
         with self._file("tiles.parquet") as path:
-            return _import("geopandas").read_parquet(path)
+            return import_notebook("geopandas").read_parquet(path)
 
     def regions(self) -> "geopandas.GeoDataFrame":
         """Read cost.fgb.
@@ -174,7 +178,25 @@ class Layers:
             The file is missing or damaged.
         """
         with self._file("cost.fgb") as path:
-            return _import("geopandas").read_file(path)
+            return import_notebook("geopandas").read_file(path)
+
+    def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
+        """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
+
+        Returns
+        -------
+        PlannedRoute
+            With ``line`` [m], ``figures``, ``profile``, ``to_geodataframe()`` and ``plot()``.
+        """
+        from bumpymap import find_routes
+
+        return find_routes(self, start, goal, **settings)[0]
+
+    def reach(self, start: "Point", **settings: Any) -> "xarray.Dataset":
+        """Map what can be reached from a point; see `bumpymap.map_reach` for parameters, result and errors."""
+        from bumpymap import map_reach
+
+        return map_reach(self, start, **settings)
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
@@ -215,7 +237,7 @@ class Layers:
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
         with self._file(name) as path:
-            raster = _import("rioxarray").open_rasterio(path)
+            raster = import_notebook("rioxarray").open_rasterio(path)
             if self._in_memory:
                 raster.load().close()
         if raster.sizes["band"] != len(bands):
@@ -289,7 +311,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return record
 
 
-def _import(package: str) -> Any:
+def import_notebook(package: str) -> Any:
     """Import a package of the extra ``notebook``."""
     try:
         return import_module(package)

@@ -1,6 +1,10 @@
 from ._moves import (
     MOVES as MOVES,
 )
+from .api import (
+    find_routes as find_routes,
+    map_reach as map_reach,
+)
 from .cost_field import (
     TileChoice as TileChoice,
     cost_of as cost_of,

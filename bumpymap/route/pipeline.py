@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Progress, Route, SilentProgress, UsageError, memory_limit
+from bumpymap.core import BadInputError, Progress, SilentProgress, UsageError, memory_limit
 from bumpymap.layers import (
+    PlannedRoute,
     ReachField,
     ReachLevels,
     RouteMap,
@@ -33,7 +34,7 @@ from bumpymap.route.settings import RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.visits import MOST_VISITS, best_order
 
-__all__ = ["RouteResult", "plan_routes"]
+__all__ = ["RouteResult", "plan_routes", "reach_from"]
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ Floats = NDArray[np.float64]
 class RouteResult:
     """What a route run found."""
 
-    routes: tuple[Route, ...]
+    routes: tuple[PlannedRoute, ...]
     """The best way first."""
     reach: Reach | None
     """What can be reached, if there was no goal."""
@@ -71,7 +72,9 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     planner = _planner(open_map(config.layers), config)
     stops = find_stops(planner, config)
     if config.is_reach:
-        return _reach(planner, stops, config)
+        if config.out is None:
+            raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
+        return _write_reach(planner, stops, config, config.out)
     progress.start("routes", None)
     routes = list(_routes(planner, stops, config))
     notes = list(stops.notes)
@@ -95,7 +98,7 @@ def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     return Planner(site, config.cost, memory_limit(config.memory) // BYTES_PER_TILE, avoid, only)
 
 
-def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Route]:
+def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[PlannedRoute]:
     """Plan the best way through the stops, and alternatives."""
     points = _in_best_order(planner, stops.points, config) if config.visit else stops.points
     if config.round_trip:
@@ -111,9 +114,9 @@ def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[Rou
     return [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
 
 
-def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: float) -> Route:
+def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: float) -> PlannedRoute:
     site = planner.site
-    return Route(
+    return PlannedRoute(
         name=name,
         georeference=site.georeference,
         grid=site.grid,
@@ -136,21 +139,33 @@ def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Flo
     return in_order(ring, order[: len(points)])
 
 
-def _reach(planner: Planner, stops: Stops, config: RouteConfig) -> RouteResult:
-    """Map what can be reached from the only stop."""
-    speed = planner.site.vehicle.speed_mps
-    limits = [*(minutes * 60.0 * speed for minutes in config.isochrones), *config.isocosts]
-    found = find_reach(planner, stops.points[0], max(limits, default=math.inf))
-    if config.out is None:
-        raise UsageError("the map of what can be reached is written to a folder: give `out`")
-    levels = None
-    if limits:
-        levels = ReachLevels(config.isochrones or config.isocosts, "minutes" if config.isochrones else "cost")
+def reach_from(config: RouteConfig) -> ReachField:
+    """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
+    planner = _planner(open_map(config.layers), config)
+    return _reach_field(planner, _find_reach(planner, find_stops(planner, config), config))
+
+
+def _find_reach(planner: Planner, stops: Stops, config: RouteConfig) -> Reach:
+    limits = [*(minutes * 60.0 * planner.site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
+    return find_reach(planner, stops.points[0], max(limits, default=math.inf))
+
+
+def _reach_field(planner: Planner, found: Reach) -> ReachField:
     site = planner.site
+    return ReachField(site.georeference, site.grid, found.window, found.cost, found.minutes, found.back, -MOVES)
+
+
+def _write_reach(planner: Planner, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
+    found = _find_reach(planner, stops, config)
+    levels = None
+    if config.isochrones:
+        levels = ReachLevels(config.isochrones, "minutes")
+    elif config.isocosts:
+        levels = ReachLevels(config.isocosts, "cost")
     files = write_reach_files(
-        ReachField(site.georeference, site.grid, found.window, found.cost, found.minutes, found.back, -MOVES),
-        site,
-        config.out,
+        _reach_field(planner, found),
+        planner.site,
+        out,
         levels=levels,
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": stops.notes},
         overwrite=config.overwrite,

@@ -81,11 +81,9 @@ class RouteConfig:
                 _number(name, value, 0.0)
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
-                "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` and "
-                "`compare` belong to a way: add `goal`, `via` or `points`"
+                "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
+                "and `compare` belong to a way: add `goal`, `via` or `points`"
             )
-        if self.is_reach and self.out is None:
-            raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
         if self.isochrones and self.isocosts:
             raise UsageError("isochrones and isocosts are outlines of one run each: give one of them")
         if not self.is_reach and (self.isochrones or self.isocosts):
