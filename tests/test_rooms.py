@@ -40,7 +40,7 @@ ROOMS = {
         {"core", "readers", "rating", "layers", "survey"},
         {"numpy", "pyproj", "sklearn"},
     ),
-    "route": ({"core", "layers"}, {"numpy"}),
+    "route": ({"core", "layers"}, {"numpy", "xarray"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},

@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from bumpymap.core import (
     UsageError,
     read_record,
 )
+from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import MANIFEST_FORMAT, MANIFEST_NAME
 
 if TYPE_CHECKING:
@@ -309,13 +309,3 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         hint = f" The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else ""
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{hint}")
     return record
-
-
-def import_notebook(package: str) -> Any:
-    """Import a package of the extra ``notebook``."""
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise UsageError(
-            f"this needs {package}, which cannot be imported ({error}): pip install 'bumpymap[notebook]'"
-        ) from error

@@ -117,6 +117,8 @@ def furnish(folder: Path) -> None:
     x, y = np.asarray(survey.x), np.asarray(survey.y)
     (folder / "flights").mkdir()
     (folder / "demo_out").mkdir()
+    (folder / "sample_data").mkdir()
+    shutil.copy(ROOT / "sample_data" / "quarry.laz", folder / "sample_data")
     for name, east in (("site.laz", 0.0), ("survey.laz", 0.0), ("flights/1.laz", 0.0), ("flights/2.laz", 12.0)):
         part = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
         near = (abs(x - np.median(x) - east) < 6) & (abs(y - np.median(y)) < 9)

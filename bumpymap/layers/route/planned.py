@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from bumpymap.core import Route
-from bumpymap.layers.opened import import_notebook
+from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.route.figures import route_properties
 from bumpymap.layers.route.reach_raster import ReachField
