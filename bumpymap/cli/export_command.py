@@ -52,7 +52,9 @@ _DATUM_M = 1e6
 @click.option(
     "--dearest", type=float, metavar="COST", help="nav2: cost per metre of the highest value [default: the highest]."
 )
-@click.option("--every", type=int, metavar="N", help="graph: one node in N x N tiles [default: for 5,000 nodes].")
+@click.option(
+    "--every", type=int, metavar="N", help="graph: one node in up to N x N tiles: 1, 3, 9, 27 [default: auto]."
+)
 @click.option(
     "--route", type=FILE, metavar="FILE", help="plan: GeoJSON file of the route [default: LAYERS/route.geojson]."
 )
@@ -122,9 +124,10 @@ def _summary(done: "Export") -> Iterator[str]:
         dearest = record["cost"]["value_98"]
         yield f"cost per metre: 1 is value 0, {dearest:.3f} is value 98, in steps of {(dearest - 1.0) / 98:.3f}"
     if graph := record.get("graph"):
+        largest = graph["largest_square"]
         yield (
-            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in {graph['tiles_per_node']} x "
-            f"{graph['tiles_per_node']} tiles; {graph['nodes_left_out']:,} nodes left out, not connected with these"
+            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in up to {largest} x {largest} tiles; "
+            f"{graph['tiles_left_out']:,} passable tiles left out, not connected with these"
         )
     if layers := record.get("layer_names"):
         yield f"grid_map on {record['topic']}: {', '.join(layers)}"

@@ -16,8 +16,8 @@ __all__ = ["TOPIC", "GridLayers", "make_layers", "require_rosbags", "typestore",
 
 TOPIC = "/grid_map"
 _MESSAGE = "grid_map_msgs/msg/GridMap"
-_MAX_CELLS = 10_000_000
-"""Most cells: 200 MB in one message."""
+_MAX_CELLS = 5_000_000
+"""Most cells: 100 MB in one message."""
 _DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": """\
 float64 resolution
@@ -74,7 +74,7 @@ def make_layers(area: ExportArea) -> GridLayers:
             "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
         )
     values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
-    for window, lines in area.strips():
+    for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
     return GridLayers(values)
@@ -128,7 +128,8 @@ def typestore() -> Any:
 def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[str, Any]:
     """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
 
-    All times are 0, so that the same map has the same bytes. Late subscribers get the message too.
+    All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
+    metadata is the newest that all current releases of ROS 2 read.
 
     Raises
     ------
@@ -140,7 +141,7 @@ def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[st
     store, bag = typestore(), folder / "gridmap"
     message = _message(store, area, layers)
     try:
-        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             topic = writer.add_connection(TOPIC, _MESSAGE, typestore=store, offered_qos_profiles=[_latched()])
             writer.write(topic, 0, store.serialize_cdr(message, _MESSAGE))
         for name in ("gridmap.mcap", "metadata.yaml"):
