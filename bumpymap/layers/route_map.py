@@ -14,10 +14,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
-    CANOPY,
-    FREE,
     NO_TILE,
-    OBSTACLE,
     BadInputError,
     Barred,
     CostRule,
@@ -27,6 +24,7 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
+from bumpymap.layers.route_overlap import SheetChoice, window_slices, worse_objects
 from bumpymap.layers.route_sheet import RouteSheet, common_window
 from bumpytiles import Grid, TileWindow
 
@@ -35,9 +33,6 @@ __all__ = ["RouteMap", "open_map"]
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
-_UNKNOWN_OBJECT = 3
-_WORST = np.array([NO_TILE, _UNKNOWN_OBJECT, FREE, CANOPY, OBSTACLE], np.uint8)
-"""States of a pixel of obstacle.tif; of two sheets, the later one counts."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +99,18 @@ class RouteMap:
             part = common_window(window, sheet.window)
             if part is None:
                 continue
-            place = _slices(window, part)
-            found = sheet.read("barred.tif", part)[0]
-            replaced = _Replaced.of(barred[place], found) if overlapping else None
-            barred[place] = found if replaced is None else replaced.codes(barred[place], found)
-            for band, read in zip(bands, sheet.read("roughness.tif", part, bands) if bands else (), strict=True):
-                values[band][place] = read if replaced is None else replaced.values(values[band][place], read)
+            place = window_slices(window, part)
+            if overlapping:
+                found = sheet.read("barred.tif", part)[0]
+                choice = SheetChoice.of(barred[place], found)
+                barred[place] = choice.codes(barred[place], found)
+                read = sheet.read("roughness.tif", part, bands) if bands else []
+                for band, new in zip(bands, read, strict=True):
+                    values[band][place] = choice.values(values[band][place], new)
+            else:
+                sheet.read_into([barred[place]], "barred.tif", part)
+                if bands:
+                    sheet.read_into([values[band][place] for band in bands], "roughness.tif", part, bands)
         nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
@@ -146,8 +147,9 @@ class RouteMap:
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                barred[_slices(window, part)] = sheet.read("barred.tif", part)[0]
-                factor[_slices(window, part)] = sheet.read("cost.tif", part)[0]
+                place = window_slices(window, part)
+                sheet.read_into([barred[place]], "barred.tif", part)
+                sheet.read_into([factor[place]], "cost.tif", part)
         return barred, factor
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
@@ -160,7 +162,7 @@ class RouteMap:
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                place = _slices(window, part, pixels)
+                place = window_slices(window, part, pixels)
                 out[place] = np.fmax(out[place], sheet.read("heightmap.tif", part)[0])
         return out
 
@@ -172,13 +174,11 @@ class RouteMap:
         """
         pixels = self.grid.pixels
         out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
-        rank = np.zeros(256, np.uint8)
-        rank[_WORST] = np.arange(len(_WORST))
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
-                place = _slices(window, part, pixels)
-                out[place] = _WORST[np.maximum(rank[out[place]], rank[sheet.read("obstacle.tif", part)[0]])]
+                place = window_slices(window, part, pixels)
+                out[place] = worse_objects(out[place], sheet.read("obstacle.tif", part)[0])
         return out
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
@@ -260,7 +260,7 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
         There is no folder.
     """
     if not folders:
-        raise UsageError("no folder of layers is given. Give the folder that `bumpymap map` wrote with --out")
+        raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
     opened = {path.resolve(): RouteSheet.open(path) for path in map(Path, folders)}
     first, *others = sheets = tuple(opened.values())
     for other in others:
@@ -283,41 +283,3 @@ def _require_same(first: RouteSheet, second: RouteSheet) -> None:
             f"{first.folder} and {second.folder} are not sheets of one map: {'; '.join(found)}. "
             "Give folders that were mapped with the same vehicle and settings, or one folder only"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Replaced:
-    """Which of two sheets counts, for each tile that they share."""
-
-    newer: NDArray[np.bool_]
-    """(rows, cols) only the new one."""
-    both: NDArray[np.bool_]
-    """(rows, cols) both: the larger value."""
-
-    @classmethod
-    def of(cls, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> "_Replaced":
-        """Compare what bars the tiles."""
-        before, now = _rank(old), _rank(new)
-        return cls(now > before, now == before)
-
-    def codes(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the codes that count."""
-        return np.where(self.newer, new, np.where(self.both, np.maximum(old, new), old))
-
-    def values(self, old: NDArray[np.float32], new: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the values that count; NaN only if both are."""
-        return np.where(self.newer, new, np.where(self.both, np.fmax(old, new), old))
-
-
-def _rank(barred: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return how much a tile counts: no tile, unknown, passable, barred."""
-    rank = np.full(256, 3, np.uint8)
-    rank[[NO_TILE, Barred.UNKNOWN, Barred.NO]] = 0, 1, 2
-    return rank[barred]
-
-
-def _slices(window: TileWindow, part: TileWindow, pixels: int = 1) -> tuple[slice, slice]:
-    """Return where a part of a window lies in its arrays."""
-    top = (window.row + window.rows - part.row - part.rows) * pixels
-    left = (part.col - window.col) * pixels
-    return slice(top, top + part.rows * pixels), slice(left, left + part.cols * pixels)

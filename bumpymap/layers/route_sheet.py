@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 
 __all__ = ["RouteSheet", "common_window"]
 
-_RASTERS = ("barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif")
+_DTYPES = {
+    "barred.tif": "uint8",
+    "roughness.tif": "float32",
+    "cost.tif": "float32",
+    "heightmap.tif": "float32",
+    "obstacle.tif": "uint8",
+}
+_RASTERS = tuple(_DTYPES)
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif")
 _CHECKED = ("barred.tif", "roughness.tif", "cost.tif")
 _CHECKED_BYTES = 64 << 20
@@ -96,7 +103,7 @@ class RouteSheet:
         """Id of the calibration; empty if the manifest has none."""
         return str(self.manifest.get("calibration", {}).get("id", ""))
 
-    def read(self, name: str, window: TileWindow, bands: Sequence[str] = ()) -> NDArray[Any]:
+    def read(self, name: str, window: TileWindow, bands: Sequence[str] = ()) -> list[NDArray[Any]]:
         """Read a window that lies inside the sheet.
 
         Parameters
@@ -109,13 +116,24 @@ class RouteSheet:
 
         Returns
         -------
-        array (bands, rows * p, cols * p)
-            North row first; p is the number of pixels along a tile in rasters of pixels, else 1.
+        list of arrays (rows * p, cols * p)
+            One for each band, north row first; p is the number of pixels along a tile in rasters of pixels, else 1.
 
         Raises
         ------
         BadInputError
             The file is missing or damaged.
+        """
+        scale = self.grid.pixels if name in _PER_PIXEL else 1
+        shape = (window.rows * scale, window.cols * scale)
+        out: list[NDArray[Any]] = [np.empty(shape, _DTYPES[name]) for _ in bands or (0,)]
+        self.read_into(out, name, window, bands)
+        return out
+
+    def read_into(self, out: Sequence[NDArray[Any]], name: str, window: TileWindow, bands: Sequence[str] = ()) -> None:
+        """Read a window that lies inside the sheet into arrays, one for each band; they may be parts of larger ones.
+
+        For parameters and errors see `read`.
         """
         own = self.window
         scale = self.grid.pixels if name in _PER_PIXEL else 1
@@ -123,11 +141,10 @@ class RouteSheet:
         left = (window.col - own.col) * scale
         with _opened(self.folder / name) as file:
             numbers = _numbers(self.folder / name, file, bands)
-            out = np.empty((len(numbers), window.rows * scale, window.cols * scale), dtype=file.dtypes[0])
-            for lines, columns in _pieces(top, left, out.shape[1], out.shape[2]):
+            for lines, columns in _pieces(top, left, window.rows * scale, window.cols * scale):
                 part = ((lines.start, lines.stop), (columns.start, columns.stop))
-                out[:, _moved(lines, top), _moved(columns, left)] = file.read(numbers, window=part)
-        return out
+                for array, values in zip(out, file.read(numbers, window=part), strict=True):
+                    array[_moved(lines, top), _moved(columns, left)] = values
 
 
 def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
@@ -242,6 +259,7 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
     vehicle = manifest.get("vehicle")
     if vehicle is None:
         raise BadInputError(
-            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. {_AGAIN}"
+            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
+            "survey again, with `overwrite=True` to replace these layers"
         )
     return RouteVehicle(str(vehicle["name"]), float(vehicle["width_m"]), float(vehicle["speed_mps"]))

@@ -1,6 +1,7 @@
 from .cost_field import (
     TileChoice as TileChoice,
     cost_of as cost_of,
+    load_cost as load_cost,
 )
 from .places import (
     GridPoint as GridPoint,

@@ -1,15 +1,16 @@
-import json
 from dataclasses import fields, is_dataclass, replace
 from itertools import permutations
 
 import numpy as np
 import pytest
 import rasterio
+from hypothesis import given, strategies as st
 from pyproj import CRS
-from route_maps import VEHICLE, bare_map, copy_folder, write_folder
+from route_maps import VEHICLE, bare_map, write_folder
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, UsageError
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
+from bumpymap.layers.route_overlap import SheetChoice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -40,11 +41,6 @@ def made(make_field):
 @pytest.fixture(scope="module")
 def folder(made, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("route") / "layers", made)
-
-
-@pytest.fixture(scope="module")
-def small(make_field, tmp_path_factory):
-    return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -90,13 +86,15 @@ def test_every_tile_lies_where_it_was_measured(folder, made):
         assert np.isnan(getattr(field, name)[~held]).all()
 
 
-def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder):
+@pytest.mark.parametrize("piece", [7, 512])
+def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatch, piece):
     found = open_map([folder])
     whole = found.window
     around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
     field, heights, objects = found.read(around), found.heights(around), found.objects(around)
+    monkeypatch.setattr("bumpymap.layers.route_sheet._PIECE", piece)  # read at once
     rng = np.random.default_rng(1)
-    for _ in range(20):
+    for _ in range(10):
         top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
         rows, cols = int(rng.integers(1, around.rows - top + 1)), int(rng.integers(1, around.cols - left + 1))
         window = TileWindow(around.col + left, around.row + around.rows - top - rows, cols, rows)
@@ -184,6 +182,21 @@ def test_where_sheets_overlap_the_cautious_one_counts_in_any_order(sheets):
         assert np.array_equal(other.objects(window), pixels[1])
 
 
+@given(st.lists(st.tuples(st.sampled_from([0, 1, 2, 5, 255]), st.sampled_from([np.nan, 0.1, 0.2])), min_size=1))
+def test_what_counts_does_not_depend_on_the_order(values):
+    """Tiles of any number of sheets, one by one in both directions, against the rule written plainly."""
+    expected = merged_by_hand([(code, [value] * len(BANDS)) for code, value in values])
+    for order in (values, values[::-1]):
+        code, band = np.full((1, 1), NO_TILE, np.uint8), np.full((1, 1), np.nan, np.float32)
+        for new_code, new_value in order:
+            new = np.full((1, 1), new_code, np.uint8)
+            choice = SheetChoice.of(code, new)
+            code = choice.codes(code, new)
+            band = choice.values(band, np.full((1, 1), new_value, np.float32))
+        assert code[0, 0] == expected[0]
+        assert np.array_equal(band[0, 0], np.float32(expected[1][0]), equal_nan=True)
+
+
 def test_cost_of_overlapping_sheets_is_that_of_their_bands(sheets):
     joined = open_map(sheets)
     field = joined.read(joined.window)
@@ -197,103 +210,6 @@ def test_a_folder_given_twice_counts_once(folder):
     assert len(open_map([folder, folder / ".." / folder.name]).sheets) == 1
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"vehicle": VEHICLE | {"name": "rover"}}, "vehicle is warthog and rover"),
-        ({"vehicle": VEHICLE | {"speed_mps": 2.0}}, "speed"),
-        ({"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is c0ffee and beef"),
-        ({"settings": {"rating": "table", "compat": "none"}}, "rating is ride and table"),
-    ],
-)
-def test_layers_of_two_vehicles_are_refused(small, tmp_path, changes, words):
-    first, second = small, copy_folder(small, tmp_path / "two", **changes)
-    with pytest.raises(BadInputError, match=words) as caught:
-        open_map([first, second])
-    assert str(first) in str(caught.value)
-    assert str(second) in str(caught.value)
-
-
-def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
-    made = make_field(4, 3, grid=SMALL)
-    first = small
-    other = write_folder(tmp_path / "two", make_field(4, 3, grid=Grid(3.0, 5)))
-    with pytest.raises(BadInputError, match="pixels along a tile is 4 and 5"):
-        open_map([first, other])
-    north = write_folder(tmp_path / "three", replace(made, georeference=Georeference(CRS.from_epsg(32613))))
-    with pytest.raises(BadInputError, match="UTM zone 14N and WGS 84 / UTM zone 13N"):
-        open_map([first, north])
-
-
-def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
-    old = copy_folder(small, tmp_path / "old", vehicle=None)
-    with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again"):
-        open_map([old])
-
-
-def test_what_is_no_complete_run_is_refused(small, tmp_path):
-    with pytest.raises(UsageError, match="no folder"):
-        open_map([])
-    with pytest.raises(BadInputError, match="there is no folder"):
-        open_map([tmp_path / "none"])
-    half = copy_folder(small, tmp_path / "half")
-    (half / "run.json").unlink()
-    with pytest.raises(BadInputError, match="no complete run"):
-        open_map([half])
-
-
-@pytest.mark.parametrize("name", ["barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif"])
-def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
-    folder = copy_folder(small, tmp_path / "layers")
-    path = folder / name
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(BadInputError, match=f"{name} is cut off"):
-        open_map([folder])
-    path.unlink()
-    with pytest.raises(BadInputError, match=f"{name} is missing"):
-        open_map([folder])
-    path.write_bytes(content[:-400] + bytes(400))
-    if name in {"heightmap.tif", "obstacle.tif"}:  # compared by size only
-        return
-    with pytest.raises(BadInputError, match=f"{name} is damaged"):
-        open_map([folder])
-
-
-def test_a_file_that_is_damaged_after_opening_is_an_error(small, tmp_path):
-    folder = copy_folder(small, tmp_path / "layers")
-    found = open_map([folder])
-    (folder / "heightmap.tif").write_bytes(b"II*\0 no raster")
-    with pytest.raises(BadInputError, match=r"heightmap\.tif.*Map the survey again"):
-        found.heights(found.window)
-
-
-def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
-    """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
-    folder = copy_folder(small, tmp_path / "layers")
-    other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
-    record, others = (json.loads((each / "run.json").read_text()) for each in (folder, other))
-    for name in ("cost.tif", "heightmap.tif"):
-        (folder / name).write_bytes((other / name).read_bytes())
-    entries = {entry["path"]: entry for entry in others["files"]}
-    swapped = {"cost.tif", "heightmap.tif"}
-    record["files"] = [entries[e["path"]] if e["path"] in swapped else e for e in record["files"]]
-    (folder / "run.json").write_text(json.dumps(record))
-    with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
-        open_map([folder])
-    record["grid"]["tile_size_m"] = 2.5
-    (folder / "run.json").write_text(json.dumps(record))
-    with pytest.raises(BadInputError, match="does not lie on the grid"):
-        open_map([folder])
-
-
-@pytest.mark.parametrize("key", ["grid", "cost", "files", "metres_per_unit", "crs"])
-def test_a_damaged_manifest_is_refused(small, tmp_path, key):
-    folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
-    with pytest.raises(BadInputError, match=r"run\.json is damaged"):
-        open_map([folder])
-
-
 def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     unit = 1200 / 3937
     feet = Georeference(CRS.from_epsg(2229), unit, unit)
@@ -302,6 +218,17 @@ def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     assert found.window == TileWindow(655_000, 187_000, 6, 5)
     assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
     assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
+
+
+def test_a_map_without_a_crs_and_one_with_heights_above_a_datum(tmp_path, make_field):
+    """The rasters of the second carry a compound CRS; places depend on its horizontal part only."""
+    for name, crs in (("local", None), ("compound", CRS("EPSG:32614+5703"))):
+        made = make_field(4, 3, grid=SMALL, georeference=Georeference(crs))
+        found = open_map([write_folder(tmp_path / name, made)])
+        assert found.window == TileWindow(110_000, 680_000, 4, 3)
+        assert found.has_crs == (crs is not None)
+    assert found.georeference.crs.is_compound
+    assert found.to_lonlat(330_000.0, 2_040_000.0) == bare_map().to_lonlat(330_000.0, 2_040_000.0)
 
 
 def test_longitude_and_latitude_of_the_central_meridian():

@@ -86,6 +86,8 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
     assert survey.name in text
     assert record["points"] == 60_000
     assert record["calibration"]["vehicle"] == "warthog"
+    outline = {"width_m": 1.37, "height_m": 1.38, "clearance_m": 0.25}
+    assert record["vehicle"] == {"name": "warthog", "speed_mps": 1.0} | outline
 
 
 def product_bytes(folder):

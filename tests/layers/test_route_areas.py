@@ -1,0 +1,203 @@
+import json
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from pyogrio.raw import write
+from pyproj import CRS, Transformer
+from route_maps import UTM, bare_map
+
+from bumpymap.core import BadInputError
+from bumpymap.layers import read_areas, tiles_in, tiles_within
+from bumpytiles import Grid, TileWindow
+
+GRID = Grid(3.0, 15)
+WINDOW = TileWindow(160_000, 712_000, 100, 80)
+SITE = bare_map(WINDOW)
+CORNER = np.array([480_000.0, 2_136_000.0])
+"""South-west corner of the site, m."""
+
+
+def at(east, north):
+    """A point of the site, in metres from that corner."""
+    return np.add(CORNER, (east, north))
+
+
+def feature(geometry, **properties):
+    return {"type": "Feature", "properties": properties, "geometry": shapely.geometry.mapping(geometry)}
+
+
+def geojson(path, *features, **more):
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": list(features)} | more))
+    return path
+
+
+def blob(seed, *, middle=(150.0, 120.0), size=90.0, corners=9):
+    """A star-shaped polygon on the site."""
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.random(corners)) * 2 * np.pi
+    radius = size * (0.3 + 0.7 * rng.random(corners))
+    return shapely.Polygon(CORNER + middle + np.column_stack([np.cos(angle), np.sin(angle)]) * radius[:, None])
+
+
+def by_hand(areas, window, test):
+    """The relation of every tile of a window to the areas, tile by tile."""
+    whole = shapely.union_all(areas)
+    found = np.zeros((window.rows, window.cols), bool)
+    for i, j in np.ndindex(found.shape):
+        bounds = GRID.bounds(window.col + j, window.row + window.rows - 1 - i)
+        found[i, j] = test(whole, shapely.box(bounds.west, bounds.south, bounds.east, bounds.north))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiles_in_and_within_areas_tile_by_tile(seed):
+    areas = np.array([blob(seed), blob(seed + 50, middle=(250.0, 60.0), size=70.0), blob(seed + 70, size=2.0)])
+    for window in (TileWindow(160_010, 712_005, 60, 55), TileWindow(160_045, 712_035, 3, 4)):
+        touched, held = tiles_in(areas, window, GRID), tiles_within(areas, window, GRID)
+        assert np.array_equal(touched, by_hand(areas, window, lambda a, b: a.intersects(b) and not a.touches(b)))
+        assert np.array_equal(held, by_hand(areas, window, shapely.covers))
+        assert not (held & ~touched).any()
+
+
+def test_thin_and_tiny_areas_are_not_missed():
+    middle = at(151.4, 121.3)
+    for area in (shapely.Point(middle).buffer(0.01), shapely.LineString([middle, at(231.4, 153.0)]).buffer(0.005)):
+        touched = tiles_in(np.array([area]), WINDOW, GRID)
+        assert np.array_equal(touched, by_hand([area], WINDOW, shapely.intersects))
+        assert touched.any()
+        assert not tiles_within(np.array([area]), WINDOW, GRID).any()
+
+
+def test_a_hole_is_outside():
+    ring = shapely.box(*(CORNER + 30), *(CORNER + 200)).difference(shapely.box(*(CORNER + 100), *(CORNER + 130)))
+    held = tiles_within(np.array([ring]), WINDOW, GRID)
+    assert np.array_equal(held, by_hand([ring], WINDOW, shapely.covers))
+    assert not held[80 - 38, 38]
+    assert held[80 - 20, 20]
+
+
+def test_sides_on_the_borders_of_tiles():
+    """A polygon drawn along tiles touches no others; two such side by side hold the tiles of both."""
+    area = shapely.box(*at(30.0, 60.0), *at(90.0, 120.0))
+    expected = np.zeros((80, 100), bool)
+    expected[40:60, 10:30] = True
+    assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID), expected)
+    assert np.array_equal(tiles_within(np.array([area]), WINDOW, GRID), expected)
+    halves = [shapely.box(*at(30.0, 60.0), *at(61.0, 120.0))]
+    halves.append(shapely.box(*at(61.0, 60.0), *at(90.0, 120.0)))
+    assert np.array_equal(tiles_within(np.array(halves), WINDOW, GRID), expected)
+
+
+def test_windows_join_and_no_area_is_no_tile():
+    areas = np.array([blob(3), blob(4)])
+    for function in (tiles_in, tiles_within):
+        whole = function(areas, WINDOW, GRID)
+        west, east = (function(areas, TileWindow(160_000 + col, 712_000, 50, 80), GRID) for col in (0, 50))
+        assert np.array_equal(np.hstack([west, east]), whole)
+        assert not function(np.array([], object), WINDOW, GRID).any()
+        assert not function(areas, TileWindow(0, 0, 4, 4), GRID).any()
+        assert function(np.array([shapely.box(0, 0, 1e7, 1e7)]), WINDOW, GRID).all()
+
+
+def save(path, areas, crs):
+    """Write polygons with a CRS (None: without one)."""
+    fields = np.array(["name"])
+    names = np.array([f"area {number}" for number in range(len(areas))], object)
+    wkb = shapely.to_wkb(np.asarray(areas, object))
+    kind = "MultiPolygon" if any(area.geom_type == "MultiPolygon" for area in areas) else "Polygon"
+    if crs is None:
+        with pytest.warns(UserWarning, match="'crs' was not provided"):
+            write(path, wkb, [names], fields, geometry_type=kind)
+    else:
+        write(path, wkb, [names], fields, geometry_type=kind, crs=CRS(crs).to_wkt())
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".fgb", ".shp", ".geojson"])
+@pytest.mark.parametrize("crs", ["EPSG:32614", "EPSG:32613", "EPSG:4326", "EPSG:3857"])
+def test_areas_of_any_format_and_crs_come_to_the_same_place(tmp_path, suffix, crs):
+    if suffix == ".geojson" and crs != "EPSG:4326":
+        crs = "OGC:CRS84"
+    area = blob(1)
+    transformer = Transformer.from_crs(UTM, crs, always_xy=True)
+    dense = shapely.segmentize(area, 0.5)  # a straight side is bent in another CRS
+    moved = shapely.transform(dense, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1])))
+    (found,) = read_areas(save(tmp_path / f"areas{suffix}", [moved], crs), SITE)
+    assert found.symmetric_difference(area).area < 0.01 * area.length * 0.01  # 0.1 mm along the outline
+    assert np.array_equal(tiles_in(np.array([found]), WINDOW, GRID), tiles_in(np.array([area]), WINDOW, GRID))
+
+
+def test_a_side_that_is_straight_in_longitude_and_latitude_is_bent_on_the_grid(tmp_path):
+    """A strip along a parallel, 2 degrees long: at its middle, its straight side on the grid would be 130 m off."""
+    longitude, latitude = SITE.to_lonlat(480_150.0, 2_136_120.0)
+    strip = shapely.box(longitude - 1.0, latitude, longitude + 1.0, latitude + 1.0)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(strip)), SITE)
+    east = np.linspace(480_001.0, 480_299.0, 30)
+    along = SITE.to_lonlat(east, np.full(30, 2_136_120.0))[0]
+    edge = SITE.from_lonlat(along, np.full(30, latitude))[1]
+    points = [shapely.points(east, edge + step) for step in (0.001, -0.001)]
+    assert shapely.covers(found, points[0]).all()
+    assert not shapely.covers(found, points[1]).any()
+
+
+def test_areas_larger_than_a_crs_can_hold_are_cut(tmp_path):
+    world = shapely.box(-180.0, -90.0, 180.0, 90.0)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(world)), SITE)
+    assert tiles_within(np.array([found]), WINDOW, GRID).all()
+
+
+def test_areas_beside_the_map_are_no_error_but_a_warning(tmp_path, caplog):
+    far = geojson(tmp_path / "far.geojson", feature(shapely.box(11.0, 48.0, 11.1, 48.1)))
+    assert len(read_areas(far, SITE)) == 0
+    assert "no area of" in caplog.text
+
+
+def test_an_area_that_crosses_itself_is_mended(tmp_path):
+    bow = shapely.Polygon([CORNER, at(60, 60), at(60, 0), at(0, 60)])
+    found = read_areas(save(tmp_path / "bow.gpkg", [bow], "EPSG:32614"), SITE)
+    assert shapely.area(found).sum() == pytest.approx(1800.0)
+
+
+def test_a_map_without_a_crs_takes_areas_in_its_own_coordinates(tmp_path):
+    local = bare_map(TileWindow(0, 0, 20, 20), crs=None)
+    area = shapely.box(6.0, 6.0, 20.0, 30.0)
+    for path in (geojson(tmp_path / "a.geojson", feature(area)), save(tmp_path / "a.fgb", [area], None)):
+        (found,) = read_areas(path, local)
+        assert found.equals(area)
+    with pytest.raises(BadInputError, match="the map has no CRS"):
+        read_areas(save(tmp_path / "b.fgb", [area], "EPSG:32614"), local)
+    with pytest.raises(BadInputError, match="states no CRS"):
+        read_areas(tmp_path / "a.fgb", SITE)
+
+
+def test_a_map_in_feet_holds_areas_in_metres(tmp_path):
+    unit = 1200 / 3937
+    place = bare_map(TileWindow(655_000, 187_000, 60, 50), crs=CRS.from_epsg(2229), unit=unit)
+    square = shapely.box(655_010 * 3, 187_010 * 3, 655_020 * 3, 187_020 * 3)
+    (found,) = read_areas(save(tmp_path / "a.gpkg", [shapely.transform(square, lambda xy: xy / unit)], 2229), place)
+    assert found.symmetric_difference(square).area < 1e-3
+
+
+def test_files_that_hold_no_polygons_are_refused(tmp_path):
+    line = geojson(tmp_path / "line.geojson", feature(shapely.LineString([(-99.19, 19.318), (-99.18, 19.319)])))
+    with pytest.raises(BadInputError, match="holds linestring; areas must be polygons"):
+        read_areas(line, SITE)
+    with pytest.raises(BadInputError, match="holds nothing"):
+        read_areas(geojson(tmp_path / "none.geojson"), SITE)
+    (tmp_path / "a.kml").touch()
+    (tmp_path / "a.gpkg").write_bytes(b"no database")
+    for name, words in (("a.kml", "is not a file of polygons"), ("b.shp", "is missing"), ("a.gpkg", "cannot read")):
+        with pytest.raises(BadInputError, match=words):
+            read_areas(tmp_path / name, SITE)
+
+
+def test_a_file_with_several_layers_is_refused(tmp_path):
+    path = tmp_path / "two.gpkg"
+    save(path, [blob(1)], "EPSG:32614")
+    wkb = shapely.to_wkb(np.array([blob(2)], object))
+    write(path, wkb, [], np.array([]), geometry_type="Polygon", crs=UTM.to_wkt(), layer="other", append=True)
+    assert len(pyogrio.list_layers(path)) == 2
+    with pytest.raises(BadInputError, match="must hold one layer of geometries; it holds: two, other"):
+        read_areas(path, SITE)

@@ -1,0 +1,120 @@
+import json
+
+import numpy as np
+import pytest
+import shapely
+from pyproj import Transformer
+from route_maps import UTM
+
+from bumpymap.core import BadInputError
+from bumpymap.layers import FilePoint, read_points
+
+PLACES = [(-99.19, 19.318), (-99.1885, 19.3191), (-99.1881, 19.3178)]
+
+
+def feature(geometry, **properties):
+    return {"type": "Feature", "properties": properties, "geometry": shapely.geometry.mapping(geometry)}
+
+
+def geojson(path, *features, **more):
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": list(features)} | more))
+    return path
+
+
+def test_points_of_a_geojson_in_their_order(tmp_path):
+    points = [shapely.Point(*place, 2250.0) for place in PLACES]
+    path = geojson(
+        tmp_path / "stops.geojson",
+        feature(points[0], name="gate"),
+        {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None},
+        feature(points[1], number=7),
+        feature(points[2], name=" pump "),
+    )
+    assert read_points(path) == [
+        FilePoint("gate", *PLACES[0], "lonlat"),
+        FilePoint("2", *PLACES[1], "lonlat"),
+        FilePoint("pump", *PLACES[2], "lonlat"),
+    ]
+    nameless = geojson(tmp_path / "bare.json", feature(shapely.MultiPoint(PLACES)))
+    assert [(point.name, point.x, point.y) for point in read_points(nameless)] == [
+        (str(number), *place) for number, place in enumerate(PLACES, start=1)
+    ]
+
+
+def test_points_of_a_geojson_that_states_another_crs(tmp_path):
+    x, y = Transformer.from_crs(4326, UTM, always_xy=True).transform(*np.transpose(PLACES))
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32614"}}
+    path = geojson(
+        tmp_path / "utm.geojson", *(feature(shapely.Point(*place)) for place in zip(x, y, strict=True)), crs=crs
+    )
+    found = read_points(path)
+    assert [point.system for point in found] == ["lonlat"] * 3
+    assert np.allclose([(point.x, point.y) for point in found], PLACES, atol=1e-9)
+
+
+GPX = '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">{}</gpx>'
+
+
+def test_waypoints_of_a_gpx_or_else_the_points_of_its_route(tmp_path):
+    path = tmp_path / "tour.gpx"
+    way = "".join(f'<wpt lat="{y}" lon="{x}"><ele>12</ele><name>w{i}</name></wpt>' for i, (x, y) in enumerate(PLACES))
+    route = f'<rte><rtept lat="{PLACES[1][1]}" lon="{PLACES[1][0]}"></rtept></rte>'
+    path.write_text(GPX.format(way + route))
+    assert read_points(path) == [FilePoint(f"w{i}", *place, "lonlat") for i, place in enumerate(PLACES)]
+    path.write_text(GPX.format(route))
+    assert read_points(path) == [FilePoint("1", *PLACES[1], "lonlat")]
+    path.write_text(GPX.format(""))
+    with pytest.raises(BadInputError, match="holds no points"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "system", "separator"),
+    [
+        ("lon,lat", "lonlat", ","),
+        ("Longitude;Latitude", "lonlat", ";"),
+        ("x\ty", "crs", "\t"),
+        ("easting, northing", "crs", ","),
+    ],
+)
+def test_columns_of_a_csv(tmp_path, head, system, separator):
+    path = tmp_path / "points.csv"
+    lines = [
+        f"id{separator}{head}{separator}name",
+        f"7{separator}1.5{separator}-2.25{separator}the gate",
+        "",
+        separator,
+    ]
+    lines.append(f"8{separator} 3e2 {separator}4")
+    path.write_text("\n".join(lines), encoding="utf-8-sig")
+    assert read_points(path) == [FilePoint("the gate", 1.5, -2.25, system), FilePoint("4", 300.0, 4.0, system)]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.csv", "lon,height\n1,2\n", r"a\.csv has the columns lon, height; it needs lon,lat"),
+        ("a.csv", "lon,lat\n1,2\n3,north\n", r"a\.csv, line 3: '3,north'"),
+        ("a.csv", "lon,lat\n1\n", r"a\.csv, line 2"),
+        ("a.csv", "lon,lat\n1,nan\n", "is not a place"),
+        ("a.csv", "lon,lat\n", "holds no points"),
+        ("a.csv", "", r"columns \(none\)"),
+        ("a.csv", b"\xff\xfe\x00", "cannot read"),
+        ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
+        ("a.geojson", "{", "cannot read"),
+        ("a.gpx", "<gpx", "cannot read"),
+    ],
+)
+def test_files_that_are_no_points_are_refused(tmp_path, name, text, words):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(BadInputError, match=words):
+        read_points(path)
+
+
+def test_other_geometries_and_missing_files_are_refused(tmp_path):
+    path = geojson(tmp_path / "a.geojson", feature(shapely.LineString(PLACES)))
+    with pytest.raises(BadInputError, match="holds a linestring; only points"):
+        read_points(path)
+    with pytest.raises(BadInputError, match="there is no file"):
+        read_points(tmp_path / "none.csv")
