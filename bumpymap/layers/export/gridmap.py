@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path
 from bumpymap.layers.export.area import FRAME, ExportArea
+from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.route_sheet import common_window
 from bumpytiles import TileWindow
 
@@ -65,7 +66,7 @@ def make_layers(area: ExportArea) -> GridLayers:
     Raises
     ------
     BadInputError
-        There are too many cells.
+        There are too many cells, or class.tif is missing or damaged.
     """
     rows, cols = area.shape
     if rows * cols > _MAX_CELLS:
@@ -73,11 +74,21 @@ def make_layers(area: ExportArea) -> GridLayers:
             f"the area has {rows * cols:,} cells of {area.resolution:g} m; a grid_map may have {_MAX_CELLS:,}. "
             "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
         )
+    _check_classes(area)
     values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
     for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
     return GridLayers(values)
+
+
+def _check_classes(area: ExportArea) -> None:
+    """Compare class.tif with its checksum: ways do not need that file, so `open_map` has not looked at it."""
+    for sheet in area.route_map.sheets:
+        written = {str(file["path"]): str(file["sha256"]) for file in sheet.manifest["files"]}
+        path = sheet.folder / "class.tif"
+        if describe_file(path)["sha256"] != written.get(path.name):
+            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. Map the survey again")
 
 
 def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
@@ -108,7 +119,8 @@ def _classes(area: ExportArea, window: TileWindow) -> NDArray[np.float32]:
         part = common_window(window, sheet.window)
         if part is None:
             continue
-        found = sheet.read("class.tif", part)[0]
+        found = np.empty((part.rows, part.cols), np.uint8)
+        sheet.read_into([found], "class.tif", part)
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         place = (slice(top, top + part.rows), slice(left, left + part.cols))
         out[place] = np.fmax(out[place], np.where(found == NO_CLASS, np.nan, found))
