@@ -178,13 +178,19 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
 
 
 def _around(route_map: RouteMap, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
-    """Return the surroundings of the map in the CRS of a file, None across the antimeridian; and a short length."""
+    """Return the surroundings of the map in the CRS of a file, None if they have no bounds there; and a short length.
+
+    A map across the antimeridian has two of them in degrees, one on each side.
+    """
     bounds, unit = route_map.grid.window_bounds(route_map.window), route_map.georeference.metres_per_unit
-    west, south, east, north = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
-    x0, y0, x1, y1 = transformer.transform_bounds(west, south, east, north, densify_pts=21, direction="INVERSE")
-    side = max(x1 - x0, y1 - y0)
-    if not (np.isfinite(side) and x1 > x0 and y1 > y0):
-        return None, 1e-3 if transformer.source_crs is not None and transformer.source_crs.is_geographic else 100.0
-    return shapely.box(
-        x0 - _BEYOND * side, y0 - _BEYOND * side, x1 + _BEYOND * side, y1 + _BEYOND * side
-    ), side / _STEPS
+    x0, y0, x1, y1 = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
+    west, south, east, north = transformer.transform_bounds(x0, y0, x1, y1, densify_pts=21, direction="INVERSE")
+    is_cut = east < west
+    side = max(east - west + (360.0 if is_cut else 0.0), north - south)
+    if not (np.isfinite(side) and side > 0.0):
+        degrees = transformer.source_crs is not None and transformer.source_crs.is_geographic
+        return None, 1e-3 if degrees else 100.0
+    far = _BEYOND * side
+    spans = [(west - far, 180.0), (-180.0, east + far)] if is_cut else [(west - far, east + far)]
+    boxes = [shapely.box(low, south - far, high, north + far) for low, high in spans]
+    return shapely.union_all(boxes), side / _STEPS

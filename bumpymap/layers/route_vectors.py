@@ -1,5 +1,6 @@
 """Read a vector file of a user's: geometries, names and CRS."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +72,8 @@ def read_vectors(path: Path, layer: str | None = None) -> VectorLayer:
         ValueError,
     )
     try:
-        about, _, wkb, columns = read(path, layer=layer, columns=["name"], force_2d=True)
+        with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
+            about, _, wkb, columns = read(path, layer=layer, columns=["name"], force_2d=True)
         geometry = shapely.from_wkb(wkb)
         crs = None if about["crs"] is None else CRS.from_user_input(about["crs"])
     except errors as error:
