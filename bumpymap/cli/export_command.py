@@ -1,6 +1,7 @@
 """``bumpymap export``: write a map for robots."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -28,6 +29,7 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "route": ("plan",),
 }
 """Formats that an option has an effect on."""
+_POINTS = ("around", "datum")
 _DATUM_M = 1e6
 """How far from the map the origin of the frame may lie, m."""
 
@@ -52,7 +54,9 @@ _DATUM_M = 1e6
 @click.option(
     "--dearest", type=float, metavar="COST", help="nav2: cost per metre of the highest value [default: the highest]."
 )
-@click.option("--every", type=int, metavar="N", help="graph: one node in N x N tiles [default: for 5,000 nodes].")
+@click.option(
+    "--every", type=int, metavar="N", help="graph: one node in up to N x N tiles: 1, 3, 9, 27 [default: auto]."
+)
 @click.option(
     "--route", type=FILE, metavar="FILE", help="plan: GeoJSON file of the route [default: LAYERS/route.geojson]."
 )
@@ -75,8 +79,9 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     _refuse_idle(given_options(given), given["to"])
     from bumpymap.layers import export_map, open_map
 
+    settings = _checked(given)
     route_map = open_map(layers)
-    done = export_map(route_map, out, _settings(given, route_map), overwrite=overwrite)
+    done = export_map(route_map, out, _placed(settings, given, route_map), overwrite=overwrite)
     if quiet:
         return
     if log_json:
@@ -96,15 +101,23 @@ def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
         raise UsageError("--radius has no effect without --around POINT")
 
 
-def _settings(given: Mapping[str, Any], route_map: "RouteMap") -> "ExportSettings":
+def _checked(given: Mapping[str, Any]) -> "ExportSettings":
+    """Return the settings that need no map, checked before it is opened."""
     from bumpymap.layers import ExportSettings
+
+    return ExportSettings(**{name: given[name] for name in given if given[name] is not None and name not in _POINTS})
+
+
+def _placed(settings: "ExportSettings", given: Mapping[str, Any], route_map: "RouteMap") -> "ExportSettings":
+    """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 
-    radius, settings = given["radius"], {name: value for name, value in given.items() if value is not None}
-    for name, beyond in (("around", 100.0 if radius is None else radius), ("datum", _DATUM_M)):
-        if name in settings:
-            settings[name] = tuple(parse_point(settings[name], route_map, beyond_m=beyond))
-    return ExportSettings(**settings)
+    beyond = {"around": settings.radius, "datum": _DATUM_M}
+    found = {name: given[name] for name in _POINTS if given[name] is not None}
+    places: dict[str, Any] = {
+        name: tuple(parse_point(text, route_map, beyond_m=beyond[name])) for name, text in found.items()
+    }
+    return replace(settings, **places)
 
 
 def _summary(done: "Export") -> Iterator[str]:
@@ -122,9 +135,10 @@ def _summary(done: "Export") -> Iterator[str]:
         dearest = record["cost"]["value_98"]
         yield f"cost per metre: 1 is value 0, {dearest:.3f} is value 98, in steps of {(dearest - 1.0) / 98:.3f}"
     if graph := record.get("graph"):
+        largest = graph["largest_square"]
         yield (
-            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in {graph['tiles_per_node']} x "
-            f"{graph['tiles_per_node']} tiles; {graph['nodes_left_out']:,} nodes left out, not connected with these"
+            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in up to {largest} x {largest} tiles; "
+            f"{graph['tiles_left_out']:,} passable tiles left out, not connected with these"
         )
     if layers := record.get("layer_names"):
         yield f"grid_map on {record['topic']}: {', '.join(layers)}"

@@ -69,6 +69,7 @@ WORDS = {
     "calibrate": ["--out", "c.json"],
     "evaluate": ["site.laz", "--out", "o"],
     "train": ["--out", "m.onnx"],
+    "export": ["site_layers", "--to", "nav2", "--out", "o"],
 }
 # (command, option, value) -> where the value has to arrive.
 MEANT = {

@@ -14,7 +14,7 @@ __all__ = ["FRAME", "ExportArea", "ExportPoint", "LocalFrame", "choose_area"]
 
 FRAME = "map"
 """Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
-_STRIP_CELLS = 16_000_000
+_STRIP_CELLS = 4_000_000
 """Cells that are read at once: few strips, so that few blocks of a raster are decoded twice."""
 
 
@@ -67,10 +67,13 @@ class ExportArea:
         east, north = self.frame.to_local(whole.east, whole.north)
         return Bounds(west, south, east, north)
 
-    def strips(self) -> Iterator[tuple[TileWindow, slice]]:
-        """Yield windows of whole rows of tiles, north first, and their rows of cells."""
+    def strips(self, detail: int | None = None) -> Iterator[tuple[TileWindow, slice]]:
+        """Yield windows of whole rows of tiles, north first, and their rows of cells.
+
+        ``detail`` is the number of values along a side of a tile that will be read, if that is not ``split``.
+        """
         window, split = self.window, self.split
-        height = max(1, _STRIP_CELLS // (window.cols * split * split))
+        height = max(1, _STRIP_CELLS // (window.cols * (detail or split) ** 2))
         for top in range(0, window.rows, height):
             rows = min(height, window.rows - top)
             part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.layers.export.area import FRAME, ExportArea
-from bumpymap.layers.export.lattice import Lattice, default_spacing, make_lattice
+from bumpymap.layers.export.lattice import SQUARES, Lattice, Squares, make_lattice, make_squares
 from bumpymap.layers.export.target import write_file
 from bumpymap.layers.export.values import passable_cost
 
 __all__ = ["WayGraph", "make_graph", "write_graph"]
 
-_MAX_TILES = 25_000_000
+_MAX_TILES = 9_000_000
 """Most tiles that are thinned at once."""
 _USUAL_NODES, _MAX_NODES = 5_000, 100_000
 _BATCH = 5_000
@@ -29,7 +30,7 @@ class WayGraph:
 
     lattice: Lattice
     every: int
-    """Side of the squares of tiles that hold one node each."""
+    """Side of the largest squares that hold one node each, tiles."""
 
 
 def make_graph(area: ExportArea, every: int | None) -> WayGraph:
@@ -40,7 +41,8 @@ def make_graph(area: ExportArea, every: int | None) -> WayGraph:
     area : ExportArea
         With one cell a tile.
     every : int, optional
-        Side of the squares of tiles that hold one node each; else the smallest that gives at most 5,000 nodes.
+        Side of the largest squares that hold one node each, one of ``SQUARES``; else the smallest that gives at most
+        5,000 nodes, or 27.
 
     Raises
     ------
@@ -58,19 +60,28 @@ def make_graph(area: ExportArea, every: int | None) -> WayGraph:
         factor[lines] = passable_cost(area.route_map.read(part, ("c_r", "p_fail")))
     factor[~np.isfinite(factor)] = np.inf
     origin = (-(window.row + window.rows), window.col)  # both grow along the array: squares keep their place on Earth
-    every = every or default_spacing(np.isfinite(factor), _USUAL_NODES, origin)
-    lattice = make_lattice(factor, every, origin)
-    if len(lattice.row) > _MAX_NODES:
+    every, squares = _thin(factor, every, origin)
+    if len(squares.row) > _MAX_NODES:
+        larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"
         raise BadInputError(
-            f"the graph would have {len(lattice.row):,} nodes; it may have {_MAX_NODES:,}. Pass a larger `every` than "
-            f"{every}, or crop the area with `around` and `radius`"
+            f"the graph would have {len(squares.row):,} nodes with `every={every}`; it may have {_MAX_NODES:,}. "
+            f"{larger} the area with `around` and `radius`"
         )
+    lattice = make_lattice(factor, squares)
     if not len(lattice.cost):
         raise BadInputError(
-            f"no two nodes are connected at one node in {every} x {every} tiles. Pass a smaller `every`, or choose "
-            "another area"
+            f"no two nodes are connected: {len(squares.row)} of the area, with `every={every}`. Choose another area, "
+            "or pass a smaller `every`"
         )
     return WayGraph(lattice, every)
+
+
+def _thin(factor: NDArray[np.float64], every: int | None, origin: tuple[int, int]) -> tuple[int, Squares]:
+    for side in SQUARES if every is None else (every,):
+        squares = make_squares(factor, side, origin)
+        if len(squares.row) <= _USUAL_NODES:
+            break
+    return side, squares
 
 
 def write_graph(folder: Path, area: ExportArea, graph: WayGraph) -> dict[str, Any]:
@@ -90,8 +101,8 @@ def write_graph(folder: Path, area: ExportArea, graph: WayGraph) -> dict[str, An
         "graph": {
             "nodes": nodes,
             "edges": edges,
-            "nodes_left_out": graph.lattice.left_out,
-            "tiles_per_node": graph.every,
+            "tiles_left_out": graph.lattice.tiles_left_out,
+            "largest_square": graph.every,
             "cost": "m of smooth, safe ground",
         }
     }

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path
 from bumpymap.layers.export.area import FRAME, ExportArea
+from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.route_sheet import common_window
 from bumpytiles import TileWindow
 
@@ -16,8 +17,8 @@ __all__ = ["TOPIC", "GridLayers", "make_layers", "require_rosbags", "typestore",
 
 TOPIC = "/grid_map"
 _MESSAGE = "grid_map_msgs/msg/GridMap"
-_MAX_CELLS = 10_000_000
-"""Most cells: 200 MB in one message."""
+_MAX_CELLS = 5_000_000
+"""Most cells: 100 MB in one message."""
 _DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": """\
 float64 resolution
@@ -65,7 +66,7 @@ def make_layers(area: ExportArea) -> GridLayers:
     Raises
     ------
     BadInputError
-        There are too many cells.
+        There are too many cells, or class.tif is missing or damaged.
     """
     rows, cols = area.shape
     if rows * cols > _MAX_CELLS:
@@ -73,11 +74,21 @@ def make_layers(area: ExportArea) -> GridLayers:
             f"the area has {rows * cols:,} cells of {area.resolution:g} m; a grid_map may have {_MAX_CELLS:,}. "
             "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
         )
+    _check_classes(area)
     values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
-    for window, lines in area.strips():
+    for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
     return GridLayers(values)
+
+
+def _check_classes(area: ExportArea) -> None:
+    """Compare class.tif with its checksum: ways do not need that file, so `open_map` has not looked at it."""
+    for sheet in area.route_map.sheets:
+        written = {str(file["path"]): str(file["sha256"]) for file in sheet.manifest["files"]}
+        path = sheet.folder / "class.tif"
+        if describe_file(path)["sha256"] != written.get(path.name):
+            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. Map the survey again")
 
 
 def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
@@ -108,7 +119,8 @@ def _classes(area: ExportArea, window: TileWindow) -> NDArray[np.float32]:
         part = common_window(window, sheet.window)
         if part is None:
             continue
-        found = sheet.read("class.tif", part)[0]
+        found = np.empty((part.rows, part.cols), np.uint8)
+        sheet.read_into([found], "class.tif", part)
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         place = (slice(top, top + part.rows), slice(left, left + part.cols))
         out[place] = np.fmax(out[place], np.where(found == NO_CLASS, np.nan, found))
@@ -128,7 +140,8 @@ def typestore() -> Any:
 def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[str, Any]:
     """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
 
-    All times are 0, so that the same map has the same bytes. Late subscribers get the message too.
+    All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
+    metadata is the newest that all current releases of ROS 2 read.
 
     Raises
     ------
@@ -140,7 +153,7 @@ def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[st
     store, bag = typestore(), folder / "gridmap"
     message = _message(store, area, layers)
     try:
-        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             topic = writer.add_connection(TOPIC, _MESSAGE, typestore=store, offered_qos_profiles=[_latched()])
             writer.write(topic, 0, store.serialize_cdr(message, _MESSAGE))
         for name in ("gridmap.mcap", "metadata.yaml"):

@@ -1,6 +1,11 @@
-"""Thin the passable tiles of a map to a graph: one node in each square of tiles, joined to its neighbours."""
+"""Thin the passable tiles of a map to a graph: one node in each square of open tiles of about the same cost.
 
-import math
+Squares have 1, 3, 9 or 27 tiles on a side, so that the middle of each is the middle of a tile, and lie in one another
+without remainder. Open ground of even cost gets large squares; along everything closed or dearer they shrink to single
+tiles. The straight line between the middles of two squares that share a side stays inside the two: it crosses that side
+within the smaller square. So thinning never cuts off ground that can be reached.
+"""
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,15 +15,33 @@ from scipy.sparse.csgraph import connected_components
 
 from bumpymap.layers.export.line_cost import line_cost
 
-__all__ = ["Lattice", "default_spacing", "make_lattice", "thin_tiles"]
+__all__ = ["SQUARES", "Lattice", "Squares", "make_lattice", "make_squares"]
 
+SQUARES = (1, 3, 9, 27)
+"""Sides of squares, tiles."""
+_ALIKE = 1.5
+"""Largest ratio of the costs of tiles in one square: ways still bend around dearer ground."""
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Squares to the east, south, south-east, south-west; the others are these, seen from the other side."""
+"""Tiles to the east, south, south-east, south-west; the others are these, seen from the other side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """Open tiles, divided into squares."""
+
+    row: NDArray[np.int64]
+    """(n,) row of each square's middle tile in the window, from the north."""
+    col: NDArray[np.int64]
+    """(n,) column, from the west."""
+    side: NDArray[np.int64]
+    """(n,) side, tiles."""
+    number: NDArray[np.int64]
+    """(rows, cols) number of the square that each tile lies in; -1 where closed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """A connected graph of tiles."""
+    """A connected graph of squares."""
 
     row: NDArray[np.int64]
     """(n,) row of each node's tile in the window, from the north."""
@@ -30,90 +53,92 @@ class Lattice:
     """(m,) at the other end."""
     cost: NDArray[np.float64]
     """(m,) cost of the straight line between them, in sides of a tile; the same in both directions."""
-    left_out: int
-    """Nodes that were left out, since they are not connected with the largest part."""
+    tiles_left_out: int
+    """Open tiles that are not connected with the largest part, and were left out."""
 
 
-def thin_tiles(
-    is_open: NDArray[np.bool_], every: int, origin: tuple[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Choose one open tile in each square of ``every`` x ``every`` tiles: that nearest to the middle of the square.
-
-    Parameters
-    ----------
-    is_open : bool (rows, cols)
-    every : int
-        Side of the squares, tiles.
-    origin : (int, int)
-        Position of the array's first row and column among the squares: crops of one map share their nodes.
-
-    Returns
-    -------
-    row, col : int64 (n,)
-    square : int64 (n, 2)
-        Row and column of the square.
-    """
-    row, col = np.nonzero(is_open)
-    place = np.stack([row + origin[0], col + origin[1]], axis=1)
-    square = place // every
-    off = place - square * every - (every - 1) / 2.0
-    order = np.lexsort((col, row, (off**2).sum(axis=1), square[:, 1], square[:, 0]))
-    square = square[order]
-    new = np.ones(len(order), np.bool_)
-    new[1:] = (square[1:] != square[:-1]).any(axis=1)
-    return row[order][new], col[order][new], square[new]
-
-
-def make_lattice(factor: NDArray[np.floating], every: int, origin: tuple[int, int]) -> Lattice:
-    """Make the graph: nodes from `thin_tiles`, edges where a straight line crosses only open tiles.
-
-    Only the largest connected part is kept: from each of its nodes there is a way to every other.
+def make_squares(factor: NDArray[np.floating], largest: int, origin: tuple[int, int]) -> Squares:
+    """Divide the open tiles into the largest squares of open tiles of about the same cost.
 
     Parameters
     ----------
     factor : float (rows, cols)
         Cost per unit of length; inf where closed.
-    every, origin
-        See `thin_tiles`.
+    largest : int
+        Largest side, one of ``SQUARES``.
+    origin : (int, int)
+        Position of the array's first row and column in the grid of squares: crops of one map share their squares.
     """
-    row, col, square = thin_tiles(np.isfinite(factor), every, origin)
-    nodes = np.stack([row, col], axis=1)
-    first, second = _pairs(square)
+    before = origin[0] % largest, origin[1] % largest
+    after = tuple(-(first + size) % largest for first, size in zip(before, factor.shape, strict=True))
+    padded = np.pad(factor, tuple(zip(before, after, strict=True)), constant_values=np.inf)
+    side = _sides(padded, largest)
+    row, col = np.indices(padded.shape)
+    middle = (row // side * side + side // 2) * padded.shape[1] + col // side * side + side // 2
+    is_open = np.isfinite(padded)
+    node = np.flatnonzero((middle == row * padded.shape[1] + col) & is_open)
+    numbers = np.full(padded.size, -1, np.int64)
+    numbers[node] = np.arange(len(node))
+    rows, cols = factor.shape
+    inside = np.where(is_open, numbers[middle], -1)[before[0] : before[0] + rows, before[1] : before[1] + cols]
+    return Squares(row.ravel()[node] - before[0], col.ravel()[node] - before[1], side.ravel()[node], inside)
+
+
+def _sides(factor: NDArray[np.floating], largest: int) -> NDArray[np.int64]:
+    """Return the side of the square that each tile lies in; 1 where closed."""
+    side = np.ones(factor.shape, np.int64)
+    low, high = factor, factor
+    for size in SQUARES[1 : SQUARES.index(largest) + 1]:
+        rows, cols = low.shape[0] // 3, low.shape[1] // 3
+        low = low.reshape(rows, 3, cols, 3).min(axis=(1, 3))
+        high = high.reshape(rows, 3, cols, 3).max(axis=(1, 3))
+        alike = np.isfinite(high) & (high <= _ALIKE * low)
+        side[np.repeat(np.repeat(alike, size, axis=0), size, axis=1)] = size
+    return side
+
+
+def make_lattice(factor: NDArray[np.floating], squares: Squares) -> Lattice:
+    """Make the graph: nodes in the middle of squares, edges where a straight line crosses only open tiles.
+
+    Only the connected part with most tiles is kept: from each of its nodes there is a way to every other.
+
+    Parameters
+    ----------
+    factor : float (rows, cols)
+        Cost per unit of length; inf where closed.
+    squares : Squares
+        From `make_squares`.
+    """
+    nodes = np.stack([squares.row, squares.col], axis=1)
+    count = len(nodes)
+    first, second = _pairs(squares.number, count)
     cost = line_cost(factor, nodes[first], nodes[second])
     usable = np.isfinite(cost)
     first, second, cost = first[usable], second[usable], cost[usable]
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(len(nodes), len(nodes)))
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     _, part = connected_components(graph, directed=False)
-    kept = part == np.bincount(part, minlength=1).argmax()
+    kept = part == np.bincount(part, weights=squares.side**2, minlength=1).argmax()
     number = np.cumsum(kept) - 1
     inside = kept[first]
     return Lattice(
-        row[kept],
-        col[kept],
-        number[first[inside]].astype(np.int64),
-        number[second[inside]].astype(np.int64),
+        nodes[kept, 0],
+        nodes[kept, 1],
+        number[first[inside]],
+        number[second[inside]],
         cost[inside],
-        left_out=int(len(nodes) - kept.sum()),
+        tiles_left_out=int((squares.side[~kept] ** 2).sum()),
     )
 
 
-def _pairs(square: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the numbers of nodes in neighbouring squares."""
-    place = square - square.min(axis=0) + 1 if len(square) else square
-    rows, cols = (place.max(axis=0) + 2).tolist() if len(square) else (2, 2)
-    number = np.full((rows, cols), -1, np.int64)
-    number[place[:, 0], place[:, 1]] = np.arange(len(place))
-    first, second = [], []
+def _pairs(number: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the numbers of squares that touch, each pair once, in order."""
+    rows, cols = number.shape
+    found = [np.empty(0, np.int64)]
     for down, right in _NEIGHBOURS:
-        other = number[place[:, 0] + down, place[:, 1] + right]
-        first.append(np.flatnonzero(other >= 0))
-        second.append(other[other >= 0])
-    return np.concatenate(first), np.concatenate(second)
-
-
-def default_spacing(is_open: NDArray[np.bool_], most: int, origin: tuple[int, int]) -> int:
-    """Return the smallest side of squares that gives at most ``most`` nodes."""
-    every = max(1, math.ceil(math.sqrt(np.count_nonzero(is_open) / most)))
-    while len(thin_tiles(is_open, every, origin)[0]) > most:
-        every += 1
-    return every
+        one = number[: rows - down, max(0, -right) : cols - max(0, right)]
+        other = number[down:, max(0, right) : cols - max(0, -right)]
+        touch = (one != other) & (one >= 0) & (other >= 0)
+        pair = np.sort(np.stack([one[touch], other[touch]]), axis=0)
+        found.append(np.unique(pair[0] * count + pair[1]))
+    first, second = np.divmod(np.unique(np.concatenate(found)), max(count, 1))
+    return first, second

@@ -12,6 +12,7 @@ from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageEr
 from bumpymap.layers.export.area import ExportArea, ExportPoint, choose_area
 from bumpymap.layers.export.graph import make_graph, write_graph
 from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_gridmap
+from bumpymap.layers.export.lattice import SQUARES
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
 from bumpymap.layers.export.plan import make_mission, read_route_line, write_plan
 from bumpymap.layers.export.target import DATUM_NAME, EXPORT_FILES, check_target, export_folder, write_json
@@ -42,7 +43,7 @@ class ExportSettings:
     dearest: float | None = None
     """nav2: cost per metre of the highest value; else that of the dearest passable tile of the area."""
     every: int | None = None
-    """graph: one node in each square of so many tiles; else as many as give up to 5,000 nodes."""
+    """graph: side of the largest squares of tiles with one node each: 1, 3, 9 or 27; else by the size of the area."""
     route: Path | None = None
     """plan: GeoJSON file of the route; else route.geojson in the first folder of the map."""
 
@@ -54,8 +55,8 @@ class ExportSettings:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > least):
                 raise UsageError(f"{name} is {value}; it must be a number greater than {least:g}")
-        if self.every is not None and self.every < 1:
-            raise UsageError(f"every is {self.every}; it must be at least 1")
+        if self.every is not None and self.every not in SQUARES:
+            raise UsageError(f"every is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
         for name in ("around", "datum"):
             place = getattr(self, name)
             if place is not None and not np.isfinite(place).all():

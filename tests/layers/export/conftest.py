@@ -38,6 +38,11 @@ def write_map_fixture():
     return write_map
 
 
+@pytest.fixture(name="with_objects", scope="session")
+def with_objects_fixture():
+    return with_objects
+
+
 @pytest.fixture(scope="session")
 def folder(make_field, tmp_path_factory):
     return write_map(with_objects(make_field(21, 16)), tmp_path_factory.mktemp("export") / "site")

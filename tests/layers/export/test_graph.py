@@ -8,12 +8,13 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import ExportSettings, export_map, open_map
-from bumpymap.layers.export.lattice import default_spacing, make_lattice, thin_tiles
+from bumpymap.layers.export.lattice import SQUARES, make_lattice, make_squares
 from bumpymap.layers.export.line_cost import line_cost
 
 
@@ -67,50 +68,91 @@ def test_every_edge_crosses_only_passable_tiles_at_its_cost(easy_map, tmp_path, 
     assert connected_components(graph, directed=True, connection="strong")[0] == 1
 
 
-def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long():
-    lattice = make_lattice(np.ones((40, 40)), 4, (0, 0))
-    assert len(lattice.row) == 100
+def ways(lattice):
+    """Cost of the cheapest way between any two nodes."""
     number = len(lattice.row)
-    ways = dijkstra(coo_array((lattice.cost, (lattice.first, lattice.second)), shape=(number, number)), directed=False)
+    return dijkstra(coo_array((lattice.cost, (lattice.first, lattice.second)), shape=(number, number)), directed=False)
+
+
+def field(seed, closed, size=(40, 50)):
+    """Smooth costs from 1 upward; patches of closed ground, and single closed tiles."""
+    rng = np.random.default_rng(seed)
+    factor = 1.0 + gaussian_filter(rng.gamma(1.0, 8.0, size), 3.0)
+    patches = gaussian_filter(rng.random(size), 1.0)
+    factor[(patches < np.quantile(patches, closed)) | (rng.random(size) < closed / 10)] = np.inf
+    return factor
+
+
+def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long():
+    lattice = make_lattice(*((ground := np.ones((90, 90))), make_squares(ground, 9, (0, 0))))
+    assert len(lattice.row) == 100
     straight = np.hypot(*(axis[:, None] - axis for axis in (lattice.row, lattice.col)))
-    ratio = ways[straight > 0] / straight[straight > 0]
+    ratio = ways(lattice)[straight > 0] / straight[straight > 0]
     assert ratio.min() >= 1.0 - 1e-12
     assert ratio.max() <= 1.0 / np.cos(np.pi / 8) + 1e-12  # 8 directions
 
 
-def test_nodes_are_nearest_to_the_middle_of_their_square_and_crops_share_them():
-    is_open = np.random.default_rng(3).random((30, 40)) < 0.6
-    row, col, square = thin_tiles(is_open, 5, (7, -3))
-    assert is_open[row, col].all()
-    assert len({tuple(one) for one in square.tolist()}) == len(square)
-    rows, cols = np.nonzero(is_open)
-    for number in range(len(row)):
-        inside = ((rows + 7) // 5 == square[number, 0]) & ((cols - 3) // 5 == square[number, 1])
-        middle = square[number] * 5 + 2.0 - (7, -3)
-        off = np.hypot(rows[inside] - middle[0], cols[inside] - middle[1])
-        assert np.hypot(row[number] - middle[0], col[number] - middle[1]) == off.min()
-    cut_row, cut_col, _ = thin_tiles(is_open[8:23, 8:33], 5, (15, 5))  # whole squares
-    whole = set(zip(row.tolist(), col.tolist(), strict=True))
-    assert {(r + 8, c + 8) for r, c in zip(cut_row.tolist(), cut_col.tolist(), strict=True)} <= whole
+@pytest.mark.parametrize("seed", range(4))
+def test_squares_cover_the_open_tiles_and_are_open_and_alike(seed):
+    factor = field(seed, 0.3)
+    for largest in SQUARES:
+        squares = make_squares(factor, largest, (-17, 5))
+        np.testing.assert_array_equal(squares.number >= 0, np.isfinite(factor))
+        tiles = np.bincount(squares.number[squares.number >= 0], minlength=len(squares.row))
+        np.testing.assert_array_equal(tiles, squares.side**2)
+        assert set(squares.side.tolist()) <= {side for side in SQUARES if side <= largest}
+        for number in range(len(squares.row)):
+            costs = factor[squares.number == number]
+            assert costs.max() <= 1.5 * costs.min()
+            row, col = np.nonzero(squares.number == number)
+            assert (row.mean(), col.mean()) == (squares.row[number], squares.col[number])
 
 
-def test_islands_are_left_out_and_told():
+@pytest.mark.parametrize("seed", range(6))
+def test_thinning_cuts_nothing_off(seed):
+    """What is connected over sides of tiles (a corner is no way) is connected in the graph, and nothing else is."""
+    factor = field(seed, 0.45)
+    parts, count = label(np.isfinite(factor))
+    assert count > 1
+    sizes = np.bincount(parts.ravel())[1:]
+    for largest in SQUARES:
+        squares = make_squares(factor, largest, (3, 8))
+        lattice = make_lattice(factor, squares)
+        kept = np.unique(parts[lattice.row, lattice.col])
+        assert len(kept) == 1
+        assert sizes[kept[0] - 1] == sizes.max()
+        assert lattice.tiles_left_out == sizes.sum() - sizes.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ways_over_large_squares_cost_little_more_than_over_tiles(seed):
+    factor = field(seed, 0.3)
+    fine, thin = (make_lattice(factor, make_squares(factor, largest, (0, 0))) for largest in (1, 9))
+    assert len(thin.row) < 0.8 * len(fine.row)
+    place = {(row, col): number for number, (row, col) in enumerate(zip(fine.row, fine.col, strict=True))}
+    same = [place[row, col] for row, col in zip(thin.row, thin.col, strict=True)]
+    far = np.hypot(*(axis[:, None] - axis for axis in (thin.row, thin.col))) > 10
+    ratio = ways(thin)[far] / ways(fine)[np.ix_(same, same)][far]
+    assert np.median(ratio) < 1.03
+    assert np.quantile(ratio, 0.99) < 1.15
+
+
+def test_crops_of_one_map_share_their_squares():
+    factor = field(3, 0.2, (60, 70))
+    whole = make_squares(factor, 9, (-60, 4))
+    cut = make_squares(factor[6:51, 5:59], 9, (-54, 9))  # whole squares of 9
+    places = set(zip(whole.row.tolist(), whole.col.tolist(), strict=True))
+    assert {(row + 6, col + 5) for row, col in zip(cut.row.tolist(), cut.col.tolist(), strict=True)} <= places
+
+
+def test_no_way_leads_over_a_corner():
     factor = np.full((9, 9), np.inf)
     factor[:3] = 1.0
-    factor[5:7, 5:7] = 1.0  # an island
-    factor[3, 3] = factor[4, 4] = 1.0  # touch at corners only
-    lattice = make_lattice(factor, 1, (0, 0))
-    assert len(lattice.row) == 28
-    assert lattice.left_out == 5
-    assert (lattice.row <= 3).all()
-
-
-def test_the_usual_spacing_bounds_the_number_of_nodes():
-    is_open = np.ones((100, 120), np.bool_)
-    for most in (50, 700, 12_000):
-        every = default_spacing(is_open, most, (0, 0))
-        assert len(thin_tiles(is_open, every, (0, 0))[0]) <= most
-        assert every == 1 or len(thin_tiles(is_open, every - 1, (0, 0))[0]) > most
+    factor[3, 3] = factor[4, 4] = 1.0  # touch at a corner
+    factor[5:7, 5:7] = 1.0
+    lattice = make_lattice(factor, make_squares(factor, 3, (0, 0)))
+    assert len(lattice.row) == 4
+    assert lattice.tiles_left_out == 5
 
 
 def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
@@ -118,7 +160,7 @@ def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatc
     with pytest.raises(BadInputError, match="no two nodes are connected"):
         export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
     monkeypatch.setattr("bumpymap.layers.export.graph._MAX_NODES", 10)
-    with pytest.raises(BadInputError, match="larger `every` than 1"):
+    with pytest.raises(BadInputError, match=r"`every=1`.*larger"):
         export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=1))
     monkeypatch.setattr("bumpymap.layers.export.graph._MAX_TILES", 10)
     with pytest.raises(BadInputError, match="480 tiles"):

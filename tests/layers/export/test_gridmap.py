@@ -6,13 +6,14 @@ github.com/ANYbotics/grid_map: grid_map_core/src/GridMapMath.cpp (getPositionFro
 
 import builtins
 import hashlib
+import shutil
 
 import numpy as np
 import pytest
 import rasterio
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.layers import ExportSettings, export_map
+from bumpymap.layers import ExportSettings, export_map, open_map
 from bumpymap.layers.export.gridmap import _tile_means
 
 pytest.importorskip("rosbags")
@@ -110,6 +111,19 @@ def test_too_many_cells(route_map, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.layers.export.gridmap._MAX_CELLS", 1000)
     with pytest.raises(BadInputError, match="`resolution='tile'`"):
         export_map(route_map, tmp_path / "out", ExportSettings(to="gridmap", resolution="pixel"))
+
+
+def test_classes_that_were_cut_off(easy_folder, tmp_path):
+    shutil.copytree(easy_folder, tmp_path / "site")
+    site = open_map([tmp_path / "site"])
+    whole = (tmp_path / "site" / "class.tif").read_bytes()
+    (tmp_path / "site" / "class.tif").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(BadInputError, match=r"class\.tif is damaged"):
+        export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
+    (tmp_path / "site" / "class.tif").unlink()
+    with pytest.raises(BadInputError, match=r"class\.tif"):
+        export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_rosbags_the_message_says_what_to_install(route_map, tmp_path, monkeypatch):
