@@ -3,7 +3,7 @@
 The file is cut into pieces of 1 MiB. Its checksum is the BLAKE3 of the BLAKE3 digests of the pieces, joined in file
 order. A plain BLAKE3 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
 several workers, what a resumed run has left to read) would have to be read again for it. BLAKE3 takes a quarter of the
-time of SHA-256 on processors with SHA instructions, and a tenth on others.
+time of SHA-256, even on a processor with SHA instructions (measured).
 
 Of a piece that is read in parts, the beginning is hashed as it grows; a part for which bytes before it are missing is
 copied until they come. The copies are limited: beyond that, the piece that was
