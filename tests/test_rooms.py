@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
-    "core": (set(), {"numpy", "onnxruntime", "pyproj"}),
+    "core": (set(), {"blake3", "numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pypcd4", "pyproj"}),
     "patches": ({"core"}, {"CSF", "numpy", "scipy"}),
     "rating": ({"core"}, {"numpy"}),
@@ -51,6 +51,7 @@ ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
+    "blake3": {"bumpymap/core/file_hash.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "open3d": {"bumpymap/lab/worlds/scans/lidar.py"},
     "dask": {"tiles/bumpytiles/_dask.py"},

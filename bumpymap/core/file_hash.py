@@ -1,27 +1,29 @@
 """The checksum of a file, made from its bytes as they are read, in any order.
 
-The file is cut into pieces of 1 MiB. Its checksum is the SHA-256 of the SHA-256 digests of the pieces, joined in file
-order. A plain SHA-256 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
-several workers, what a resumed run has left to read) would have to be read again for it.
+The file is cut into pieces of 1 MiB. Its checksum is the BLAKE3 of the BLAKE3 digests of the pieces, joined in file
+order. A plain BLAKE3 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
+several workers, what a resumed run has left to read) would have to be read again for it. BLAKE3 takes a quarter of the
+time of SHA-256, even on a processor with SHA instructions (measured).
 
 Of a piece that is read in parts, the beginning is hashed as it grows; a part for which bytes before it are missing is
 copied until they come. The copies are limited: beyond that, the piece that was
 begun first is forgotten and read again at the end, as are bytes that no reader has asked for.
 """
 
-import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from blake3 import blake3
+
 from bumpymap.core.errors import BadInputError
 
 __all__ = ["CHECKSUM_METHOD", "FileHash", "PieceRuns", "hash_file"]
 
-CHECKSUM_METHOD = "sha256-1MiB"
-"""Stands before the digest in a checksum: ``sha256-1MiB:12ab...``."""
+CHECKSUM_METHOD = "blake3-1MiB"
+"""Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
 PieceRuns = tuple[tuple[int, bytes], ...]
 """Digests of consecutive pieces, joined, each with the number of the first piece."""
 
@@ -38,7 +40,7 @@ Buffer = Any
 class _Part:
     """A piece of which some bytes have been read."""
 
-    digest: Any = field(default_factory=hashlib.sha256)
+    digest: Any = field(default_factory=blake3)
     """Of the first ``done`` bytes."""
     done: int = 0
     copies: dict[int, bytes] = field(default_factory=dict)
@@ -121,7 +123,7 @@ class FileHash:
             for piece in range(self._count):
                 if not self._is_known(piece):
                     self._complete(piece, read)
-            self._checksum = f"{CHECKSUM_METHOD}:{hashlib.sha256(self._digests).hexdigest()}"
+            self._checksum = f"{CHECKSUM_METHOD}:{blake3(self._digests).hexdigest()}"
         return self._checksum
 
     def drop_copies(self) -> None:
@@ -139,7 +141,7 @@ class FileHash:
 
     def _add_part(self, piece: int, at: int, data: memoryview) -> None:
         if at == 0 and len(data) == self._length(piece):
-            self._store(piece, hashlib.sha256(data).digest())
+            self._store(piece, blake3(data).digest())
             return
         with self._lock:
             if self._is_known(piece):

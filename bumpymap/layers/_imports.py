@@ -1,6 +1,7 @@
-"""Import pyarrow and pyogrio without pandas, which both import if it is installed."""
+"""Import pyarrow and pyogrio without what both import if it is installed, and no layer needs."""
 
 import sys
+import threading
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from typing import Any
@@ -8,27 +9,40 @@ from typing import Any
 __all__ = ["import_without_pandas"]
 
 
-class _NoPandas(MetaPathFinder):
-    """Import hook that hides pandas and geopandas, and leaves other modules to the next finders."""
+_HIDDEN = frozenset(
+    {
+        *("pandas", "geopandas", "cloudpickle"),
+        # pyarrow's readers of object stores: libraries of 10 ms
+        *("pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"),
+    }
+)
+
+
+class _Hidden(MetaPathFinder):
+    """Import hook that hides modules from the thread that made it, and leaves all others to the next finders."""
+
+    def __init__(self) -> None:
+        self._thread = threading.get_ident()
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
-        """Raise ModuleNotFoundError for the two packages."""
-        if fullname in {"pandas", "geopandas"}:
+        """Raise ModuleNotFoundError for what is hidden."""
+        if fullname in _HIDDEN and threading.get_ident() == self._thread:
             raise ModuleNotFoundError(f"{fullname} is not imported here", name=fullname)
 
 
 def import_without_pandas(*names: str) -> None:
     """Import modules while pandas is hidden; pyarrow, which looks for pandas once, does so now.
 
-    No layer needs pandas, and importing it takes a third of a second. Afterwards pyogrio cannot make data frames in
-    this process, so this is for the command line only, never for a process that runs a caller's code.
+    No layer needs pandas, and importing it takes a third of a second. Nor do layers need pyarrow's readers of object
+    stores, or cloudpickle. Afterwards pyogrio cannot make data frames in this process, so this is for the command line
+    only, never for a process that runs a caller's code.
 
     Parameters
     ----------
     *names : str
         Dotted names of modules.
     """
-    finder = _NoPandas()
+    finder = _Hidden()
     sys.meta_path.insert(0, finder)
     try:
         for name in names:

@@ -8,6 +8,8 @@ rougher from ``flat`` to ``high_noise``.
 Strategy: many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a
 random offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is
 cropped after the blur, because a blur that mirrors at the border would flatten the border.
+
+Annotations name `numpy.random` in quotes: it is imported when it is looked up, and a map makes no textures.
 """
 
 from collections.abc import Callable
@@ -27,7 +29,7 @@ _BATCH = 1024
 _Floats = NDArray[np.float64]
 
 
-def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+def make_textures(texture: Texture, count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
     """Generate random patches of one terrain form.
 
     Parameters
@@ -57,7 +59,7 @@ def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels
     return np.concatenate(batches)
 
 
-def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+def make_short_waves(count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
     """Generate ground with regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
 
     The paper has no such form, and a network that was not trained on it may take it for flat. It is as rough as
@@ -131,7 +133,7 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
     return residual
 
 
-def perlin(count: int, rng: np.random.Generator, pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
+def perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
     """Generate gradient noise after Perlin (2002), with one lattice per patch.
 
     With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
@@ -188,7 +190,7 @@ def _perlin_sd() -> float:
 _PERLIN_SD = _perlin_sd()
 
 
-def _rotated_axes(count: int, rng: np.random.Generator, pixels: int, margin: int) -> tuple[_Floats, _Floats]:
+def _rotated_axes(count: int, rng: "np.random.Generator", pixels: int, margin: int) -> tuple[_Floats, _Floats]:
     """Return x and y of pixel centres, (count, side, side) each, rotated about the patch's centre by a random angle."""
     axis = (np.arange(-margin, pixels + margin) + 0.5) / pixels - 0.5
     turn = rng.uniform(0, 2 * np.pi, (count, 1, 1))
@@ -198,7 +200,7 @@ def _rotated_axes(count: int, rng: np.random.Generator, pixels: int, margin: int
 
 def _octaves(
     count: int,
-    rng: np.random.Generator,
+    rng: "np.random.Generator",
     pixels: int,
     cell: _Floats,
     persistence: _Floats,
@@ -216,7 +218,13 @@ def _octaves(
 
 
 def _blurred_noise(
-    count: int, rng: np.random.Generator, pixels: int, cell: _Floats, persistence: _Floats, octaves: int, sigma: _Floats
+    count: int,
+    rng: "np.random.Generator",
+    pixels: int,
+    cell: _Floats,
+    persistence: _Floats,
+    octaves: int,
+    sigma: _Floats,
 ) -> _Floats:
     """Return ``_octaves`` after a Gaussian blur by ``sigma`` (count,), a fraction of a side, correct up to the border.
 
@@ -232,19 +240,19 @@ def _blurred_noise(
     return blurred
 
 
-def _flat(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+def _flat(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
     """Generate long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
     cell, persistence = rng.uniform(0.8, 2.3, count), rng.uniform(0.0, 0.15, count)
     return _blurred_noise(count, rng, pixels, cell, persistence, 2, rng.uniform(0.1, 0.16, count))
 
 
-def _low_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+def _low_noise(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
     """Generate soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
     cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
     return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
 
 
-def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+def _noise_sin(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
     """Generate waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
     ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
     wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
@@ -254,13 +262,13 @@ def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
     return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
 
 
-def _high_noise(count: int, rng: np.random.Generator, pixels: int) -> _Floats:
+def _high_noise(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
     """Generate rubble, heights varying from pixel to pixel (cells 0.4 to 1.2 m, persistence near 1, white noise)."""
     ground = _octaves(count, rng, pixels, rng.uniform(0.13, 0.4, count), rng.uniform(0.7, 1.0, count), 3)
     return ground + rng.uniform(0.1, 0.6, (count, 1, 1)) * rng.standard_normal((count, pixels, pixels))
 
 
-_FORMS: dict[str, Callable[[int, np.random.Generator, int], _Floats]] = {
+_FORMS: "dict[str, Callable[[int, np.random.Generator, int], _Floats]]" = {
     "flat": _flat,
     "low_noise": _low_noise,
     "noise_sin": _noise_sin,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import atomic, parse_json
+from bumpymap.core import CHECKSUM_METHOD, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.results import ReadResult
 from bumpymap.survey.engine.workspace import Workspace
@@ -63,7 +63,7 @@ class Checkpoints:
                 "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
                 "flagged": result.flagged,
                 "lines": result.lines.to_record(),
-                "hashed": {
+                CHECKSUM_METHOD: {
                     str(file): [(n, digests.hex()) for n, digests in own] for file, own in result.hashed.items()
                 },
                 "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
@@ -124,7 +124,7 @@ class Checkpoints:
             LineSums.from_record(record["lines"]),
             {
                 int(file): tuple((first, bytes.fromhex(digests)) for first, digests in own)
-                for file, own in record["hashed"].items()
+                for file, own in record.get(CHECKSUM_METHOD, {}).items()  # digests by another method are no use
             },
             tuple((self._points(path), np.array(blocks, np.int64)) for path, blocks in record["packs"]),
             seen={int(file): (host, version) for file, (host, version) in record["seen"].items()},

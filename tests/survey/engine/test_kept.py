@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
+from bumpymap.core import CHECKSUM_METHOD, hash_file
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
@@ -171,6 +172,24 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
     assert layers_of(out) == plain
     record = json.loads((out / "run.json").read_text())
     assert re.fullmatch(r"\d+MB", record["settings"]["memory"])
+
+
+@pytest.mark.parametrize("method", [CHECKSUM_METHOD, "another-1MiB"])
+def test_digests_by_another_method_are_made_again(surveys, tmp_path, monkeypatch, method):
+    out, wrong = tmp_path / "out", bytes(32).hex()
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.survey.engine.run.decide_ground", lambda *_: 1 / 0)
+        run("map", surveys, "--out", out)
+    records = list(out.glob(".bumpymap-run/**/read-*.json"))
+    for path in records:
+        record = json.loads(path.read_text())
+        record[method] = {file: [[n, wrong] for n, _ in own] for file, own in record.pop(CHECKSUM_METHOD).items()}
+        path.write_text(json.dumps(record))
+    result = run("map", surveys, "--out", out, "--resume")
+    assert result.exit_code == 0, result.output
+    made = [entry["checksum"] for entry in json.loads((out / "run.json").read_text())["inputs"]]
+    right = [hash_file(path) for path in sorted(surveys.iterdir())]
+    assert (made == right) == (method != CHECKSUM_METHOD), "what is kept is used, if it is by the same method"
 
 
 def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypatch):
