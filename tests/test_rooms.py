@@ -38,6 +38,7 @@ ROOMS = {
         {"core", "readers", "rating", "layers", "survey"},
         {"numpy", "pyproj", "sklearn"},
     ),
+    "route": ({"core"}, {"numpy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},

@@ -53,7 +53,7 @@ class Pieces(NamedTuple):
     row: Annotated[NDArray[np.int64], 1]
     col: Annotated[NDArray[np.int64], 1]
     length: Annotated[Floats, 1]
-    count: Annotated[NDArray[np.int64], 1]
+    pieces: Annotated[NDArray[np.int64], 1]
     """(1,) how many there are."""
 
 
@@ -217,7 +217,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
 
 @kernel
 def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
-    """Fill (2 k + 1, 2 k + 1) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
+    """Fill (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
     reach = out.shape[0] // 2
     top, left = math.floor(r) - reach, math.floor(c) - reach
     for i in range(out.shape[0]):
@@ -265,4 +265,4 @@ def trace_line(line: Line, out: Pieces) -> None:
             if next_c <= end:
                 col += 1 if dc > 0.0 else -1
             t = max(t, end)
-    out.count[0] = n
+    out.pieces[0] = n

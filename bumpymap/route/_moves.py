@@ -19,12 +19,7 @@ __all__ = ["MOVES", "REACH", "move_tables"]
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
-    [
-        (row, col)
-        for row in range(-REACH, REACH + 1)
-        for col in range(-REACH, REACH + 1)
-        if gcd(row, col) == 1
-    ]
+    [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]
 )
 """(48, 2) tiles southwards and eastwards of each move; the number of a move is its row here."""
 

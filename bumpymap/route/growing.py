@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
 from bumpymap.route._moves import REACH
+from bumpymap.route._window import BYTES_PER_TILE, Point
 from bumpymap.route.line import as_cost
-from bumpymap.route.search import BYTES_PER_TILE, Found, Point, Way, seek, tight_way
+from bumpymap.route.search import Found, Way, seek, tight_way
 from bumpytiles import TileWindow
 
 __all__ = ["plan_way"]

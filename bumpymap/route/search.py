@@ -14,33 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._line_kernels import connect
-from bumpymap.route._moves import MOVES, REACH, move_tables
-from bumpymap.route._search_kernels import (
-    FROM_START,
-    NOT_REACHED,
-    Ground,
-    Reached,
-    Seeds,
-    mark_crowded,
-    search,
-    walk_back,
-)
-from bumpymap.route.line import as_cost, as_margin, is_clear, line_cost
+from bumpymap.route._moves import MOVES, REACH
+from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
+from bumpymap.route._window import Point, RingedWindow
+from bumpymap.route.line import as_cost, is_clear, line_cost
 from bumpymap.route.straighten import pull_tight
 
-__all__ = ["BYTES_PER_TILE", "FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
+__all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
 
 Floats = NDArray[np.float64]
-Point = tuple[float, float]
-"""Field coordinates (r, c)."""
 
-BYTES_PER_TILE = 36
-"""Memory that a search takes at most, the costs that it is given included; all arrays below together."""
 _AROUND = 8
 """Tiles around a line by moves within which it is pulled tight."""
-_NEW = -1
-_SETTLED = -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,14 +112,14 @@ def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bo
 
     ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
     """
-    window = _Window.of(cost, margin)
+    window = RingedWindow.of(cost, margin)
     if not (window.is_open(start) and window.is_open(goal)):
         return Found(None, math.inf, np.zeros(cost.shape, np.bool_))
     straight = np.array([start, goal], np.float64)
     seen = is_clear(cost, straight, margin)
     seeds = window.seeds(start, goal, line_cost(cost, straight) if seen else math.inf)
     reached = window.search(seeds, goal, min(window.least, bound))
-    settled = window.inner(reached.place) == _SETTLED
+    settled = window.inner(reached.place) == SETTLED
     if not reached.best[0] < math.inf:
         return Found(None, math.inf, settled)
     if reached.last[0] < 0:
@@ -145,9 +130,7 @@ def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bo
     return Found(line, float(reached.best[0]), settled)
 
 
-def spread(
-    cost: NDArray[np.floating], start: Point, *, margin: float = 0.0
-) -> tuple[Floats, NDArray[np.uint8]]:
+def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> tuple[Floats, NDArray[np.uint8]]:
     """Find what every tile costs to reach.
 
     Parameters
@@ -164,16 +147,17 @@ def spread(
     reach : array (rows, cols) float64
         Cost of the cheapest way by moves to the middle of each tile, in tiles; infinite if there is none.
     back : array (rows, cols) uint8
-        The move of `MOVES` that led there; `FROM_START` if straight from the start, `NOT_REACHED` if there is no way.
+        The move of `MOVES` that led there; `FROM_START` if straight from the start, `NOT_REACHED` if there is no way
+        (none leads anywhere from a closed tile).
 
     Raises
     ------
     ValueError
         As `find_way`.
     """
-    window = _Window.of(as_cost(cost), margin)
+    window = RingedWindow.of(as_cost(cost), margin)
     reached = window.search(window.seeds(start, None, math.inf), (0.0, 0.0), 0.0)
-    return window.inner(reached.g), window.inner(reached.back)
+    return np.ascontiguousarray(window.inner(reached.g)), np.ascontiguousarray(window.inner(reached.back))
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
@@ -204,71 +188,4 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     move = back[path[:, 0], path[:, 1]]
     kept = np.ones(len(path), np.bool_)
     kept[1:-1] = move[1:-1] != move[:-2]
-    return path[kept] + 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class _Window:
-    """A window as the search takes it: with a ring of closed tiles."""
-
-    cost: NDArray[np.float32]
-    """(rows + 2 * REACH, cols + 2 * REACH)."""
-    margin: float
-    least: float
-    """Least cost; 1 if all is closed."""
-
-    @classmethod
-    def of(cls, cost: NDArray[np.float32], margin: float) -> "_Window":
-        least = float(cost.min(initial=math.inf))
-        if not least >= 1.0:
-            raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
-        ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
-        ringed[REACH:-REACH, REACH:-REACH] = cost
-        return cls(ringed, as_margin(margin), least if least < math.inf else 1.0)
-
-    def inner(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Return values of the flattened window without the ring."""
-        return values.reshape(self.cost.shape)[REACH:-REACH, REACH:-REACH]
-
-    def seeds(self, start: Point, goal: Point | None, straight: float) -> Seeds:
-        """Connect start and goal with the middles of tiles around them."""
-        first = self._connect(start)
-        row, col = np.nonzero(first < math.inf)
-        tile = (row + math.floor(start[0])) * self.cost.shape[1] + col + math.floor(start[1])
-        exits = np.full_like(first, math.inf) if goal is None else self._connect(goal)
-        return Seeds(tile, first[row, col], exits, straight)
-
-    def is_open(self, point: Point) -> bool:
-        """Say whether a point lies in an open tile."""
-        if not (math.isfinite(point[0]) and math.isfinite(point[1])):
-            raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-        row, col = math.floor(point[0]) + REACH, math.floor(point[1]) + REACH
-        inside = 0 <= row < self.cost.shape[0] and 0 <= col < self.cost.shape[1]
-        return inside and bool(self.cost[row, col] < math.inf)
-
-    def _connect(self, point: Point) -> Floats:
-        """Costs straight from a point to the middles of tiles around it; infinite if it lies in a closed tile."""
-        out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        if self.is_open(point):
-            connect(self.cost, point[0] + REACH, point[1] + REACH, self.margin, out)
-        return out
-
-    def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
-        """Run the search."""
-        crowded = np.ones(self.cost.shape, np.uint8)
-        mark_crowded(self.cost, REACH, np.zeros(self.cost.shape[1], np.int64), crowded)
-        width, count = self.cost.shape[1], self.cost.size
-        ground = Ground(
-            self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound
-        )
-        reached = Reached(
-            np.full(count, math.inf),
-            np.full(count, NOT_REACHED, np.uint8),
-            np.full(count, _NEW, np.int32),
-            np.empty(count, np.int32),
-            np.empty(count),
-            np.zeros(1, np.int64),
-            np.zeros(1),
-        )
-        search(ground, move_tables(width, self.margin), seeds, reached)
-        return reached
+    return path[kept].astype(np.float64) + 0.5

@@ -108,7 +108,7 @@ def test_a_window_that_memory_does_not_hold_is_refused_before_it_is_read():
     cost = np.ones((EXTENT.rows, EXTENT.cols), np.float32)
     cost[60, :-1] = np.inf  # a way around it leads along the whole map
     reading = Map(cost)
-    with pytest.raises(UsageError, match="tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
+    with pytest.raises(UsageError, match=r"tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
         plan(reading, (50.0, 20.0), (70.0, 20.0), memory_tiles=5000)
     assert reading.windows
     assert max(each.rows * each.cols for each in reading.windows) <= 5000

@@ -192,7 +192,10 @@ def test_there_and_back_turned_and_mirrored_cost_the_same(seed):
     rng = np.random.default_rng(seed)
     cost = smooth_field(rng, (50, 60), closed=0.15)
     start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + rng.uniform(0.05, 0.95, (2, 2))
-    way, back = find_way(cost, tuple(start), tuple(goal), margin=0.2), find_way(cost, tuple(goal), tuple(start), margin=0.2)
+    way, back = (
+        find_way(cost, tuple(start), tuple(goal), margin=0.2),
+        find_way(cost, tuple(goal), tuple(start), margin=0.2),
+    )
     assert (way.cost, way.graph_cost) == (back.cost, back.graph_cost)
     np.testing.assert_array_equal(way.line, back.line[::-1])
     others = {

@@ -38,7 +38,9 @@ def test_a_wide_detour_on_even_ground_becomes_straight():
 def test_the_way_stays_on_its_side_of_what_is_closed():
     cost = np.ones((60, 60), np.float32)
     cost[25:35, 20:40] = np.inf
-    around = {side: np.array([[10.0, 30.0], [30.0, col], [50.0, 30.0]]) for side, col in (("west", 3.0), ("east", 57.0))}
+    around = {
+        side: np.array([[10.0, 30.0], [30.0, col], [50.0, 30.0]]) for side, col in (("west", 3.0), ("east", 57.0))
+    }
     for side, line in around.items():
         pulled = pull_tight(cost, line)
         assert line_cost(cost, pulled) == pytest.approx(10 + 2 * math.hypot(15, 10), rel=1e-5), side
