@@ -2,22 +2,19 @@
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.route._frame import Number, Point, is_open
 from bumpymap.route._line_kernels import connect
 from bumpymap.route._moves import REACH, move_tables
 from bumpymap.route._search_kernels import NEW, NOT_REACHED, Ground, Reached, Seeds, mark_crowded, search
-from bumpymap.route.line import as_margin
+from bumpymap.route.line import as_margin, is_clear, line_cost
 
-__all__ = ["BYTES_PER_TILE", "Point", "RingedWindow"]
+__all__ = ["BYTES_PER_TILE", "RingedWindow"]
 
 Floats = NDArray[np.float64]
-Point = tuple[float, float]
-"""Field coordinates (r, c)."""
-Number = TypeVar("Number", bound=np.generic)
 
 BYTES_PER_TILE = 36
 """Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below."""
@@ -47,28 +44,27 @@ class RingedWindow:
         """Return values of the flattened window without the ring."""
         return values.reshape(self.cost.shape)[REACH:-REACH, REACH:-REACH]
 
-    def seeds(self, start: Point, goal: Point | None, straight: float) -> Seeds:
+    def seeds(self, start: Point, goal: Point | None) -> Seeds:
         """Connect start and goal with the middles of tiles around them."""
         first = self._connect(start)
         row, col = np.nonzero(first < math.inf)
         tile = (row + math.floor(start[0])) * self.cost.shape[1] + col + math.floor(start[1])
-        exits = np.full_like(first, math.inf) if goal is None else self._connect(goal)
-        return Seeds(tile, first[row, col], exits, straight)
-
-    def is_open(self, point: Point) -> bool:
-        """Say whether a point lies in an open tile."""
-        if not (math.isfinite(point[0]) and math.isfinite(point[1])):
-            raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-        row, col = math.floor(point[0]) + REACH, math.floor(point[1]) + REACH
-        inside = 0 <= row < self.cost.shape[0] and 0 <= col < self.cost.shape[1]
-        return inside and bool(self.cost[row, col] < math.inf)
+        if goal is None:
+            return Seeds(tile, first[row, col], np.full_like(first, math.inf), math.inf)
+        return Seeds(tile, first[row, col], self._connect(goal), self.straight_cost(start, goal))
 
     def _connect(self, point: Point) -> Floats:
         """Costs straight from a point to the middles of tiles around it; infinite if it lies in a closed tile."""
         out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        if self.is_open(point):
-            connect(self.cost, point[0] + REACH, point[1] + REACH, self.margin, out)
+        r, c = point[0] + REACH, point[1] + REACH
+        if is_open(self.cost, (r, c)):
+            connect(self.cost, r, c, self.margin, out)
         return out
+
+    def straight_cost(self, start: Point, goal: Point) -> float:
+        """Cost of the straight line; infinite if it is not clear."""
+        line = np.array([start, goal], np.float64) + REACH
+        return line_cost(self.cost, line) if is_clear(self.cost, line, self.margin) else math.inf
 
     def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
         """Run the search; ``bound`` as in `Ground`."""

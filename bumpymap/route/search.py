@@ -5,7 +5,7 @@ tiles that it crosses, clear of closed ones. Start and goal lie anywhere in thei
 straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
-A way is planned from the end whose coordinates come first, and turned round if need be: there and back cost the same.
+There and back cost the same to the last bit, and so do ways on turned maps but for rounding; see `Frame`.
 """
 
 import math
@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.route._frame import Frame, Point, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
-from bumpymap.route._window import Point, RingedWindow
-from bumpymap.route.line import as_cost, is_clear, line_cost
+from bumpymap.route._window import RingedWindow
+from bumpymap.route.line import as_cost, line_cost
 from bumpymap.route.straighten import pull_tight
 
 __all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
@@ -33,7 +34,7 @@ class Way:
     """A way between two points."""
 
     line: Floats
-    """(n, 2) field coordinates of its corners, start and goal included."""
+    """(n, 2) field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal."""
     cost: float
     """Exact integral of the cost along it, in tiles."""
     graph_cost: float
@@ -45,11 +46,14 @@ class Found:
     """What a search leaves."""
 
     line: Floats | None
-    """(n, 2) the cheapest way by moves; None if there is none."""
+    """(n, 2) the cheapest way by moves, in the frame; None if there is none."""
     cost: float
     """Its cost; infinite if there is none."""
     settled: NDArray[np.bool_]
     """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
+    frame: Frame
+    ground: NDArray[np.float32]
+    """Costs of the window, in the frame."""
 
 
 def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0) -> Way | None:
@@ -74,22 +78,18 @@ def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: f
     ValueError
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
-    cost = as_cost(cost)
-    first, last = sorted((start, goal))
-    found = seek(cost, first, last, margin)
-    return None if found.line is None else tight_way(cost, found, margin, turned=first != start)
+    found = seek(as_cost(cost), start, goal, margin)
+    return None if found.line is None else tight_way(found, margin)
 
 
-def tight_way(cost: NDArray[np.float32], found: Found, margin: float, *, turned: bool) -> Way:
-    """Pull a way that has been found tight; turn it round if wanted."""
+def tight_way(found: Found, margin: float) -> Way:
+    """Pull a way that has been found tight."""
     if found.line is None:
         raise ValueError("no way has been found")
-    near, corner = _cut_out(cost, found.line)
+    near, corner = _cut_out(found.ground, found.line)
     line = pull_tight(near, found.line - corner, margin)
     pulled = line_cost(near, line)
-    line += corner
-    line[[0, -1]] = found.line[[0, -1]]
-    return Way(line[::-1].copy() if turned else line, pulled, found.cost)
+    return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
 
 
 def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -108,26 +108,27 @@ def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float3
 
 
 def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
-    """Find the cheapest way by moves, in one direction.
+    """Find the cheapest way by moves.
 
     ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
     """
-    window = RingedWindow.of(cost, margin)
-    if not (window.is_open(start) and window.is_open(goal)):
-        return Found(None, math.inf, np.zeros(cost.shape, np.bool_))
-    straight = np.array([start, goal], np.float64)
-    seen = is_clear(cost, straight, margin)
-    seeds = window.seeds(start, goal, line_cost(cost, straight) if seen else math.inf)
-    reached = window.search(seeds, goal, min(window.least, bound))
-    settled = window.inner(reached.place) == SETTLED
-    if not reached.best[0] < math.inf:
-        return Found(None, math.inf, settled)
-    if reached.last[0] < 0:
-        return Found(straight, float(reached.best[0]), settled)
-    row, col = divmod(int(reached.last[0]), window.cost.shape[1])
-    path = follow_back(window.inner(reached.back), row - REACH, col - REACH)
-    line = np.concatenate([straight[:1], path[::-1], straight[1:]])
-    return Found(line, float(reached.best[0]), settled)
+    start, goal = settle_point(start), settle_point(goal)
+    if not (is_open(cost, start) and is_open(cost, goal)):
+        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), Frame(False, False, False, False), cost)
+    frame = Frame.of(cost, start, goal)
+    ground = frame.turn(cost)
+    first, last = frame.ends(cost.shape, start, goal)
+    window = RingedWindow.of(ground, margin)
+    reached = window.search(window.seeds(first, last), last, min(window.least, bound))
+    settled, best = frame.turn_back(window.inner(reached.place) == SETTLED), float(reached.best[0])
+    if not best < math.inf:
+        return Found(None, best, settled, frame, ground)
+    line = np.array([first, last])
+    if reached.last[0] >= 0:
+        row, col = divmod(int(reached.last[0]), window.cost.shape[1])
+        path = follow_back(window.inner(reached.back), row - REACH, col - REACH)
+        line = np.concatenate([line[:1], path[::-1], line[1:]])
+    return Found(line, best, settled, frame, ground)
 
 
 def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> tuple[Floats, NDArray[np.uint8]]:
@@ -156,7 +157,7 @@ def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> 
         As `find_way`.
     """
     window = RingedWindow.of(as_cost(cost), margin)
-    reached = window.search(window.seeds(start, None, math.inf), (0.0, 0.0), 0.0)
+    reached = window.search(window.seeds(settle_point(start), None), (0.0, 0.0), 0.0)
     return np.ascontiguousarray(window.inner(reached.g)), np.ascontiguousarray(window.inner(reached.back))
 
 

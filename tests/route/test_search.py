@@ -56,7 +56,7 @@ def test_even_ground_is_crossed_straight_in_all_directions():
             straight = math.dist(start, line[-1])
             assert line_cost(EVEN, line) <= 1.0076 * straight + 0.05  # the start is in no middle
             ratios.append(line_cost(EVEN, pull_tight(EVEN, line)) / max(straight, 1e-9))
-            assert find_way(EVEN, start, tuple(line[-1])).cost == pytest.approx(straight, rel=1e-12)
+            assert find_way(EVEN, start, tuple(line[-1])).cost == pytest.approx(straight, abs=1e-8)
     assert np.mean(ratios) <= 1.001
     assert np.max(ratios) <= 1.005
 
@@ -206,7 +206,7 @@ def test_there_and_back_turned_and_mirrored_cost_the_same(seed):
     for name, (turned, place) in others.items():
         other = find_way(turned, place(start), place(goal), margin=0.2)
         assert other.graph_cost == pytest.approx(way.graph_cost, rel=1e-12), name
-        assert other.cost == pytest.approx(way.cost, rel=1e-3), name
+        assert other.cost == pytest.approx(way.cost, rel=1e-9), name
 
 
 def test_a_start_beside_closed_tiles_leads_away_from_them():
@@ -215,8 +215,7 @@ def test_a_start_beside_closed_tiles_leads_away_from_them():
     cost[2:5, 8] = np.inf
     start, goal = (3.98, 7.99), (8.0, 5.0)
     way = find_way(cost, start, goal, margin=0.4)
-    assert tuple(way.line[0]) == start
-    assert tuple(way.line[-1]) == goal
+    np.testing.assert_allclose(way.line[[0, -1]], [start, goal], rtol=0, atol=1e-9)
     assert gap_to_closed(cost, way.line[1:]) >= 0.4 - 1e-6
     assert gap_to_closed(cost, way.line[:2]) == pytest.approx(0.01, abs=1e-9)
 
