@@ -3,8 +3,8 @@
 A* with a heap of four children a node, in which a tile stands once and moves up when a cheaper way to it is found. The
 window is flattened row by row and has a ring of closed tiles as wide as the longest move, so that no move has to look
 where the window ends. Moves are many and most lead to tiles that are settled or have been reached for less than the
-move's length alone costs: both are asked before the integral over the move's tiles. Tiles around which all others are
-open, the greater part of most maps, need no look at the tiles beside the move.
+move costs at least: both are asked before the integral over all its tiles. What lies beside a move is looked at last,
+and only where any tile in reach is closed.
 """
 
 import math
@@ -49,8 +49,10 @@ class MoveTables(NamedTuple):
     """(k,) from tile to tile."""
     length: Annotated[Floats, 1]
     """(k,) in tiles."""
+    end: Annotated[Floats, 1]
+    """(k,) length in the tile where it starts, and in the one where it ends, tiles."""
     first_piece: Annotated[Integers, 1]
-    """(k + 1,) where a move's pieces start in the next two."""
+    """(k + 1,) where a move's other pieces start in the next two."""
     piece: Annotated[Integers, 1]
     """From the tile where the move starts to one that it crosses."""
     piece_length: Annotated[Floats, 1]
@@ -177,13 +179,21 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
 
 
 @helper
-def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
-    """Exact integral of the cost along a move; infinite where it comes too near to a closed tile."""
+def _is_near(ground: Ground, moves: MoveTables, k: int, tile: int) -> bool:
+    """Whether a move comes too near to a closed tile."""
     if ground.crowded[tile]:
         for i in range(moves.first_near[k], moves.first_near[k + 1]):
             if not ground.cost[tile + moves.near[i]] < math.inf:
-                return math.inf
-    total = 0.0
+                return True
+    return False
+
+
+@helper
+def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int, limit: float) -> float:
+    """Exact integral of the cost along a move; infinite if it cannot be below the limit."""
+    total = moves.end[k] * ground.cost[tile] + moves.end[k] * ground.cost[tile + moves.step[k]]
+    if total + (moves.length[k] - 2.0 * moves.end[k]) * ground.least >= limit:
+        return math.inf
     for i in range(moves.first_piece[k], moves.first_piece[k + 1]):
         total += moves.piece_length[i] * ground.cost[tile + moves.piece[i]]
     return total
@@ -219,10 +229,10 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
         g = reached.g[tile]
         for k in range(moves.step.shape[0]):
             to = tile + moves.step[k]
-            if reached.place[to] == SETTLED or g + moves.length[k] * ground.least >= reached.g[to]:
+            if reached.place[to] == SETTLED:
                 continue
-            total = g + _move_cost(ground, moves, k, tile)
-            if total < reached.g[to]:
+            total = g + _move_cost(ground, moves, k, tile, reached.g[to] - g)
+            if total < reached.g[to] and not _is_near(ground, moves, k, tile):
                 size = _offer(ground, reached, to, total, k, size)
 
 
