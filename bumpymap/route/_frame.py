@@ -2,7 +2,9 @@
 
 A search prefers one of several ways that cost the same, or nearly so, by the order in which it looks at tiles, and a
 local search ends where it began. So every search runs in the same frame: from the end in the cheaper tile to the other,
-southwards more than eastwards, and never northwards or westwards.
+southwards more than eastwards, and never northwards or westwards. (Ends in one row, one column or on one diagonal leave
+two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled ways
+nearly so.)
 """
 
 import math

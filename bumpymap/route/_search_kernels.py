@@ -191,7 +191,7 @@ def _is_near(ground: Ground, moves: MoveTables, k: int, tile: int) -> bool:
 @helper
 def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int, limit: float) -> float:
     """Exact integral of the cost along a move; infinite if it cannot be below the limit."""
-    total = moves.end[k] * ground.cost[tile] + moves.end[k] * ground.cost[tile + moves.step[k]]
+    total: float = moves.end[k] * ground.cost[tile] + moves.end[k] * ground.cost[tile + moves.step[k]]
     if total + (moves.length[k] - 2.0 * moves.end[k]) * ground.least >= limit:
         return math.inf
     for i in range(moves.first_piece[k], moves.first_piece[k + 1]):

@@ -106,7 +106,10 @@ def plan_way(
         return None
     box = _first_box(start, goal, extent, memory_tiles)
     while True:
-        cost = as_cost(load(box.window(extent)))
+        window = box.window(extent)
+        cost = as_cost(load(window))
+        if cost.shape != (window.rows, window.cols):
+            raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         corner = (box.top, box.left)
         found = seek(cost, _shift(start, corner), _shift(goal, corner), margin, least)
         sides = _open_sides(found, box, extent)

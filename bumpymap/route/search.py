@@ -5,7 +5,8 @@ tiles that it crosses, clear of closed ones. Start and goal lie anywhere in thei
 straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
-There and back cost the same to the last bit, and so do ways on turned maps but for rounding; see `Frame`.
+There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `Frame`. Moves decide on which
+side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a percent or two.
 """
 
 import math

@@ -6,6 +6,8 @@ corners are moved by ever smaller steps. Every cost is the exact integral. What 
 nearer to closed tiles than allowed.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,8 +50,15 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
     -------
     array (m, 2) float64
         A line between the same ends that keeps the margin and costs no more.
+
+    Raises
+    ------
+    ValueError
+        The line has fewer than two corners, or crosses a closed tile.
     """
     given = line_cost(cost, line)
+    if len(line) < 2 or not given < math.inf:
+        raise ValueError(f"a line of {len(line)} corners that costs {given} cannot be pulled tight")
     kept = as_margin(margin) + _SPARE
     tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
     best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))

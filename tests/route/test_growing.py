@@ -121,3 +121,8 @@ def test_a_window_that_memory_does_not_hold_is_refused_before_it_is_read():
 def test_least_costs_below_one_are_refused():
     with pytest.raises(ValueError, match="least is"):
         plan(Map(np.ones((120, 140), np.float32)), (5.0, 5.0), (9.0, 9.0), least=0.5)
+
+
+def test_a_window_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match="load gave"):
+        plan(lambda window: np.ones((window.rows, window.cols + 1), np.float32), (5.0, 5.0), (9.0, 9.0))

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length, two_media
+from scipy.ndimage import label
 
 from bumpymap.route import (
     FROM_START,
@@ -92,6 +93,17 @@ def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
     assert way.cost == pytest.approx(line_cost(cost, way.line), rel=1e-9)
     assert is_clear(cost, way.line, 0.3)
     assert gap_to_closed(cost, way.line) >= 0.3 - 1e-6
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.49])
+def test_tiles_hang_together_through_their_sides(margin):
+    rng = np.random.default_rng(4)
+    for closed in (0.1, 0.3, 0.4, 0.5):
+        cost = smooth_field(rng, (40, 50), width=0, closed=closed)
+        start = rng.permutation(np.argwhere(np.isfinite(cost)))[0]
+        reach, _ = spread(cost, tuple(start + rng.random(2)), margin=margin)
+        parts, _ = label(np.isfinite(cost))
+        np.testing.assert_array_equal(np.isfinite(reach), parts == parts[tuple(start)])
 
 
 def test_following_back_gives_a_way_of_the_cost_reached():

@@ -86,3 +86,11 @@ def test_a_finer_search_finds_little_that_is_cheaper():
         shares.append(4 * way.cost / fine.cost)
     assert max(shares) < 1.01
     assert np.mean(shares) < 1.005
+
+
+@pytest.mark.parametrize("line", [np.array([[1.5, 1.5]]), np.array([[1.5, 1.5], [1.5, 3.5]])])
+def test_what_is_no_way_is_refused(line):
+    cost = np.ones((4, 4), np.float32)
+    cost[1, 2] = np.inf
+    with pytest.raises(ValueError, match="cannot be pulled"):
+        pull_tight(cost, line)
