@@ -3,8 +3,8 @@
 A search prefers one of several ways that cost the same, or nearly so, by the order in which it looks at tiles, and a
 local search ends where it began. So every search runs in the same frame: from the end in the cheaper tile to the other,
 southwards more than eastwards, and never northwards or westwards. (Ends in one row, one column or on one diagonal leave
-two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled ways
-nearly so.)
+two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled
+ways nearly so.)
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame", "Point", "is_open", "settle_point"]
+__all__ = ["SearchFrame", "Point", "is_open", "settle_point"]
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float]
@@ -47,7 +47,7 @@ def is_open(cost: NDArray[np.float32], point: Point) -> bool:
     return inside and bool(cost[row, col] < math.inf)
 
 
-class Frame(NamedTuple):
+class SearchFrame(NamedTuple):
     """What is done to a window, in this order, and to the ends of a way."""
 
     back: bool
@@ -57,7 +57,7 @@ class Frame(NamedTuple):
     transpose: bool
 
     @classmethod
-    def of(cls, cost: NDArray[np.float32], start: Point, goal: Point) -> "Frame":
+    def of(cls, cost: NDArray[np.float32], start: Point, goal: Point) -> "SearchFrame":
         """Choose the frame for a start and a goal in the window."""
         back = _rank(cost, start) > _rank(cost, goal)
         down, right = (goal[0] - start[0], goal[1] - start[1]) if not back else (start[0] - goal[0], start[1] - goal[1])

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from bumpytiles import helper, kernel
 
 __all__ = [
+    "A_END",
+    "B_END",
     "LEAST_MARGIN",
     "Line",
     "Pieces",
@@ -34,7 +36,7 @@ _SLIVER = 1e-12
 """Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
 _ROUNDING = 1e-9
 """Distances to closed tiles may be shorter than the margin by this, tiles, but not by more than half of it."""
-_A_END, _B_END = 1, 2
+A_END, B_END = 1, 2
 """Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
 
 
@@ -183,9 +185,9 @@ def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margi
             if _cost_of(cost, row, col) < math.inf:
                 continue
             need = margin
-            if ends & _A_END:
+            if ends & A_END:
                 need = min(need, _to_square(r0, c0, row, col))
-            if ends & _B_END:
+            if ends & B_END:
                 need = min(need, _to_square(r1, c1, row, col))
             if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, 0.5 * need):
                 return False
@@ -208,7 +210,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
     out[0] = True
     for i in range(last + 1):
         r0, c0, r1, c1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-        ends = (_A_END if i == 0 else 0) | (_B_END if i == last else 0)
+        ends = (A_END if i == 0 else 0) | (B_END if i == last else 0)
         if out[0]:
             out[0] = segment_clear(line.cost, r0, c0, r1, c1, margin, ends)
         if out[0]:
@@ -226,7 +228,7 @@ def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: A
             out[i, j] = math.inf
             if _cost_of(cost, row, col) < math.inf:
                 found = segment_cost(cost, r, c, row + 0.5, col + 0.5, math.inf)
-                if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, _A_END):
+                if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, A_END):
                     out[i, j] = found
 
 

@@ -5,8 +5,9 @@ tiles that it crosses, clear of closed ones. Start and goal lie anywhere in thei
 straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
-There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `Frame`. Moves decide on which
-side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a percent or two.
+There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
+on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a percent
+or two.
 """
 
 import math
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._frame import Frame, Point, is_open, settle_point
+from bumpymap.route._frame import SearchFrame, Point, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import RingedWindow
@@ -52,7 +53,7 @@ class Found:
     """Its cost; infinite if there is none."""
     settled: NDArray[np.bool_]
     """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
-    frame: Frame
+    frame: SearchFrame
     ground: NDArray[np.float32]
     """Costs of the window, in the frame."""
 
@@ -115,8 +116,8 @@ def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bo
     """
     start, goal = settle_point(start), settle_point(goal)
     if not (is_open(cost, start) and is_open(cost, goal)):
-        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), Frame(False, False, False, False), cost)
-    frame = Frame.of(cost, start, goal)
+        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), SearchFrame(False, False, False, False), cost)
+    frame = SearchFrame.of(cost, start, goal)
     ground = frame.turn(cost)
     first, last = frame.ends(cost.shape, start, goal)
     window = RingedWindow.of(ground, margin)
