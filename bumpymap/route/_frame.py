@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SearchFrame", "Point", "is_open", "settle_point"]
+__all__ = ["Point", "SearchFrame", "is_open", "settle_point"]
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float]

@@ -6,8 +6,8 @@ straight; if they see each other, the straight line competes. `pull_tight` then 
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
 There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
-on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a percent
-or two.
+on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a
+percent or two.
 """
 
 import math
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._frame import SearchFrame, Point, is_open, settle_point
+from bumpymap.route._frame import Point, SearchFrame, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import RingedWindow
