@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from bumpytiles import helper, kernel
 
 __all__ = [
+    "A_END",
+    "B_END",
     "LEAST_MARGIN",
     "Line",
     "Pieces",
@@ -33,8 +35,8 @@ LEAST_MARGIN = 1e-6
 _SLIVER = 1e-12
 """Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
 _ROUNDING = 1e-9
-"""Distances to closed tiles may be shorter than the margin by this, tiles."""
-_A_END, _B_END = 1, 2
+"""Distances to closed tiles may be shorter than the margin by this, tiles, but not by more than half of it."""
+A_END, B_END = 1, 2
 """Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
 
 
@@ -53,7 +55,7 @@ class Pieces(NamedTuple):
     row: Annotated[NDArray[np.int64], 1]
     col: Annotated[NDArray[np.int64], 1]
     length: Annotated[Floats, 1]
-    count: Annotated[NDArray[np.int64], 1]
+    pieces: Annotated[NDArray[np.int64], 1]
     """(1,) how many there are."""
 
 
@@ -183,11 +185,11 @@ def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margi
             if _cost_of(cost, row, col) < math.inf:
                 continue
             need = margin
-            if ends & _A_END:
+            if ends & A_END:
                 need = min(need, _to_square(r0, c0, row, col))
-            if ends & _B_END:
+            if ends & B_END:
                 need = min(need, _to_square(r1, c1, row, col))
-            if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, need):
+            if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, 0.5 * need):
                 return False
     return True
 
@@ -208,7 +210,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
     out[0] = True
     for i in range(last + 1):
         r0, c0, r1, c1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-        ends = (_A_END if i == 0 else 0) | (_B_END if i == last else 0)
+        ends = (A_END if i == 0 else 0) | (B_END if i == last else 0)
         if out[0]:
             out[0] = segment_clear(line.cost, r0, c0, r1, c1, margin, ends)
         if out[0]:
@@ -217,7 +219,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
 
 @kernel
 def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
-    """Fill (2 k + 1, 2 k + 1) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
+    """Fill (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
     reach = out.shape[0] // 2
     top, left = math.floor(r) - reach, math.floor(c) - reach
     for i in range(out.shape[0]):
@@ -226,7 +228,7 @@ def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: A
             out[i, j] = math.inf
             if _cost_of(cost, row, col) < math.inf:
                 found = segment_cost(cost, r, c, row + 0.5, col + 0.5, math.inf)
-                if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, _A_END):
+                if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, A_END):
                     out[i, j] = found
 
 
@@ -237,7 +239,7 @@ def find_near(points: Annotated[Floats, 2], margin: float, out: Annotated[NDArra
         for row in range(out.shape[1]):
             for col in range(out.shape[2]):
                 gap = _gap(points[0, 0], points[0, 1], points[k + 1, 0], points[k + 1, 1], row, col)
-                out[k, row, col] = gap < margin - min(_ROUNDING, margin)
+                out[k, row, col] = gap < margin - min(_ROUNDING, 0.5 * margin)
 
 
 @kernel
@@ -265,4 +267,4 @@ def trace_line(line: Line, out: Pieces) -> None:
             if next_c <= end:
                 col += 1 if dc > 0.0 else -1
             t = max(t, end)
-    out.count[0] = n
+    out.pieces[0] = n

@@ -25,12 +25,14 @@ MOVES: NDArray[np.int64] = np.array(
 
 
 @cache
-def _pieces() -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]:
-    """Trace every move: tiles as (n, 2) offsets from where it starts, and the length in each."""
+def _pieces() -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]], NDArray[np.float64]]:
+    """Trace every move: tiles between its ends, (n, 2) from where it starts, the length in each, and in the ends."""
     open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
     middle = REACH + 0.5
     traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
-    return [np.column_stack([each.row, each.col]) - REACH for each in traced], [each.length for each in traced]
+    # First and last piece are as long as each other, and in tables of their own.
+    tiles = [np.column_stack([each.row, each.col])[1:-1] - REACH for each in traced]
+    return tiles, [each.length[1:-1] for each in traced], np.array([each.length[0] for each in traced])
 
 
 def move_tables(width: int, margin: float) -> MoveTables:
@@ -47,7 +49,7 @@ def move_tables(width: int, margin: float) -> MoveTables:
     -------
     MoveTables
     """
-    tiles, lengths = _pieces()
+    tiles, lengths, end = _pieces()
     near = np.empty((len(MOVES), 2 * REACH + 1, 2 * REACH + 1), np.bool_)
     find_near(np.vstack([np.zeros((1, 2)), MOVES]) + REACH + 0.5, margin, near)
     _, row, col = np.nonzero(near)
@@ -55,6 +57,7 @@ def move_tables(width: int, margin: float) -> MoveTables:
     return MoveTables(
         step=MOVES @ flat,
         length=np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1)),
+        end=end,
         first_piece=_starts([len(each) for each in lengths]),
         piece=np.concatenate(tiles) @ flat,
         piece_length=np.concatenate(lengths),

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._line_kernels import segment_clear, segment_cost
+from bumpymap.route._line_kernels import A_END, B_END, segment_clear, segment_cost
 from bumpytiles import helper, kernel
 
 __all__ = ["Corners", "Shortcuts", "Tightening", "leave_out", "move_corners"]
@@ -17,8 +17,6 @@ __all__ = ["Corners", "Shortcuts", "Tightening", "leave_out", "move_corners"]
 Costs = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-_A_END, _B_END = 1, 2
 
 
 class Tightening(NamedTuple):
@@ -59,7 +57,7 @@ class Corners(NamedTuple):
 @helper
 def _ends(a: int, b: int, count: int) -> int:
     """Which of two corners are the start or the goal of a line."""
-    return (_A_END if a == 0 else 0) | (_B_END if b == count - 1 else 0)
+    return (A_END if a == 0 else 0) | (B_END if b == count - 1 else 0)
 
 
 @kernel
@@ -96,7 +94,7 @@ def _two_segments(cost: Costs, points: Floats, i: int, r: float, c: float, limit
 def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: float) -> bool:
     """Whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
     cost, margin, n = tightening.cost, tightening.margin, points.shape[0]
-    before, after = _ends(i - 1, i, n) & _A_END, _ends(i, i + 1, n) & _B_END
+    before, after = _ends(i - 1, i, n) & A_END, _ends(i, i + 1, n) & B_END
     return segment_clear(cost, points[i - 1, 0], points[i - 1, 1], r, c, margin, before) and segment_clear(
         cost, r, c, points[i + 1, 0], points[i + 1, 1], margin, after
     )

@@ -3,8 +3,8 @@
 A* with a heap of four children a node, in which a tile stands once and moves up when a cheaper way to it is found. The
 window is flattened row by row and has a ring of closed tiles as wide as the longest move, so that no move has to look
 where the window ends. Moves are many and most lead to tiles that are settled or have been reached for less than the
-move's length alone costs: both are asked before the integral over the move's tiles. Tiles around which all others are
-open, the greater part of most maps, need no look at the tiles beside the move.
+move costs at least: both are asked before the integral over all its tiles. What lies beside a move is looked at last,
+and only where any tile in reach is closed.
 """
 
 import math
@@ -17,7 +17,9 @@ from bumpytiles import helper, kernel
 
 __all__ = [
     "FROM_START",
+    "NEW",
     "NOT_REACHED",
+    "SETTLED",
     "Ground",
     "MoveTables",
     "Reached",
@@ -35,7 +37,8 @@ Bytes = NDArray[np.uint8]
 FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255
-_NEW, _SETTLED = -1, -2
+NEW, SETTLED = -1, -2
+"""Values of ``Reached.place``: not met so far; its cost is final."""
 _CHILDREN = 4
 
 
@@ -46,8 +49,10 @@ class MoveTables(NamedTuple):
     """(k,) from tile to tile."""
     length: Annotated[Floats, 1]
     """(k,) in tiles."""
+    end: Annotated[Floats, 1]
+    """(k,) length in the tile where it starts, and in the one where it ends, tiles."""
     first_piece: Annotated[Integers, 1]
-    """(k + 1,) where a move's pieces start in the next two."""
+    """(k + 1,) where a move's other pieces start in the next two."""
     piece: Annotated[Integers, 1]
     """From the tile where the move starts to one that it crosses."""
     piece_length: Annotated[Floats, 1]
@@ -90,7 +95,7 @@ class Seeds(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """What the search fills; `place` and `back` come filled with `_NEW` and `NOT_REACHED`, `g` with infinity."""
+    """What the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
 
     g: Annotated[Floats, 1]
     """(n,) cost from the start."""
@@ -165,8 +170,8 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
         return size
     reached.g[tile] = g
     reached.back[tile] = move
-    place = np.int64(reached.place[tile])
-    if place == _NEW:
+    place = int(np.int64(reached.place[tile]))
+    if place == NEW:
         _rise(reached, size, tile, key)
         return size + 1
     _rise(reached, place, tile, key)
@@ -174,13 +179,21 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
 
 
 @helper
-def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
-    """Exact integral of the cost along a move; infinite where it comes too near to a closed tile."""
+def _is_near(ground: Ground, moves: MoveTables, k: int, tile: int) -> bool:
+    """Whether a move comes too near to a closed tile."""
     if ground.crowded[tile]:
         for i in range(moves.first_near[k], moves.first_near[k + 1]):
             if not ground.cost[tile + moves.near[i]] < math.inf:
-                return math.inf
-    total = 0.0
+                return True
+    return False
+
+
+@helper
+def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int, limit: float) -> float:
+    """Exact integral of the cost along a move; infinite if it cannot be below the limit."""
+    total: float = moves.end[k] * ground.cost[tile] + moves.end[k] * ground.cost[tile + moves.step[k]]
+    if total + (moves.length[k] - 2.0 * moves.end[k]) * ground.least >= limit:
+        return math.inf
     for i in range(moves.first_piece[k], moves.first_piece[k + 1]):
         total += moves.piece_length[i] * ground.cost[tile + moves.piece[i]]
     return total
@@ -204,22 +217,22 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
     size = 0
     reached.best[0], reached.last[0] = seeds.best, -1
     for i in range(seeds.tile.shape[0]):
-        tile = seeds.tile[i]
+        tile = int(seeds.tile[i])
         size = _offer(ground, reached, tile, seeds.cost[i], FROM_START, size)
     while size > 0 and reached.key[0] < reached.best[0]:
-        tile = np.int64(reached.heap[0])
-        reached.place[tile] = _SETTLED
+        tile = int(np.int64(reached.heap[0]))
+        reached.place[tile] = SETTLED
         size -= 1
         if size > 0:
-            _sink(reached, size, np.int64(reached.heap[size]), reached.key[size])
+            _sink(reached, size, int(np.int64(reached.heap[size])), reached.key[size])
         _try_exit(ground, seeds, reached, tile)
         g = reached.g[tile]
         for k in range(moves.step.shape[0]):
             to = tile + moves.step[k]
-            if reached.place[to] == _SETTLED or g + moves.length[k] * ground.least >= reached.g[to]:
+            if reached.place[to] == SETTLED:
                 continue
-            total = g + _move_cost(ground, moves, k, tile)
-            if total < reached.g[to]:
+            total = g + _move_cost(ground, moves, k, tile, reached.g[to] - g)
+            if total < reached.g[to] and not _is_near(ground, moves, k, tile):
                 size = _offer(ground, reached, to, total, k, size)
 
 

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
+from bumpymap.route._frame import Point, settle_point
 from bumpymap.route._moves import REACH
+from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.line import as_cost
-from bumpymap.route.search import BYTES_PER_TILE, Found, Point, Way, seek, tight_way
+from bumpymap.route.search import Found, Way, seek, tight_way
 from bumpytiles import TileWindow
 
 __all__ = ["plan_way"]
@@ -99,24 +101,25 @@ def plan_way(
     """
     if not least >= 1.0:
         raise ValueError(f"least is {least}; it must be at least 1")
-    first, last = sorted((start, goal))
-    if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (first, last)):
+    start, goal = settle_point(start), settle_point(goal)
+    if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
         return None
-    box = _first_box(first, last, extent, memory_tiles)
+    box = _first_box(start, goal, extent, memory_tiles)
     while True:
-        cost = as_cost(load(box.window(extent)))
+        window = box.window(extent)
+        cost = as_cost(load(window))
+        if cost.shape != (window.rows, window.cols):
+            raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         corner = (box.top, box.left)
-        found = seek(cost, _shift(first, corner), _shift(last, corner), margin, least)
+        found = seek(cost, _shift(start, corner), _shift(goal, corner), margin, least)
         sides = _open_sides(found, box, extent)
         if not any(sides):
             break
         box = _grow(box, sides, extent, memory_tiles)
     if found.line is None:
         return None
-    way = tight_way(cost, found, margin, turned=first != start)
-    line = way.line + np.array(corner, np.float64)
-    line[[0, -1]] = start, goal
-    return Way(line, way.cost, way.graph_cost)
+    way = tight_way(found, margin)
+    return Way(way.line + np.array(corner, np.float64), way.cost, way.graph_cost)
 
 
 def _shift(point: Point, corner: tuple[int, int]) -> Point:

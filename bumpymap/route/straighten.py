@@ -6,6 +6,8 @@ corners are moved by ever smaller steps. Every cost is the exact integral. What 
 nearer to closed tiles than allowed.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,8 @@ _LEAST_MOVE, _WORTH = 1e-10, 1e-7
 """A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
+_SPARE = 5e-10
+"""Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
 """No new corners on straight parts that are shorter, tiles."""
 
@@ -46,9 +50,17 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
     -------
     array (m, 2) float64
         A line between the same ends that keeps the margin and costs no more.
+
+    Raises
+    ------
+    ValueError
+        The line has fewer than two corners, or crosses a closed tile.
     """
     given = line_cost(cost, line)
-    tightening = Tightening(as_cost(cost), as_margin(margin), _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
+    if len(line) < 2 or not given < math.inf:
+        raise ValueError(f"a line of {len(line)} corners that costs {given} cannot be pulled tight")
+    kept = as_margin(margin) + _SPARE
+    tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
     best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
     for _ in range(_ROUNDS):

@@ -1,7 +1,7 @@
 """What ways must be: graphs of scipy, closed forms, and distances of lines to squares by shapely."""
 
 from functools import cache
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import shapely
@@ -29,7 +29,7 @@ def crossed(row, col):
     cuts = sorted(cuts)
     return [
         ((int(np.floor(0.5 + row * (a + b) / 2)), int(np.floor(0.5 + col * (a + b) / 2))), b - a)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        for a, b in pairwise(cuts)
         if b - a > 1e-12
     ]
 
@@ -99,7 +99,7 @@ def taut_length(cost, start, goal):
 def integral(cost, line, points=20001):
     """Cost of a line by the midpoint rule: every straight part cut into equal pieces."""
     total, share = 0.0, (np.arange(points) + 0.5) / points
-    for a, b in zip(line[:-1], line[1:], strict=True):
+    for a, b in pairwise(line):
         at = np.floor(a + share[:, None] * (b - a)).astype(int)
         total += np.linalg.norm(b - a) * cost[at[:, 0], at[:, 1]].mean()
     return total

@@ -54,8 +54,7 @@ def test_a_grown_window_gives_the_way_of_the_whole_map(seed):
         return
     assert way.graph_cost == pytest.approx(whole.graph_cost, rel=1e-12)
     assert way.cost == pytest.approx(whole.cost, rel=1e-9)
-    assert tuple(way.line[0]) == start
-    assert tuple(way.line[-1]) == goal
+    np.testing.assert_allclose(way.line[[0, -1]], [start, goal], rtol=0, atol=1e-9)
     back = plan(Map(cost), goal, start)
     assert (back.cost, back.graph_cost) == (way.cost, way.graph_cost)
     np.testing.assert_array_equal(back.line[::-1], way.line)
@@ -108,7 +107,7 @@ def test_a_window_that_memory_does_not_hold_is_refused_before_it_is_read():
     cost = np.ones((EXTENT.rows, EXTENT.cols), np.float32)
     cost[60, :-1] = np.inf  # a way around it leads along the whole map
     reading = Map(cost)
-    with pytest.raises(UsageError, match="tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
+    with pytest.raises(UsageError, match=r"tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
         plan(reading, (50.0, 20.0), (70.0, 20.0), memory_tiles=5000)
     assert reading.windows
     assert max(each.rows * each.cols for each in reading.windows) <= 5000
@@ -122,3 +121,8 @@ def test_a_window_that_memory_does_not_hold_is_refused_before_it_is_read():
 def test_least_costs_below_one_are_refused():
     with pytest.raises(ValueError, match="least is"):
         plan(Map(np.ones((120, 140), np.float32)), (5.0, 5.0), (9.0, 9.0), least=0.5)
+
+
+def test_a_window_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match="load gave"):
+        plan(lambda window: np.ones((window.rows, window.cols + 1), np.float32), (5.0, 5.0), (9.0, 9.0))

@@ -60,6 +60,24 @@ def test_through_corners_of_four_tiles_only_two_count():
     np.testing.assert_allclose(pieces.length, np.sqrt(2) * np.array([0.5, 1, 1, 1, 0.5]), rtol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_through_corners_and_along_borders_turned_lines_cost_the_same(seed):
+    """Corners at whole and half tiles: every special case of borders, in all turns of the map."""
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (9, 9), width=0, closed=0.1)
+    for _ in range(100):
+        line = rng.integers(0, 19, (3, 2)) / 2
+        total, clear = line_cost(cost, line), is_clear(cost, line, 0.2)
+        for _ in range(4):
+            cost, line = np.rot90(cost), np.column_stack([9 - line[:, 1], line[:, 0]])
+            for turned, way in ((cost, line[::-1]), (cost[::-1], line * [-1, 1] + [9, 0])):
+                assert line_cost(turned, way) == pytest.approx(total, rel=1e-12)
+                assert is_clear(turned, way, 0.2) == clear
+        if np.isfinite(total):
+            pieces = trace(cost, line)
+            assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(total, rel=1e-12)
+
+
 def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
     cost = np.ones((3, 4), np.float32)
     edge = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0], [0.0, 4.0], [0.0, 0.0]])

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length, two_media
+from scipy.ndimage import label
 
 from bumpymap.route import (
     FROM_START,
@@ -56,7 +57,7 @@ def test_even_ground_is_crossed_straight_in_all_directions():
             straight = math.dist(start, line[-1])
             assert line_cost(EVEN, line) <= 1.0076 * straight + 0.05  # the start is in no middle
             ratios.append(line_cost(EVEN, pull_tight(EVEN, line)) / max(straight, 1e-9))
-            assert find_way(EVEN, start, tuple(line[-1])).cost == pytest.approx(straight, rel=1e-12)
+            assert find_way(EVEN, start, tuple(line[-1])).cost == pytest.approx(straight, abs=1e-8)
     assert np.mean(ratios) <= 1.001
     assert np.max(ratios) <= 1.005
 
@@ -92,6 +93,17 @@ def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
     assert way.cost == pytest.approx(line_cost(cost, way.line), rel=1e-9)
     assert is_clear(cost, way.line, 0.3)
     assert gap_to_closed(cost, way.line) >= 0.3 - 1e-6
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.49])
+def test_tiles_hang_together_through_their_sides(margin):
+    rng = np.random.default_rng(4)
+    for closed in (0.1, 0.3, 0.4, 0.5):
+        cost = smooth_field(rng, (40, 50), width=0, closed=closed)
+        start = rng.permutation(np.argwhere(np.isfinite(cost)))[0]
+        reach, _ = spread(cost, tuple(start + rng.random(2)), margin=margin)
+        parts, _ = label(np.isfinite(cost))
+        np.testing.assert_array_equal(np.isfinite(reach), parts == parts[tuple(start)])
 
 
 def test_following_back_gives_a_way_of_the_cost_reached():
@@ -206,7 +218,7 @@ def test_there_and_back_turned_and_mirrored_cost_the_same(seed):
     for name, (turned, place) in others.items():
         other = find_way(turned, place(start), place(goal), margin=0.2)
         assert other.graph_cost == pytest.approx(way.graph_cost, rel=1e-12), name
-        assert other.cost == pytest.approx(way.cost, rel=1e-3), name
+        assert other.cost == pytest.approx(way.cost, rel=1e-9), name
 
 
 def test_a_start_beside_closed_tiles_leads_away_from_them():
@@ -215,8 +227,7 @@ def test_a_start_beside_closed_tiles_leads_away_from_them():
     cost[2:5, 8] = np.inf
     start, goal = (3.98, 7.99), (8.0, 5.0)
     way = find_way(cost, start, goal, margin=0.4)
-    assert tuple(way.line[0]) == start
-    assert tuple(way.line[-1]) == goal
+    np.testing.assert_allclose(way.line[[0, -1]], [start, goal], rtol=0, atol=1e-9)
     assert gap_to_closed(cost, way.line[1:]) >= 0.4 - 1e-6
     assert gap_to_closed(cost, way.line[:2]) == pytest.approx(0.01, abs=1e-9)
 
