@@ -49,6 +49,10 @@ from .products import (
 from .regions import (
     dissolve as dissolve,
 )
+from .route_map import (
+    RouteMap as RouteMap,
+    open_map as open_map,
+)
 from .scan.accumulated import (
     AccumulatedSurvey as AccumulatedSurvey,
     ground_points as ground_points,

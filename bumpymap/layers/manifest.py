@@ -66,7 +66,7 @@ def complete_manifest(
     Parameters
     ----------
     manifest : mapping
-        The run's own entries: inputs, settings, model, calibration, timings. They are kept.
+        The run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.
     table : CostTable
         The map.
     summary : MapSummary

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import geopandas
     import xarray
 
-__all__ = ["Layers", "open_layers"]
+__all__ = ["Layers", "open_layers", "read_manifest", "temporary_folder"]
 
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
@@ -61,7 +61,7 @@ class Layers:
     def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
         self._folder = Path(folder)
         self._in_memory = in_memory
-        self._manifest = _read_manifest(self._folder)
+        self._manifest = read_manifest(self._folder)
         if in_memory:
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
@@ -278,7 +278,8 @@ def temporary_folder() -> str:
     return tempfile.mkdtemp(prefix="bumpymap-layers-")
 
 
-def _read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read the manifest of a complete map. Raises BadInputError if the folder does not hold one."""
     if not folder.is_dir():
         raise BadInputError(f"there is no folder {folder}. Give the folder that the layers were written to")
     record = read_record(folder / MANIFEST_NAME)

@@ -111,6 +111,13 @@ def run_manifest(
             "preferences": calibration.preferences,
             "class_limits": calibration.class_limits,
         },
+        "vehicle": {
+            "name": calibration.vehicle["name"],
+            "width_m": calibration.body.width_m,
+            "height_m": calibration.body.height_m,
+            "clearance_m": calibration.body.clearance_m,
+            "speed_mps": float(calibration.vehicle["speed_mps"]),
+        },
         "seconds": seconds,
     }
 

@@ -1,0 +1,321 @@
+"""The layers of one run, or of several that are sheets of one map, read by window for routes."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from bumpymap.core import (
+    CANOPY,
+    FREE,
+    NO_TILE,
+    OBSTACLE,
+    BadInputError,
+    Barred,
+    CostRule,
+    Georeference,
+    RouteVehicle,
+    TileField,
+    UsageError,
+    describe_crs,
+)
+from bumpymap.layers.route_sheet import RouteSheet, common_window
+from bumpytiles import Grid, TileWindow
+
+__all__ = ["RouteMap", "open_map"]
+
+Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
+
+_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+_UNKNOWN_OBJECT = 3
+_WORST = np.array([NO_TILE, _UNKNOWN_OBJECT, FREE, CANOPY, OBSTACLE], np.uint8)
+"""States of a pixel of obstacle.tif; of two sheets, the later one counts."""
+
+
+@dataclass(frozen=True)
+class RouteMap:
+    """The layers of one map, in one folder or several; from `open_map`.
+
+    Where sheets overlap, what is known counts before what is unknown, a barred tile before a passable one, and of two
+    tiles alike the larger value of each band. So the order of the folders does not matter.
+    """
+
+    sheets: tuple[RouteSheet, ...]
+    window: TileWindow
+    """The smallest window around the tiles of all sheets."""
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of tiles."""
+        return self.sheets[0].grid
+
+    @property
+    def georeference(self) -> Georeference:
+        """CRS and units of the survey."""
+        return self.sheets[0].georeference
+
+    @property
+    def rule(self) -> CostRule:
+        """How ride and risk became the cost of the layers."""
+        return self.sheets[0].rule
+
+    @property
+    def vehicle(self) -> RouteVehicle:
+        """The vehicle that the map was made for."""
+        return self.sheets[0].vehicle
+
+    @property
+    def manifests(self) -> tuple[dict[str, Any], ...]:
+        """The content of each run.json."""
+        return tuple(sheet.manifest for sheet in self.sheets)
+
+    @property
+    def calibration_id(self) -> str:
+        """Id of the calibration."""
+        return self.sheets[0].calibration_id
+
+    def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
+        """Read the tiles of a window, which may extend beyond the map.
+
+        Parameters
+        ----------
+        window : TileWindow
+        bands : sequence of str
+            Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
+            and take no memory.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing or damaged.
+        """
+        barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
+        values = {band: np.full(barred.shape, np.nan, np.float32) for band in bands}
+        overlapping = self._overlapping(window)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is None:
+                continue
+            place = _slices(window, part)
+            found = sheet.read("barred.tif", part)[0]
+            replaced = _Replaced.of(barred[place], found) if overlapping else None
+            barred[place] = found if replaced is None else replaced.codes(barred[place], found)
+            for band, read in zip(bands, sheet.read("roughness.tif", part, bands) if bands else (), strict=True):
+                values[band][place] = read if replaced is None else replaced.values(values[band][place], read)
+        nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
+        columns = {band: values.get(band, nothing) for band in _BANDS}
+        return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
+
+    def read_passable(self, window: TileWindow, *, robust: bool = False) -> TileField:
+        """Read what the cost of a way depends on and no more: 9 bytes a tile.
+
+        Parameters
+        ----------
+        window : TileWindow
+        robust : bool
+            Read ``c_r_high`` in the place of ``c_r``.
+        """
+        return self.read(window, ("c_r_high" if robust else "c_r", "p_fail"))
+
+    def read_cost(self, window: TileWindow) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Read what bars the tiles, and their cost at the weights of the layers: 5 bytes a tile, of the smallest files.
+
+        Returns
+        -------
+        barred : uint8 (rows, cols)
+            A `Barred`, or ``NO_TILE``.
+        cost : float32 (rows, cols)
+            Factor on distance; NaN if the tile is not passable.
+        """
+        if self._overlapping(window):
+            field = self.read_passable(window)
+            cost = self.rule.cost(field.c_r.astype(np.float64), self.rule.hazard(field.p_fail))
+            return field.barred, np.where(field.barred == Barred.NO, cost, np.nan).astype(np.float32)
+        barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
+        factor = np.full(barred.shape, np.nan, np.float32)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is not None:
+                barred[_slices(window, part)] = sheet.read("barred.tif", part)[0]
+                factor[_slices(window, part)] = sheet.read("cost.tif", part)[0]
+        return barred, factor
+
+    def heights(self, window: TileWindow) -> NDArray[np.float32]:
+        """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none.
+
+        Of two sheets the higher value counts.
+        """
+        pixels = self.grid.pixels
+        out = np.full((window.rows * pixels, window.cols * pixels), np.nan, np.float32)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is not None:
+                place = _slices(window, part, pixels)
+                out[place] = np.fmax(out[place], sheet.read("heightmap.tif", part)[0])
+        return out
+
+    def objects(self, window: TileWindow) -> NDArray[np.uint8]:
+        """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
+
+        0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points. Of two sheets, an obstacle counts
+        first, then canopy, free, unknown.
+        """
+        pixels = self.grid.pixels
+        out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
+        rank = np.zeros(256, np.uint8)
+        rank[_WORST] = np.arange(len(_WORST))
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is not None:
+                place = _slices(window, part, pixels)
+                out[place] = _WORST[np.maximum(rank[out[place]], rank[sheet.read("obstacle.tif", part)[0]])]
+        return out
+
+    def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Convert coordinates of the CRS to easting and northing on the grid, m."""
+        unit = self.georeference.metres_per_unit
+        return x * unit, y * unit
+
+    def to_crs(self, easting: Coordinate, northing: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Convert easting and northing on the grid, m, to coordinates of the CRS."""
+        unit = self.georeference.metres_per_unit
+        return easting / unit, northing / unit
+
+    def to_lonlat(self, easting: Coordinate, northing: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Convert easting and northing on the grid, m, to WGS 84 longitude and latitude, degrees.
+
+        They are infinite where the CRS cannot be used.
+
+        Raises
+        ------
+        BadInputError
+            The map has no CRS.
+        """
+        longitude, latitude = self._to_wgs84.transform(*self.to_crs(easting, northing))
+        return longitude, latitude
+
+    def from_lonlat(self, longitude: Coordinate, latitude: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Convert WGS 84 longitude and latitude, degrees, to easting and northing on the grid, m.
+
+        They are infinite where the CRS cannot be used.
+
+        Raises
+        ------
+        BadInputError
+            The map has no CRS.
+        """
+        return self.to_grid(*self._to_wgs84.transform(longitude, latitude, direction="INVERSE"))
+
+    @property
+    def has_crs(self) -> bool:
+        """Whether longitude and latitude are known."""
+        return self.georeference.crs is not None
+
+    @cached_property
+    def _to_wgs84(self) -> Transformer:
+        crs = self.georeference.crs
+        if crs is None:
+            raise BadInputError(
+                "the map has no CRS, so longitude and latitude are not known. Give points in the survey's own "
+                "coordinates (crs:X,Y), or map the survey with `crs='EPSG:CODE'`"
+            )
+        try:
+            return Transformer.from_crs(crs.to_2d(), CRS.from_epsg(4326), always_xy=True)
+        except ProjError as error:
+            raise BadInputError(
+                f"the CRS of the map, {describe_crs(crs)}, has no known relation to longitude and latitude. Give "
+                "points in the survey's own coordinates (crs:X,Y)"
+            ) from error
+
+    def _overlapping(self, window: TileWindow) -> bool:
+        """Return whether two sheets share a tile of the window."""
+        parts = [part for sheet in self.sheets if (part := common_window(window, sheet.window)) is not None]
+        return any(common_window(first, second) is not None for first, second in combinations(parts, 2))
+
+
+def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
+    """Open the layers of one map: the folder of a run, or several that are sheets of one map.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Each holds a complete run.
+
+    Raises
+    ------
+    BadInputError
+        A folder holds no complete run, or one that cannot be read; or the folders differ in grid, CRS, vehicle,
+        calibration or weights.
+    UsageError
+        There is no folder.
+    """
+    if not folders:
+        raise UsageError("no folder of layers is given. Give the folder that `bumpymap map` wrote with --out")
+    opened = {path.resolve(): RouteSheet.open(path) for path in map(Path, folders)}
+    first, *others = sheets = tuple(opened.values())
+    for other in others:
+        _require_same(first, other)
+    windows = [sheet.window for sheet in sheets]
+    west, south = min(window.col for window in windows), min(window.row for window in windows)
+    east = max(window.col + window.cols for window in windows)
+    north = max(window.row + window.rows for window in windows)
+    return RouteMap(sheets, TileWindow(west, south, east - west, north - south))
+
+
+def _require_same(first: RouteSheet, second: RouteSheet) -> None:
+    """Raise BadInputError if two folders are not sheets of one map."""
+    own, other = first.identity, second.identity
+    found = [f"{name} is {own[name]} and {other[name]}" for name in own if own[name] != other[name]]
+    if not found and first.georeference.crs != second.georeference.crs:
+        found = ["the definition of the CRS differs"]
+    if found:
+        raise BadInputError(
+            f"{first.folder} and {second.folder} are not sheets of one map: {'; '.join(found)}. "
+            "Give folders that were mapped with the same vehicle and settings, or one folder only"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Replaced:
+    """Which of two sheets counts, for each tile that they share."""
+
+    newer: NDArray[np.bool_]
+    """(rows, cols) only the new one."""
+    both: NDArray[np.bool_]
+    """(rows, cols) both: the larger value."""
+
+    @classmethod
+    def of(cls, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> "_Replaced":
+        """Compare what bars the tiles."""
+        before, now = _rank(old), _rank(new)
+        return cls(now > before, now == before)
+
+    def codes(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the codes that count."""
+        return np.where(self.newer, new, np.where(self.both, np.maximum(old, new), old))
+
+    def values(self, old: NDArray[np.float32], new: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the values that count; NaN only if both are."""
+        return np.where(self.newer, new, np.where(self.both, np.fmax(old, new), old))
+
+
+def _rank(barred: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return how much a tile counts: no tile, unknown, passable, barred."""
+    rank = np.full(256, 3, np.uint8)
+    rank[[NO_TILE, Barred.UNKNOWN, Barred.NO]] = 0, 1, 2
+    return rank[barred]
+
+
+def _slices(window: TileWindow, part: TileWindow, pixels: int = 1) -> tuple[slice, slice]:
+    """Return where a part of a window lies in its arrays."""
+    top = (window.row + window.rows - part.row - part.rows) * pixels
+    left = (part.col - window.col) * pixels
+    return slice(top, top + part.rows * pixels), slice(left, left + part.cols * pixels)

@@ -1,0 +1,234 @@
+"""One folder of layers as a route reads it: checked when it is opened, then read window by window."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle
+from bumpymap.layers.opened import read_manifest
+from bumpytiles import Grid, TileWindow
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
+__all__ = ["RouteSheet", "common_window"]
+
+_RASTERS = ("barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif")
+_PER_PIXEL = ("heightmap.tif", "obstacle.tif")
+_OFF = 1e-3
+"""Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
+_PIECE = 512
+"""Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
+for one; a piece of all of them fits into its cache."""
+_GDAL = {"GDAL_CACHEMAX": 64}
+_AGAIN = "Map the survey again"
+
+
+@dataclass(frozen=True, slots=True)
+class RouteSheet:
+    """One folder of layers."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    grid: Grid
+    window: TileWindow
+    """The tiles that its rasters span."""
+    georeference: Georeference
+    rule: CostRule
+    vehicle: RouteVehicle
+
+    @classmethod
+    def open(cls, folder: Path) -> "RouteSheet":
+        """Open the folder of a complete run.
+
+        Raises
+        ------
+        BadInputError
+            It holds no complete run, one of an earlier version, or a raster is missing, cut off, or does not fit to
+            the others.
+        """
+        manifest = read_manifest(folder)
+        try:
+            _check_sizes(folder, manifest)
+            parts = (_grid(manifest), _georeference(manifest), _rule(manifest), _vehicle(folder, manifest))
+        except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
+            raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
+        grid, georeference, rule, vehicle = parts
+        window = _common_raster(folder, grid, georeference)
+        return cls(folder, manifest, grid, window, georeference, rule, vehicle)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What sheets of one map have in common, by the words that a message uses."""
+        settings, crs = self.manifest.get("settings", {}), self.manifest.get("crs")
+        return {
+            "tile size [m]": self.grid.tile_size,
+            "pixels along a tile": self.grid.pixels,
+            "CRS": None if crs is None else crs["name"],
+            "metres per unit of the CRS": self.georeference.metres_per_unit,
+            "vehicle": self.vehicle.name,
+            "calibration": self.calibration_id,
+            "rating": settings.get("rating"),
+            "compat": settings.get("compat"),
+            "ride weight [m/rad]": self.rule.ride_weight,
+            "fail weight [m]": self.rule.fail_weight,
+            "length of a calibration drive [m]": self.rule.drive_m,
+            "slope limit [deg]": self.rule.slope_limit_deg,
+            "width of the vehicle [m]": self.vehicle.width_m,
+            "speed of the vehicle [m/s]": self.vehicle.speed_mps,
+        }
+
+    @property
+    def calibration_id(self) -> str:
+        """Id of the calibration; empty if the manifest has none."""
+        return str(self.manifest.get("calibration", {}).get("id", ""))
+
+    def read(self, name: str, window: TileWindow, bands: Sequence[str] = ()) -> NDArray[Any]:
+        """Read a window that lies inside the sheet.
+
+        Parameters
+        ----------
+        name : str
+            Name of the raster.
+        window : TileWindow
+        bands : sequence of str
+            Names of the bands; none: the first.
+
+        Returns
+        -------
+        array (bands, rows * p, cols * p)
+            North row first; p is the number of pixels along a tile in rasters of pixels, else 1.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing or damaged.
+        """
+        own = self.window
+        scale = self.grid.pixels if name in _PER_PIXEL else 1
+        top = (own.row + own.rows - window.row - window.rows) * scale
+        left = (window.col - own.col) * scale
+        with _opened(self.folder / name) as file:
+            numbers = _numbers(self.folder / name, file, bands)
+            out = np.empty((len(numbers), window.rows * scale, window.cols * scale), dtype=file.dtypes[0])
+            for lines, columns in _pieces(top, left, out.shape[1], out.shape[2]):
+                part = ((lines.start, lines.stop), (columns.start, columns.stop))
+                out[:, _moved(lines, top), _moved(columns, left)] = file.read(numbers, window=part)
+        return out
+
+
+def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
+    """Return the tiles that two windows share; None if there are none."""
+    west, south = max(first.col, second.col), max(first.row, second.row)
+    cols = min(first.col + first.cols, second.col + second.cols) - west
+    rows = min(first.row + first.rows, second.row + second.rows) - south
+    return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
+
+
+@contextmanager
+def _opened(path: Path) -> "Iterator[DatasetReader]":
+    """Open a raster; errors while the body of the ``with`` reads it become BadInputErrors."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.Env(**_GDAL), rasterio.open(path) as file:
+            yield file
+    except RasterioError as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+
+
+def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
+    missing = [band for band in bands if band not in file.descriptions]
+    if missing:
+        raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
+    return [file.descriptions.index(band) + 1 for band in bands] or [1]
+
+
+def _pieces(top: int, left: int, lines: int, columns: int) -> Iterator[tuple[slice, slice]]:
+    """Split a window of a raster at multiples of ``_PIECE``, so that no block of the file is decoded twice."""
+    for line in _cut(top, top + lines):
+        for column in _cut(left, left + columns):
+            yield line, column
+
+
+def _cut(start: int, stop: int) -> list[slice]:
+    edges = [start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]
+    return [slice(low, high) for low, high in pairwise(edges)]
+
+
+def _moved(part: slice, by: int) -> slice:
+    return slice(part.start - by, part.stop - by)
+
+
+def _check_sizes(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Raise BadInputError if a raster is missing or not as long as when it was written."""
+    written = {str(file["path"]): int(file["bytes"]) for file in manifest["files"]}
+    for name in _RASTERS:
+        path = folder / name
+        if not path.is_file():
+            raise BadInputError(f"{path} is missing: it was not written, or was removed since. {_AGAIN}")
+        if name in written and path.stat().st_size != written[name]:
+            raise BadInputError(
+                f"{path} is damaged: it has {path.stat().st_size:,} bytes and was written with {written[name]:,}. "
+                f"Copy it again, or map the survey again"
+            )
+
+
+def _common_raster(folder: Path, grid: Grid, georeference: Georeference) -> TileWindow:
+    """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
+    windows = {name: _window_of(folder / name, grid, georeference) for name in _RASTERS}
+    for name, window in windows.items():
+        if window != windows[_RASTERS[0]]:
+            raise BadInputError(f"{folder / name} spans other tiles than {folder / _RASTERS[0]}. {_AGAIN}")
+    return windows[_RASTERS[0]]
+
+
+def _window_of(path: Path, grid: Grid, georeference: Georeference) -> TileWindow:
+    pixels = grid.pixels if path.name in _PER_PIXEL else 1
+    tile = grid.tile_size / georeference.metres_per_unit
+    with _opened(path) as file:
+        place, width, height = file.transform, file.width, file.height
+    sides = (place.c / tile, place.f / tile - height / pixels, width / pixels, height / pixels)
+    whole = [round(side) for side in sides]
+    steps = (place.a * pixels / tile, place.b, place.d, -place.e * pixels / tile)
+    fits = all(math.isclose(side, near, abs_tol=_OFF) for side, near in zip(sides, whole, strict=True))
+    if not fits or not np.allclose(steps, (1.0, 0.0, 0.0, 1.0), rtol=0.0, atol=1e-9):
+        raise BadInputError(
+            f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
+        )
+    return TileWindow(*whole)
+
+
+def _grid(manifest: Mapping[str, Any]) -> Grid:
+    return Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
+
+
+def _georeference(manifest: Mapping[str, Any]) -> Georeference:
+    crs, unit = manifest["crs"], manifest["metres_per_unit"]
+    known = None if crs is None else CRS.from_wkt(crs["wkt"])
+    return Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
+
+
+def _rule(manifest: Mapping[str, Any]) -> CostRule:
+    cost = manifest["cost"]
+    names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+    return CostRule(*(float(cost[name]) for name in names))
+
+
+def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
+    vehicle = manifest.get("vehicle")
+    if vehicle is None:
+        raise BadInputError(
+            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. {_AGAIN}"
+        )
+    return RouteVehicle(str(vehicle["name"]), float(vehicle["width_m"]), float(vehicle["speed_mps"]))
