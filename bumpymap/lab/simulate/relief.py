@@ -71,7 +71,7 @@ class ReliefGround:
     @property
     def extent(self) -> float:
         """Shorter side of the window, m."""
-        return self.pixel_size * min(self.heights.shape)
+        return float(self.pixel_size * min(self.heights.shape))
 
     @property
     def spacing(self) -> float:
@@ -99,7 +99,8 @@ class ReliefGround:
         right, up = col - west, row - south
         below = self.heights[south, west] * (1 - right) + self.heights[south, east] * right
         above = self.heights[north, west] * (1 - right) + self.heights[north, east] * right
-        return below * (1 - up) + above * up
+        bilinear: _Floats = below * (1 - up) + above * up
+        return bilinear
 
 
 def corridor_triangles(ground: ReliefGround, points: _Floats, half_width: float) -> NDArray[np.float32]:
