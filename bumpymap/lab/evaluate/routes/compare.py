@@ -9,10 +9,21 @@ from numpy.typing import NDArray
 
 from bumpymap.core import TileField
 from bumpymap.lab.evaluate.routes.predicted import LineFigures
-from bumpymap.lab.evaluate.routes.trial import known_tiles
 from bumpymap.lab.simulate import WayDrive
 
-__all__ = ["Arrivals", "GroundRow", "PairOrder", "WayAgreement", "WayResult", "agree", "arrivals", "by_class", "order"]
+__all__ = [
+    "Arrivals",
+    "GroundRow",
+    "PairOrder",
+    "WayAgreement",
+    "WayResult",
+    "agree",
+    "arrivals",
+    "by_class",
+    "order",
+    "results_of",
+    "wilson",
+]
 
 Floats = NDArray[np.float64]
 _NORMAL = 1.959963984540054
@@ -209,7 +220,7 @@ def by_class(
 ) -> list[GroundRow]:  # fmt: skip
     """Compare C_r tile by tile, by the class of the predicted C_r, over the drives that arrived."""
     drives = [made for way in ways for made in way.drives if made.outcome == "completed"]
-    row, col, path, pitch = known_tiles(field, drives).T
+    row, col, path, pitch = _driven_tiles(field, drives).T
     at = row.astype(np.int64), col.astype(np.int64)
     predicted, raw = field.c_r[at].astype(np.float64), c_r_raw[at]
     class_id = np.searchsorted(np.array(limits), predicted, side="right")
@@ -233,6 +244,18 @@ def results_of(
         WayResult(pair, name, figures, [made for key, made in driven.items() if key[:2] == (pair, name)])
         for (pair, name), figures in predicted.items()
     ]
+
+
+def _driven_tiles(field: TileField, drives: Sequence[WayDrive]) -> Floats:
+    """Return the tiles that drives crossed, one row each: row, column, path [m], pitch motion [rad], summed."""
+    shape = field.c_r.shape
+    sums = np.zeros((2, *shape))
+    for made in drives:
+        for col, row, path, pitch in made.tiles:
+            if 0 <= row < shape[0] and 0 <= col < shape[1]:
+                sums[:, row, col] += path, pitch
+    at = np.nonzero(np.isfinite(field.c_r) & (sums[0] > 0))
+    return np.stack([*at, sums[0][at], sums[1][at]], axis=1)
 
 
 def _median(values: Floats) -> float:

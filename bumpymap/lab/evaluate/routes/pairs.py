@@ -14,9 +14,9 @@ __all__ = ["Planner", "WayPair", "choose_pairs"]
 
 Floats = NDArray[np.float64]
 Planner = Callable[[Floats, Floats, Floats], Floats | None]
-"""Plans a way: cost per metre (rows, cols), infinite where closed; start and goal (2,) in field coordinates, which count
-tiles from the north and from the west of the window. Returns the corners (n, 2) from start to goal, or None if there is
-no way."""
+"""Plans a way: cost per metre (rows, cols), infinite where closed; start and goal (2,) in field coordinates, that
+is tiles from the north and from the west of the window. Returns the corners (n, 2) from start to goal, or None if there
+is no way."""
 
 _MOST_TRIED = 5000
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Steps, TileField
+from bumpymap.core import Steps
 from bumpymap.lab.evaluate.keyed_random import uniform_by_key
 from bumpymap.lab.evaluate.routes.measured import driven_heights
 from bumpymap.lab.evaluate.routes.pairs import WayPair
@@ -109,18 +109,6 @@ def run_way(driven: DrivenMap, job: WayJob) -> WayDrive:
     # From tiles of the small window, counted from the south, to those of the map's arrays.
     made.tiles = [(col + left, bottom - 1 - row, path, pitch) for col, row, path, pitch in made.tiles]
     return made
-
-
-def known_tiles(field: TileField, drives: Sequence[WayDrive]) -> NDArray[np.float64]:
-    """Return the tiles that drives crossed, one row each: row, column, path [m], pitch motion [rad], summed."""
-    shape = field.c_r.shape
-    sums = np.zeros((2, *shape))
-    for made in drives:
-        for col, row, path, pitch in made.tiles:
-            if 0 <= row < shape[0] and 0 <= col < shape[1]:
-                sums[:, row, col] += path, pitch
-    row, col = np.nonzero(np.isfinite(field.c_r) & (sums[0] > 0))
-    return np.stack([row, col, sums[0][row, col], sums[1][row, col]], axis=1)
 
 
 def _offset(settings: RouteTrialSettings, number: int, repeat: int) -> float:
