@@ -1,0 +1,5 @@
+"""Find ways over a map of costs: the shortest way between two points, and what every tile costs to reach."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

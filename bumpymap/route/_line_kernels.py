@@ -1,0 +1,268 @@
+"""Compiled kernels: straight lines over square tiles; their exact cost, and whether they keep clear of closed tiles.
+
+Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards. A
+tile is closed where its cost is infinite; everything outside the window is closed.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles import helper, kernel
+
+__all__ = [
+    "LEAST_MARGIN",
+    "Line",
+    "Pieces",
+    "check_clear",
+    "connect",
+    "find_near",
+    "segment_clear",
+    "segment_cost",
+    "sum_cost",
+    "trace_line",
+]
+
+Costs = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+LEAST_MARGIN = 1e-6
+"""Margins below this one, tiles, count as this one: what touches a closed tile may slip between two of them."""
+_SLIVER = 1e-12
+"""Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
+_ROUNDING = 1e-9
+"""Distances to closed tiles may be shorter than the margin by this, tiles."""
+_A_END, _B_END = 1, 2
+"""Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
+
+
+class Line(NamedTuple):
+    """A line in a window."""
+
+    cost: Annotated[Costs, 2]
+    """(rows, cols) cost per tile of length."""
+    points: Annotated[Floats, 2]
+    """(n, 2) field coordinates of its corners, ends included."""
+
+
+class Pieces(NamedTuple):
+    """The pieces of a line, filled; longer than needed."""
+
+    row: Annotated[NDArray[np.int64], 1]
+    col: Annotated[NDArray[np.int64], 1]
+    length: Annotated[Floats, 1]
+    count: Annotated[NDArray[np.int64], 1]
+    """(1,) how many there are."""
+
+
+@helper
+def _cost_of(cost: Costs, row: int, col: int) -> float:
+    """Cost of a tile; infinite outside the window."""
+    inside = 0 <= row < cost.shape[0] and 0 <= col < cost.shape[1]
+    return float(cost[row, col]) if inside else math.inf
+
+
+@helper
+def _first_tile(a: float, delta: float) -> int:
+    """Tile, along one axis, that a line enters when it leaves ``a`` in the direction of ``delta``."""
+    tile = math.floor(a)
+    return tile - 1 if delta < 0.0 and tile == a else tile
+
+
+@helper
+def _crossing(a: float, delta: float, tile: int) -> float:
+    """Share of a line after which it leaves the tile, along one axis; large if never."""
+    if delta == 0.0:
+        return 2.0
+    return (tile + (1.0 if delta > 0.0 else 0.0) - a) / delta
+
+
+@helper
+def _dearer_shift(cost: Costs, r: float, c: float, row: int, col: int) -> tuple[int, int]:
+    """Shift from a tile to the one before it, where a line runs on the border of both and that one is dearer.
+
+    ``r`` is the row of a line that keeps it, NaN otherwise; ``c`` likewise.
+    """
+    here = _cost_of(cost, row, col)
+    if r == row and _cost_of(cost, row - 1, col) > here:
+        return 1, 0
+    if c == col and _cost_of(cost, row, col - 1) > here:
+        return 0, 1
+    return 0, 0
+
+
+@helper
+def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit: float) -> float:
+    """Exact integral of the cost along a segment; infinite as soon as it passes ``limit``.
+
+    Where the segment runs along a border, the dearer of both tiles counts.
+    """
+    dr, dc = r1 - r0, c1 - c0
+    length = math.sqrt(dr * dr + dc * dc)
+    row, col = _first_tile(r0, dr), _first_tile(c0, dc)
+    down, right = 1 if dr > 0.0 else -1, 1 if dc > 0.0 else -1
+    along_r, along_c = r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan
+    next_r, next_c = _crossing(r0, dr, row), _crossing(c0, dc, col)
+    total, t = 0.0, 0.0
+    while True:
+        end = min(next_r, next_c, 1.0)
+        piece = (end - t) * length
+        if piece > _SLIVER:
+            up, left = _dearer_shift(cost, along_r, along_c, row, col)
+            total += piece * _cost_of(cost, row - up, col - left)
+            if not total <= limit:
+                return math.inf
+        if end >= 1.0:
+            return total
+        if next_r <= end:
+            row += down
+            next_r = _crossing(r0, dr, row)
+        if next_c <= end:
+            col += right
+            next_c = _crossing(c0, dc, col)
+        t = max(t, end)
+
+
+@helper
+def _to_square(r: float, c: float, row: int, col: int) -> float:
+    """Distance of a point to a tile; 0 in it."""
+    dr = max(row - r, r - row - 1.0, 0.0)
+    dc = max(col - c, c - col - 1.0, 0.0)
+    return math.sqrt(dr * dr + dc * dc)
+
+
+@helper
+def _crosses(r0: float, c0: float, r1: float, c1: float, row: int, col: int) -> bool:
+    """Whether a segment has a point in common with a tile."""
+    first, last = 0.0, 1.0
+    for axis in range(2):
+        a, delta, low = (r0, r1 - r0, row) if axis == 0 else (c0, c1 - c0, col)
+        if delta == 0.0:
+            if a < low or a > low + 1:
+                return False
+            continue
+        t0, t1 = (low - a) / delta, (low + 1 - a) / delta
+        first, last = max(first, min(t0, t1)), min(last, max(t0, t1))
+    return first <= last
+
+
+@helper
+def _gap(r0: float, c0: float, r1: float, c1: float, row: int, col: int) -> float:
+    """Distance of a segment to a tile: that of an end to the tile, or of a corner of the tile to the segment."""
+    if _crosses(r0, c0, r1, c1, row, col):
+        return 0.0
+    dr, dc = r1 - r0, c1 - c0
+    square = dr * dr + dc * dc
+    least = min(_to_square(r0, c0, row, col), _to_square(r1, c1, row, col))
+    if square == 0.0:
+        return least
+    for k in range(4):
+        r, c = row + k // 2 - r0, col + k % 2 - c0
+        t = min(max((r * dr + c * dc) / square, 0.0), 1.0)
+        r, c = r - t * dr, c - t * dc
+        least = min(least, math.sqrt(r * r + c * c))
+    return least
+
+
+@helper
+def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margin: float, ends: int) -> bool:
+    """Whether a segment keeps a margin from all closed tiles.
+
+    From a tile that an end in ``ends`` is nearer to, it need not keep more than that end does.
+    """
+    dr, dc = r1 - r0, c1 - c0
+    for row in range(math.floor(min(r0, r1) - margin), math.floor(max(r0, r1) + margin) + 1):
+        first, last = 0.0, 1.0
+        if dr != 0.0:
+            t0, t1 = (row - margin - r0) / dr, (row + 1 + margin - r0) / dr
+            first, last = max(0.0, min(t0, t1)), min(1.0, max(t0, t1))
+        west, east = c0 + first * dc, c0 + last * dc
+        for col in range(math.floor(min(west, east) - margin), math.floor(max(west, east) + margin) + 1):
+            if _cost_of(cost, row, col) < math.inf:
+                continue
+            need = margin
+            if ends & _A_END:
+                need = min(need, _to_square(r0, c0, row, col))
+            if ends & _B_END:
+                need = min(need, _to_square(r1, c1, row, col))
+            if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, need):
+                return False
+    return True
+
+
+@kernel
+def sum_cost(line: Line, out: Annotated[Floats, 1]) -> None:
+    """Fill ``out[0]`` with the cost of a line."""
+    total, points = 0.0, line.points
+    for i in range(points.shape[0] - 1):
+        total += segment_cost(line.cost, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], math.inf)
+    out[0] = total
+
+
+@kernel
+def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1]) -> None:
+    """Fill ``out[0]``: whether a line keeps a margin; its first and last point may be nearer to closed tiles."""
+    points, last = line.points, line.points.shape[0] - 2
+    out[0] = True
+    for i in range(last + 1):
+        r0, c0, r1, c1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+        ends = (_A_END if i == 0 else 0) | (_B_END if i == last else 0)
+        if out[0]:
+            out[0] = segment_clear(line.cost, r0, c0, r1, c1, margin, ends)
+        if out[0]:
+            out[0] = segment_cost(line.cost, r0, c0, r1, c1, math.inf) < math.inf
+
+
+@kernel
+def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
+    """Fill (2 k + 1, 2 k + 1) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
+    reach = out.shape[0] // 2
+    top, left = math.floor(r) - reach, math.floor(c) - reach
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            row, col = top + i, left + j
+            out[i, j] = math.inf
+            if _cost_of(cost, row, col) < math.inf:
+                found = segment_cost(cost, r, c, row + 0.5, col + 0.5, math.inf)
+                if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, _A_END):
+                    out[i, j] = found
+
+
+@kernel
+def find_near(points: Annotated[Floats, 2], margin: float, out: Annotated[NDArray[np.bool_], 3]) -> None:
+    """Fill (n, rows, cols): which tiles are nearer than a margin to the segments from ``points[0]`` to each other."""
+    for k in range(out.shape[0]):
+        for row in range(out.shape[1]):
+            for col in range(out.shape[2]):
+                gap = _gap(points[0, 0], points[0, 1], points[k + 1, 0], points[k + 1, 1], row, col)
+                out[k, row, col] = gap < margin - min(_ROUNDING, margin)
+
+
+@kernel
+def trace_line(line: Line, out: Pieces) -> None:
+    """Cut a line at the borders of tiles; see `segment_cost`, which sums the same pieces."""
+    n, points, cost = 0, line.points, line.cost
+    rows, cols = cost.shape
+    for i in range(points.shape[0] - 1):
+        r0, c0, dr, dc = points[i, 0], points[i, 1], points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+        length = math.sqrt(dr * dr + dc * dc)
+        row, col = _first_tile(r0, dr), _first_tile(c0, dc)
+        along_r, along_c = r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan
+        t = 0.0
+        while t < 1.0:
+            next_r, next_c = _crossing(r0, dr, row), _crossing(c0, dc, col)
+            end = min(next_r, next_c, 1.0)
+            if (end - t) * length > _SLIVER:
+                up, left = _dearer_shift(cost, along_r, along_c, row, col)
+                # On the window's edge the tile inside it counts.
+                out.row[n], out.col[n] = min(max(row - up, 0), rows - 1), min(max(col - left, 0), cols - 1)
+                out.length[n] = (end - t) * length
+                n += 1
+            if next_r <= end:
+                row += 1 if dr > 0.0 else -1
+            if next_c <= end:
+                col += 1 if dc > 0.0 else -1
+            t = max(t, end)
+    out.count[0] = n

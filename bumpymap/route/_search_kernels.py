@@ -1,0 +1,257 @@
+"""Compiled kernels: the cheapest ways over a window, from tile to tile.
+
+A* with a heap of four children a node, in which a tile stands once and moves up when a cheaper way to it is found. The
+window is flattened row by row and has a ring of closed tiles as wide as the longest move, so that no move has to look
+where the window ends. Moves are many and most lead to tiles that are settled or have been reached for less than the
+move's length alone costs: both are asked before the integral over the move's tiles. Tiles around which all others are
+open, the greater part of most maps, need no look at the tiles beside the move.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpytiles import helper, kernel
+
+__all__ = ["FROM_START", "NOT_REACHED", "Ground", "MoveTables", "Reached", "Seeds", "mark_crowded", "search", "walk_back"]
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Tiles = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+FROM_START = 254
+"""In place of a move: straight from the start."""
+NOT_REACHED = 255
+_NEW, _SETTLED = -1, -2
+_CHILDREN = 4
+
+
+class MoveTables(NamedTuple):
+    """What each of k moves is, for a flattened window; see `bumpymap.route._moves`."""
+
+    step: Annotated[Integers, 1]
+    """(k,) from tile to tile."""
+    length: Annotated[Floats, 1]
+    """(k,) in tiles."""
+    first_piece: Annotated[Integers, 1]
+    """(k + 1,) where a move's pieces start in the next two."""
+    piece: Annotated[Integers, 1]
+    """From the tile where the move starts to one that it crosses."""
+    piece_length: Annotated[Floats, 1]
+    """Length in that tile, tiles."""
+    first_near: Annotated[Integers, 1]
+    """(k + 1,) where a move's near tiles start in the next one."""
+    near: Annotated[Integers, 1]
+    """To the tiles that must be open, those that it crosses included."""
+
+
+class Ground(NamedTuple):
+    """A flattened window with its ring."""
+
+    cost: Annotated[NDArray[np.float32], 1]
+    """(n,) per tile of length; infinite where closed."""
+    crowded: Annotated[Bytes, 1]
+    """(n,) whether a closed tile lies within the reach of a move."""
+    width: int
+    """Columns."""
+    goal_row: float
+    goal_col: float
+    """Field coordinates of the goal."""
+    least: float
+    """No tile costs less; at least 1."""
+    bound: float
+    """No tile on any way to the goal costs less, those outside the window included; 0 to search all around alike."""
+
+
+class Seeds(NamedTuple):
+    """How start and goal, which lie anywhere in their tiles, hang together with the middles of tiles."""
+
+    tile: Annotated[Integers, 1]
+    """(s,) tiles that the start sees."""
+    cost: Annotated[Floats, 1]
+    """(s,) straight to each."""
+    exit_cost: Annotated[Floats, 2]
+    """(m, m) straight from a tile to the goal; the goal's tile is in the middle."""
+    best: float
+    """Cost of a way that is known; infinite if none."""
+
+
+class Reached(NamedTuple):
+    """What the search fills; `place` and `back` come filled with `_NEW` and `NOT_REACHED`, `g` with infinity."""
+
+    g: Annotated[Floats, 1]
+    """(n,) cost from the start."""
+    back: Annotated[Bytes, 1]
+    """(n,) the move that led there, or `FROM_START`."""
+    place: Annotated[Tiles, 1]
+    """(n,) place in the heap; below -1 if the cost is final."""
+    heap: Annotated[Tiles, 1]
+    """(n,) scratch."""
+    key: Annotated[Floats, 1]
+    """(n,) scratch."""
+    last: Annotated[Integers, 1]
+    """(1,) the tile from which the way goes straight to the goal; -1 if the known way is the best."""
+    best: Annotated[Floats, 1]
+    """(1,) cost of the best way."""
+
+
+@helper
+def _rise(reached: Reached, i: int, tile: int, key: float) -> None:
+    """Put a tile at a place of the heap or above it."""
+    while i > 0:
+        above = (i - 1) // _CHILDREN
+        if reached.key[above] <= key:
+            break
+        reached.key[i] = reached.key[above]
+        reached.heap[i] = reached.heap[above]
+        reached.place[reached.heap[i]] = i
+        i = above
+    reached.key[i] = key
+    reached.heap[i] = tile
+    reached.place[tile] = i
+
+
+@helper
+def _sink(reached: Reached, size: int, tile: int, key: float) -> None:
+    """Put a tile at the top of the heap or below it."""
+    i = 0
+    while True:
+        child = i * _CHILDREN + 1
+        if child >= size:
+            break
+        least = child
+        for other in range(child + 1, min(child + _CHILDREN, size)):
+            if reached.key[other] < reached.key[least]:
+                least = other
+        if reached.key[least] >= key:
+            break
+        reached.key[i] = reached.key[least]
+        reached.heap[i] = reached.heap[least]
+        reached.place[reached.heap[i]] = i
+        i = least
+    reached.key[i] = key
+    reached.heap[i] = tile
+    reached.place[tile] = i
+
+
+@helper
+def _bound(ground: Ground, tile: int) -> float:
+    """Return what a tile's middle is at least from the goal."""
+    if ground.bound == 0.0:
+        return 0.0
+    row = tile // ground.width
+    dr, dc = row + 0.5 - ground.goal_row, tile - row * ground.width + 0.5 - ground.goal_col
+    return ground.bound * math.sqrt(dr * dr + dc * dc)
+
+
+@helper
+def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, size: int) -> int:
+    """Take a cheaper way to a tile, unless the goal is too far behind it; returns the size of the heap."""
+    key = g + _bound(ground, tile)
+    if key >= reached.best[0]:
+        return size
+    reached.g[tile] = g
+    reached.back[tile] = move
+    place = np.int64(reached.place[tile])
+    if place == _NEW:
+        _rise(reached, size, tile, key)
+        return size + 1
+    _rise(reached, place, tile, key)
+    return size
+
+
+@helper
+def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
+    """Exact integral of the cost along a move; infinite where it comes too near to a closed tile."""
+    if ground.crowded[tile]:
+        for i in range(moves.first_near[k], moves.first_near[k + 1]):
+            if not ground.cost[tile + moves.near[i]] < math.inf:
+                return math.inf
+    total = 0.0
+    for i in range(moves.first_piece[k], moves.first_piece[k + 1]):
+        total += moves.piece_length[i] * ground.cost[tile + moves.piece[i]]
+    return total
+
+
+@helper
+def _try_exit(ground: Ground, seeds: Seeds, reached: Reached, tile: int) -> None:
+    """See whether the goal is reached for less by going straight there from a tile."""
+    half = seeds.exit_cost.shape[0] // 2
+    row = tile // ground.width
+    r = row - math.floor(ground.goal_row) + half
+    c = tile - row * ground.width - math.floor(ground.goal_col) + half
+    if 0 <= r <= 2 * half and 0 <= c <= 2 * half and reached.g[tile] + seeds.exit_cost[r, c] < reached.best[0]:
+        reached.best[0] = reached.g[tile] + seeds.exit_cost[r, c]
+        reached.last[0] = tile
+
+
+@kernel
+def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) -> None:
+    """Settle tiles from the start on until no way that is open can be cheaper than the best to the goal."""
+    size = 0
+    reached.best[0], reached.last[0] = seeds.best, -1
+    for i in range(seeds.tile.shape[0]):
+        tile = seeds.tile[i]
+        size = _offer(ground, reached, tile, seeds.cost[i], FROM_START, size)
+    while size > 0 and reached.key[0] < reached.best[0]:
+        tile = np.int64(reached.heap[0])
+        reached.place[tile] = _SETTLED
+        size -= 1
+        if size > 0:
+            _sink(reached, size, np.int64(reached.heap[size]), reached.key[size])
+        _try_exit(ground, seeds, reached, tile)
+        g = reached.g[tile]
+        for k in range(moves.step.shape[0]):
+            to = tile + moves.step[k]
+            if reached.place[to] == _SETTLED or g + moves.length[k] * ground.least >= reached.g[to]:
+                continue
+            total = g + _move_cost(ground, moves, k, tile)
+            if total < reached.g[to]:
+                size = _offer(ground, reached, to, total, k, size)
+
+
+@kernel
+def mark_crowded(
+    cost: Annotated[NDArray[np.float32], 2], reach: int, held: Annotated[Integers, 1], out: Annotated[Bytes, 2]
+) -> None:
+    """Fill, within a ring as wide as ``reach``, whether a closed tile lies in the square of that reach.
+
+    ``held`` (cols,) of zeros is scratch: a bit for each of the last rows that has a closed tile within reach.
+    """
+    rows, cols = cost.shape
+    bits = (1 << (2 * reach + 1)) - 1
+    for r in range(rows):
+        last = -1
+        for c in range(cols):
+            last = c if not cost[r, c] < math.inf else last
+            if c >= 2 * reach:
+                middle = c - reach
+                held[middle] = (held[middle] << 1 | (last >= c - 2 * reach)) & bits
+                if r >= 2 * reach:
+                    out[r - reach, middle] = held[middle] != 0
+
+
+@kernel
+def walk_back(
+    back: Annotated[Bytes, 2],
+    moves: Annotated[Integers, 2],
+    row: int,
+    col: int,
+    path: Annotated[Integers, 2],
+    count: Annotated[Integers, 1],
+) -> None:
+    """Fill (n, 2) the tiles of a way from a tile back to the start, as many as there is room for; count all of them."""
+    n = 0
+    while True:
+        if n < path.shape[0]:
+            path[n, 0], path[n, 1] = row, col
+        n += 1
+        k = back[row, col]
+        if k >= moves.shape[0]:
+            break
+        row -= moves[k, 0]
+        col -= moves[k, 1]
+    count[0] = n
