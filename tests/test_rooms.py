@@ -39,9 +39,11 @@ ROOMS = {
         {"numpy", "pyproj", "sklearn"},
     ),
     "lab": (
-        {"core", "readers", "patches", "rating", "scan"},
+        # layers and route: ways are planned over the layers of a map and driven
+        {"core", "readers", "patches", "rating", "layers", "route", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
+    "route": ({"core"}, {"numpy"}),
     "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "lab"}, {"click", "rich"}),
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
