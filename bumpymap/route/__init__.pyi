@@ -1,6 +1,9 @@
 from ._moves import (
     MOVES as MOVES,
 )
+from .growing import (
+    plan_way as plan_way,
+)
 from .line import (
     is_clear as is_clear,
     line_cost as line_cost,
@@ -15,5 +18,5 @@ from .search import (
     spread as spread,
 )
 from .straighten import (
-    straighten as straighten,
+    pull_tight as pull_tight,
 )

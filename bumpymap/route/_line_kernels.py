@@ -33,7 +33,7 @@ LEAST_MARGIN = 1e-6
 _SLIVER = 1e-12
 """Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
 _ROUNDING = 1e-9
-"""Distances to closed tiles may be shorter than the margin by this, tiles."""
+"""Distances to closed tiles may be shorter than the margin by this, tiles, but not by more than half of it."""
 _A_END, _B_END = 1, 2
 """Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
 
@@ -53,7 +53,7 @@ class Pieces(NamedTuple):
     row: Annotated[NDArray[np.int64], 1]
     col: Annotated[NDArray[np.int64], 1]
     length: Annotated[Floats, 1]
-    count: Annotated[NDArray[np.int64], 1]
+    pieces: Annotated[NDArray[np.int64], 1]
     """(1,) how many there are."""
 
 
@@ -187,7 +187,7 @@ def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margi
                 need = min(need, _to_square(r0, c0, row, col))
             if ends & _B_END:
                 need = min(need, _to_square(r1, c1, row, col))
-            if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, need):
+            if _gap(r0, c0, r1, c1, row, col) < need - min(_ROUNDING, 0.5 * need):
                 return False
     return True
 
@@ -217,7 +217,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
 
 @kernel
 def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
-    """Fill (2 k + 1, 2 k + 1) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
+    """Fill (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
     reach = out.shape[0] // 2
     top, left = math.floor(r) - reach, math.floor(c) - reach
     for i in range(out.shape[0]):
@@ -237,7 +237,7 @@ def find_near(points: Annotated[Floats, 2], margin: float, out: Annotated[NDArra
         for row in range(out.shape[1]):
             for col in range(out.shape[2]):
                 gap = _gap(points[0, 0], points[0, 1], points[k + 1, 0], points[k + 1, 1], row, col)
-                out[k, row, col] = gap < margin - min(_ROUNDING, margin)
+                out[k, row, col] = gap < margin - min(_ROUNDING, 0.5 * margin)
 
 
 @kernel
@@ -265,4 +265,4 @@ def trace_line(line: Line, out: Pieces) -> None:
             if next_c <= end:
                 col += 1 if dc > 0.0 else -1
             t = max(t, end)
-    out.count[0] = n
+    out.pieces[0] = n

@@ -1,7 +1,7 @@
 """The moves of a search: from the middle of a tile straight to the middle of another, near one.
 
 Between neighbouring directions of the 48 lie at most 14 degrees, so that a way over even ground made of them is at most
-0.75 % too long (the 8 moves of many least-cost tools: 8.2 %); `straighten` takes that off.
+0.75 % too long (the 8 moves of many least-cost tools: 8.2 %); `pull_tight` takes that off.
 """
 
 from functools import cache
@@ -19,12 +19,7 @@ __all__ = ["MOVES", "REACH", "move_tables"]
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
-    [
-        (row, col)
-        for row in range(-REACH, REACH + 1)
-        for col in range(-REACH, REACH + 1)
-        if gcd(row, col) == 1
-    ]
+    [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]
 )
 """(48, 2) tiles southwards and eastwards of each move; the number of a move is its row here."""
 

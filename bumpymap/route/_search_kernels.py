@@ -15,7 +15,19 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper, kernel
 
-__all__ = ["FROM_START", "NOT_REACHED", "Ground", "MoveTables", "Reached", "Seeds", "mark_crowded", "search", "walk_back"]
+__all__ = [
+    "FROM_START",
+    "NEW",
+    "NOT_REACHED",
+    "SETTLED",
+    "Ground",
+    "MoveTables",
+    "Reached",
+    "Seeds",
+    "mark_crowded",
+    "search",
+    "walk_back",
+]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -25,7 +37,8 @@ Bytes = NDArray[np.uint8]
 FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255
-_NEW, _SETTLED = -1, -2
+NEW, SETTLED = -1, -2
+"""Values of ``Reached.place``: not met so far; its cost is final."""
 _CHILDREN = 4
 
 
@@ -80,7 +93,7 @@ class Seeds(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """What the search fills; `place` and `back` come filled with `_NEW` and `NOT_REACHED`, `g` with infinity."""
+    """What the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
 
     g: Annotated[Floats, 1]
     """(n,) cost from the start."""
@@ -155,8 +168,8 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
         return size
     reached.g[tile] = g
     reached.back[tile] = move
-    place = np.int64(reached.place[tile])
-    if place == _NEW:
+    place = int(np.int64(reached.place[tile]))
+    if place == NEW:
         _rise(reached, size, tile, key)
         return size + 1
     _rise(reached, place, tile, key)
@@ -194,19 +207,19 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
     size = 0
     reached.best[0], reached.last[0] = seeds.best, -1
     for i in range(seeds.tile.shape[0]):
-        tile = seeds.tile[i]
+        tile = int(seeds.tile[i])
         size = _offer(ground, reached, tile, seeds.cost[i], FROM_START, size)
     while size > 0 and reached.key[0] < reached.best[0]:
-        tile = np.int64(reached.heap[0])
-        reached.place[tile] = _SETTLED
+        tile = int(np.int64(reached.heap[0]))
+        reached.place[tile] = SETTLED
         size -= 1
         if size > 0:
-            _sink(reached, size, np.int64(reached.heap[size]), reached.key[size])
+            _sink(reached, size, int(np.int64(reached.heap[size])), reached.key[size])
         _try_exit(ground, seeds, reached, tile)
         g = reached.g[tile]
         for k in range(moves.step.shape[0]):
             to = tile + moves.step[k]
-            if reached.place[to] == _SETTLED or g + moves.length[k] * ground.least >= reached.g[to]:
+            if reached.place[to] == SETTLED or g + moves.length[k] * ground.least >= reached.g[to]:
                 continue
             total = g + _move_cost(ground, moves, k, tile)
             if total < reached.g[to]:

@@ -69,7 +69,7 @@ def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     integers = np.empty((2, most), np.int64)
     pieces = Pieces(integers[0], integers[1], np.empty(most), np.zeros(1, np.int64))
     trace_line(checked, pieces)
-    count = int(pieces.count[0])
+    count = int(pieces.pieces[0])
     return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count])
 
 

@@ -2,10 +2,10 @@
 
 The search goes from middle to middle of tiles by the 48 moves of `MOVES`, each the exact integral of the cost over the
 tiles that it crosses, clear of closed ones. Start and goal lie anywhere in their tiles and see the middles around them
-straight; if they see each other, the straight line competes. `straighten` then pulls the way tight. See
+straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
 `bumpymap.route.line` for field coordinates, closed tiles and margins.
 
-A way is planned from the end whose coordinates come first, and turned round if need be: there and back cost the same.
+There and back cost the same to the last bit, and so do ways on turned maps but for rounding; see `Frame`.
 """
 
 import math
@@ -14,31 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._line_kernels import connect
-from bumpymap.route._moves import MOVES, REACH, move_tables
-from bumpymap.route._search_kernels import (
-    FROM_START,
-    NOT_REACHED,
-    Ground,
-    Reached,
-    Seeds,
-    mark_crowded,
-    search,
-    walk_back,
-)
-from bumpymap.route.line import as_cost, as_margin, is_clear, line_cost
-from bumpymap.route.straighten import straighten
+from bumpymap.route._frame import Frame, Point, is_open, settle_point
+from bumpymap.route._moves import MOVES, REACH
+from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
+from bumpymap.route._window import RingedWindow
+from bumpymap.route.line import as_cost, line_cost
+from bumpymap.route.straighten import pull_tight
 
-__all__ = ["BYTES_PER_TILE", "FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread"]
+__all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
 
 Floats = NDArray[np.float64]
-Point = tuple[float, float]
-"""Field coordinates (r, c)."""
 
-BYTES_PER_TILE = 34
-"""Memory that a search takes at most, the costs that it is given included; all arrays below together."""
-_NEW = -1
-_SETTLED = -2
+_AROUND = 8
+"""Tiles around a line by moves within which it is pulled tight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +34,7 @@ class Way:
     """A way between two points."""
 
     line: Floats
-    """(n, 2) field coordinates of its corners, start and goal included."""
+    """(n, 2) field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal."""
     cost: float
     """Exact integral of the cost along it, in tiles."""
     graph_cost: float
@@ -58,11 +46,14 @@ class Found:
     """What a search leaves."""
 
     line: Floats | None
-    """(n, 2) the cheapest way by moves; None if there is none."""
+    """(n, 2) the cheapest way by moves, in the frame; None if there is none."""
     cost: float
     """Its cost; infinite if there is none."""
     settled: NDArray[np.bool_]
-    """(rows, cols) tiles from which the goal could have been reached for less by a way outside the window."""
+    """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
+    frame: Frame
+    ground: NDArray[np.float32]
+    """Costs of the window, in the frame."""
 
 
 def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0) -> Way | None:
@@ -87,37 +78,60 @@ def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: f
     ValueError
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
-    cost = as_cost(cost)
-    first, last = sorted((start, goal))
-    found = seek(cost, first, last, margin)
+    found = seek(as_cost(cost), start, goal, margin)
+    return None if found.line is None else tight_way(found, margin)
+
+
+def tight_way(found: Found, margin: float) -> Way:
+    """Pull a way that has been found tight."""
     if found.line is None:
-        return None
-    line = straighten(cost, found.line, margin)
-    pulled = line_cost(cost, line)
-    return Way(line if first == start else line[::-1].copy(), pulled, found.cost)
+        raise ValueError("no way has been found")
+    near, corner = _cut_out(found.ground, found.line)
+    line = pull_tight(near, found.line - corner, margin)
+    pulled = line_cost(near, line)
+    return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
 
 
-def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float | None = None) -> Found:
-    """Find the cheapest way by moves; nothing on the way costs less than ``bound``, which the window tells if None."""
-    window = _Window.of(cost, margin)
-    straight = np.array([start, goal], np.float64)
-    seen = is_clear(cost, straight, margin)
-    seeds = window.seeds(start, goal, line_cost(cost, straight) if seen else math.inf)
-    reached = window.search(seeds, goal, window.least if bound is None else bound)
-    settled = window.inner(reached.place) == _SETTLED
-    if not reached.best[0] < math.inf:
-        return Found(None, math.inf, settled)
-    if reached.last[0] < 0:
-        return Found(straight, float(reached.best[0]), settled)
-    row, col = divmod(int(reached.last[0]), window.cost.shape[1])
-    path = follow_back(window.inner(reached.back), row - REACH, col - REACH)
-    line = np.concatenate([straight[:1], path[::-1], straight[1:]])
-    return Found(line, float(reached.best[0]), settled)
+def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return the costs around a line, and the row and column of the first.
+
+    What comes of them depends on the line's place on the map then, and not on the window that it was found in: rounding
+    errors are those of the same numbers.
+    """
+    low = np.floor(line.min(axis=0)).astype(np.int64) - _AROUND
+    high = np.floor(line.max(axis=0)).astype(np.int64) + _AROUND + 1
+    near = np.full(high - low, np.inf, np.float32)
+    first, last = np.maximum(low, 0), np.minimum(high, cost.shape)
+    rows, cols = (slice(a, b) for a, b in zip(first - low, last - low, strict=True))
+    near[rows, cols] = cost[first[0] : last[0], first[1] : last[1]]
+    return near, low
 
 
-def spread(
-    cost: NDArray[np.floating], start: Point, *, margin: float = 0.0
-) -> tuple[Floats, NDArray[np.uint8]]:
+def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
+    """Find the cheapest way by moves.
+
+    ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
+    """
+    start, goal = settle_point(start), settle_point(goal)
+    if not (is_open(cost, start) and is_open(cost, goal)):
+        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), Frame(False, False, False, False), cost)
+    frame = Frame.of(cost, start, goal)
+    ground = frame.turn(cost)
+    first, last = frame.ends(cost.shape, start, goal)
+    window = RingedWindow.of(ground, margin)
+    reached = window.search(window.seeds(first, last), last, min(window.least, bound))
+    settled, best = frame.turn_back(window.inner(reached.place) == SETTLED), float(reached.best[0])
+    if not best < math.inf:
+        return Found(None, best, settled, frame, ground)
+    line = np.array([first, last])
+    if reached.last[0] >= 0:
+        row, col = divmod(int(reached.last[0]), window.cost.shape[1])
+        path = follow_back(window.inner(reached.back), row - REACH, col - REACH)
+        line = np.concatenate([line[:1], path[::-1], line[1:]])
+    return Found(line, best, settled, frame, ground)
+
+
+def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> tuple[Floats, NDArray[np.uint8]]:
     """Find what every tile costs to reach.
 
     Parameters
@@ -134,16 +148,17 @@ def spread(
     reach : array (rows, cols) float64
         Cost of the cheapest way by moves to the middle of each tile, in tiles; infinite if there is none.
     back : array (rows, cols) uint8
-        The move of `MOVES` that led there; `FROM_START` if straight from the start, `NOT_REACHED` if there is no way.
+        The move of `MOVES` that led there; `FROM_START` if straight from the start, `NOT_REACHED` if there is no way
+        (none leads anywhere from a closed tile).
 
     Raises
     ------
     ValueError
         As `find_way`.
     """
-    window = _Window.of(as_cost(cost), margin)
-    reached = window.search(window.seeds(start, None, math.inf), (0.0, 0.0), 0.0)
-    return window.inner(reached.g), window.inner(reached.back)
+    window = RingedWindow.of(as_cost(cost), margin)
+    reached = window.search(window.seeds(settle_point(start), None), (0.0, 0.0), 0.0)
+    return np.ascontiguousarray(window.inner(reached.g)), np.ascontiguousarray(window.inner(reached.back))
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
@@ -174,67 +189,4 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     move = back[path[:, 0], path[:, 1]]
     kept = np.ones(len(path), np.bool_)
     kept[1:-1] = move[1:-1] != move[:-2]
-    return path[kept] + 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class _Window:
-    """A window as the search takes it: with a ring of closed tiles."""
-
-    cost: NDArray[np.float32]
-    """(rows + 2 * REACH, cols + 2 * REACH)."""
-    margin: float
-    least: float
-    """Least cost; 1 if all is closed."""
-
-    @classmethod
-    def of(cls, cost: NDArray[np.float32], margin: float) -> "_Window":
-        least = float(cost.min(initial=math.inf))
-        if not least >= 1.0:
-            raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
-        ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
-        ringed[REACH:-REACH, REACH:-REACH] = cost
-        return cls(ringed, as_margin(margin), least if least < math.inf else 1.0)
-
-    def inner(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Return values of the flattened window without the ring."""
-        return values.reshape(self.cost.shape)[REACH:-REACH, REACH:-REACH]
-
-    def seeds(self, start: Point, goal: Point | None, straight: float) -> Seeds:
-        """Connect start and goal with the middles of tiles around them."""
-        first = self._connect(start)
-        row, col = np.nonzero(first < math.inf)
-        tile = (row + math.floor(start[0])) * self.cost.shape[1] + col + math.floor(start[1])
-        exits = np.full_like(first, math.inf) if goal is None else self._connect(goal)
-        return Seeds(tile, first[row, col], exits, straight)
-
-    def _connect(self, point: Point) -> Floats:
-        """Costs straight from a point to the middles of tiles around it; infinite if it lies in a closed tile."""
-        out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        r, c = point[0] + REACH, point[1] + REACH
-        if not (math.isfinite(r) and math.isfinite(c)):
-            raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-        row, col = math.floor(r), math.floor(c)
-        if 0 <= row < self.cost.shape[0] and 0 <= col < self.cost.shape[1] and self.cost[row, col] < math.inf:
-            connect(self.cost, r, c, self.margin, out)
-        return out
-
-    def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
-        """Run the search."""
-        crowded = np.ones(self.cost.shape, np.uint8)
-        mark_crowded(self.cost, REACH, np.zeros(self.cost.shape[1], np.int64), crowded)
-        width, count = self.cost.shape[1], self.cost.size
-        ground = Ground(
-            self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound
-        )
-        reached = Reached(
-            np.full(count, math.inf),
-            np.full(count, NOT_REACHED, np.uint8),
-            np.full(count, _NEW, np.int32),
-            np.empty(count, np.int32),
-            np.empty(count),
-            np.zeros(1, np.int64),
-            np.zeros(1),
-        )
-        search(ground, move_tables(width, self.margin), seeds, reached)
-        return reached
+    return path[kept].astype(np.float64) + 0.5

@@ -1,10 +1,105 @@
-"""Pull a way tight."""
+"""Pull a way tight: a line that costs less, found from one that is near the best.
+
+In turns until nothing is gained: corners are left out wherever the straight line costs no more (the cheapest choice
+among several in a row); new corners are set beside each that is left and in the middle of long straight parts; all
+corners are moved by ever smaller steps. Every cost is the exact integral. What comes out is never dearer, and never
+nearer to closed tiles than allowed.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["straighten"]
+from bumpymap.route._pull_kernels import Corners, Shortcuts, Tightening, leave_out, move_corners
+from bumpymap.route.line import as_cost, as_margin, line_cost
+
+__all__ = ["pull_tight"]
+
+Floats = NDArray[np.float64]
+
+_SKIPPED = 12
+"""Corners in a row that one look may leave out; the next look begins with those that are left."""
+_ROUNDS = 6
+_SWEEPS = 60
+_GAIN = 1e-6
+"""Pulling ends with a round that gains less, as a share of the cost."""
+_LEAST_MOVE, _WORTH = 1e-10, 1e-7
+"""A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
+_FIRST_STEP = 0.5
+_LEAST_STEP = 2e-5
+_SPARE = 5e-10
+"""Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
+_LEAST_PART = 1e-3
+"""No new corners on straight parts that are shorter, tiles."""
 
 
-def straighten(cost: NDArray[np.float32], line: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.float64]:
-    return line
+def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
+    """Pull a line tight.
+
+    Parameters
+    ----------
+    cost : array (rows, cols) float32
+        Cost per length, at least 1; infinite where closed.
+    line : array (n, 2) float64
+        Field coordinates of a line that keeps the margin; see `bumpymap.route.line`.
+    margin : float
+        Tiles, at least 0 and below 0.5.
+
+    Returns
+    -------
+    array (m, 2) float64
+        A line between the same ends that keeps the margin and costs no more.
+    """
+    given = line_cost(cost, line)
+    kept = as_margin(margin) + _SPARE
+    tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
+    best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))
+    total = line_cost(cost, best)
+    for _ in range(_ROUNDS):
+        tried = _leave_out(tightening, _move(tightening, _with_new_corners(best)))
+        reached = line_cost(cost, tried)
+        gain = total - reached
+        if gain > 0.0:
+            best, total = tried, reached
+        if gain <= _GAIN * given:
+            break
+    return best if total <= given else line
+
+
+def _leave_out(tightening: Tightening, line: Floats) -> Floats:
+    """Leave out corners until none can be."""
+    while True:
+        count = len(line)
+        found = Shortcuts(np.empty(count), np.empty(count, np.int64))
+        leave_out(tightening, line, _SKIPPED, found)
+        kept = [count - 1]
+        while kept[-1] > 0:
+            kept.append(int(found.before[kept[-1]]))
+        if len(kept) == count:
+            return line
+        line = line[kept[::-1]]
+
+
+def _with_new_corners(line: Floats) -> Floats:
+    """Set corners on every straight part: in its middle, and near its ends where it is long."""
+    part = np.diff(line, axis=0)
+    length = np.sqrt((part**2).sum(axis=1))
+    near = np.minimum(1.0 / np.maximum(length, 1.0), 0.25)
+    share = np.column_stack([np.zeros_like(near), near, np.full_like(near, 0.5), 1.0 - near])
+    points = line[:-1, None] + share[..., None] * part[:, None]
+    wanted = (share == 0.0) | (length > _LEAST_PART)[:, None]
+    return np.ascontiguousarray(np.concatenate([points[wanted], line[-1:]]))
+
+
+def _move(tightening: Tightening, line: Floats) -> Floats:
+    """Move corners."""
+    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), _directions())
+    move_corners(tightening, corners, _SWEEPS)
+    return corners.points
+
+
+def _directions() -> Floats:
+    """Along the axes always, and four more at angles that change: curved margins leave narrow ways to go."""
+    axes = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi
+    turned = np.array([0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375])[:, None] * np.pi + axes
+    angles = np.concatenate([np.broadcast_to(axes, turned.shape), turned], axis=1).ravel()
+    return np.column_stack([np.sin(angles), np.cos(angles)])

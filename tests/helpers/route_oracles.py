@@ -1,0 +1,115 @@
+"""What ways must be: graphs of scipy, closed forms, and distances of lines to squares by shapely."""
+
+from functools import cache
+from itertools import combinations, pairwise
+
+import numpy as np
+import shapely
+from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+
+def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):
+    """Costs from 1 to ``most``, smoothed over ``width`` tiles; the dearest share is closed."""
+    cost = rng.random(shape)
+    for axis in (0, 1):
+        for _ in range(width):
+            cost = (cost + np.roll(cost, 1, axis)) / 2
+    cost = (cost - cost.min()) / (cost.max() - cost.min())
+    limit = np.quantile(cost, 1.0 - closed)
+    return np.where(cost > limit, np.inf, 1.0 + (most - 1.0) * cost).astype(np.float32)
+
+
+def crossed(row, col):
+    """(tile, share) of a move by brute force: the share of it in each tile, from cuts at all borders, ends included."""
+    cuts = {0.0, 1.0}
+    for delta in (row, col):
+        cuts |= {(k + 0.5) / abs(delta) for k in range(abs(delta))}
+    cuts = sorted(cuts)
+    return [
+        ((int(np.floor(0.5 + row * (a + b) / 2)), int(np.floor(0.5 + col * (a + b) / 2))), b - a)
+        for a, b in pairwise(cuts)
+        if b - a > 1e-12
+    ]
+
+
+@cache
+def near_tiles(row, col, margin):
+    """Tiles whose squares are nearer than a margin to a move."""
+    line = shapely.LineString([(0.5, 0.5), (col + 0.5, row + 0.5)])
+    r, c = np.mgrid[-5:6, -5:6]
+    near = shapely.distance(line, shapely.box(c, r, c + 1, r + 1)) < max(margin, 1e-6) - 1e-9
+    return np.column_stack([r[near], c[near]])
+
+
+def move_graph(cost, moves, margin):
+    """All moves of a window as a sparse graph; a move is there if no closed square is nearer than the margin."""
+    rows, cols = cost.shape
+    ring = np.full((rows + 10, cols + 10), np.inf)
+    ring[5:-5, 5:-5] = cost
+    starts, ends, weights = [], [], []
+    i, j = np.nonzero(np.isfinite(cost))
+    for row, col in moves.tolist():
+        total = np.hypot(row, col) * sum(share * ring[i + r + 5, j + c + 5] for (r, c), share in crossed(row, col))
+        for r, c in near_tiles(row, col, margin):
+            total[np.isinf(ring[i + r + 5, j + c + 5])] = np.inf
+        kept = np.isfinite(total)
+        starts.append((i * cols + j)[kept])
+        ends.append(((i + row) * cols + j + col)[kept])
+        weights.append(total[kept])
+    pairs = np.concatenate(starts), np.concatenate(ends)
+    return csr_array((np.concatenate(weights), pairs), shape=(cost.size, cost.size))
+
+
+def reach_by_graph(cost, moves, margin, tile):
+    """(rows, cols) cost from the middle of a tile to all others."""
+    graph = move_graph(cost, moves, margin)
+    return dijkstra(graph, indices=tile[0] * cost.shape[1] + tile[1]).reshape(cost.shape)
+
+
+def closed_squares(cost):
+    """Closed tiles of the window as polygons; x to the east, y to the south."""
+    r, c = np.nonzero(~np.isfinite(cost))
+    return shapely.box(c, r, c + 1, r + 1)
+
+
+def gap_to_closed(cost, line):
+    """Least distance of a line to closed tiles of the window."""
+    path = shapely.LineString(np.asarray(line)[:, ::-1])
+    return float(shapely.distance(path, closed_squares(cost)).min(initial=np.inf))
+
+
+def taut_length(cost, start, goal):
+    """Length of the shortest line around closed tiles: corners that see each other, as a graph."""
+    cost, start, goal = np.pad(cost, 1, constant_values=np.inf), np.add(start, 1), np.add(goal, 1)
+    closed = shapely.union_all(closed_squares(cost))
+    corners = np.unique(shapely.get_coordinates(closed), axis=0)
+    points = np.vstack([[start[::-1], goal[::-1]], corners])
+    first, last = np.array(list(combinations(range(len(points)), 2))).T
+    lines = shapely.linestrings(np.stack([points[first], points[last]], axis=1))
+    inside = shapely.buffer(closed, -1e-7, join_style="mitre")
+    shapely.prepare(inside)
+    seen = ~shapely.intersects(inside, lines)
+    lengths = shapely.length(lines[seen])
+    graph = csr_array((lengths, (first[seen], last[seen])), shape=(len(points), len(points)))
+    return float(dijkstra(graph, directed=False, indices=0)[1])
+
+
+def integral(cost, line, points=20001):
+    """Cost of a line by the midpoint rule: every straight part cut into equal pieces."""
+    total, share = 0.0, (np.arange(points) + 0.5) / points
+    for a, b in pairwise(line):
+        at = np.floor(a + share[:, None] * (b - a)).astype(int)
+        total += np.linalg.norm(b - a) * cost[at[:, 0], at[:, 1]].mean()
+    return total
+
+
+def two_media(start, goal, border, above, below):
+    """Least cost from a point above a horizontal border to one below it (Snell's law holds where it is least)."""
+
+    def through(c):
+        return above * np.hypot(border - start[0], c - start[1]) + below * np.hypot(goal[0] - border, goal[1] - c)
+
+    low, high = sorted((start[1], goal[1]))
+    return minimize_scalar(through, bounds=(low, high), method="bounded", options={"xatol": 1e-10}).fun

@@ -1,0 +1,248 @@
+import math
+
+import numpy as np
+import pytest
+from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length, two_media
+
+from bumpymap.route import (
+    FROM_START,
+    MOVES,
+    NOT_REACHED,
+    find_way,
+    follow_back,
+    is_clear,
+    line_cost,
+    pull_tight,
+    spread,
+)
+
+EVEN = np.ones((100, 100), np.float32)
+
+
+def spiral(turns):
+    """Walls of one tile, ways of one tile, that wind to the middle."""
+    size = 4 * turns + 1
+    cost = np.full((size, size), np.inf, np.float32)
+    row, col, step = 1, 0, [(0, 1), (1, 0), (0, -1), (-1, 0)]
+    reach = size - 2
+    cost[row, col] = 1
+    lengths = [reach, *(n for n in range(reach - 1, 0, -2) for _ in range(2))]
+    for k, length in enumerate(lengths):
+        for _ in range(length):
+            row, col = row + step[k % 4][0], col + step[k % 4][1]
+            cost[row, col] = 1
+    return cost, (1.5, 0.5), (row + 0.5, col + 0.5)
+
+
+def text_map(*rows):
+    return np.array([[np.inf if mark == "#" else 1.0 for mark in row] for row in rows], np.float32)
+
+
+def test_moves_leave_gaps_of_14_degrees_at_most():
+    angles = np.sort(np.arctan2(MOVES[:, 0], MOVES[:, 1]))
+    gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
+    assert len(np.unique(angles.round(9))) == 48
+    assert 1 / np.cos(gaps.max() / 2) < 1.0076
+
+
+def test_even_ground_is_crossed_straight_in_all_directions():
+    """By moves alone and pulled tight: the straight line, which find_way tries first, is not asked."""
+    rng, ratios = np.random.default_rng(1), []
+    for _ in range(10):
+        start = tuple(rng.uniform(0, 100, 2))
+        _, back = spread(EVEN, start)
+        for goal in rng.integers(0, 100, (20, 2)):
+            line = np.vstack([start, follow_back(back, *goal)[::-1]])
+            straight = math.dist(start, line[-1])
+            assert line_cost(EVEN, line) <= 1.0076 * straight + 0.05  # the start is in no middle
+            ratios.append(line_cost(EVEN, pull_tight(EVEN, line)) / max(straight, 1e-9))
+            assert find_way(EVEN, start, tuple(line[-1])).cost == pytest.approx(straight, abs=1e-8)
+    assert np.mean(ratios) <= 1.001
+    assert np.max(ratios) <= 1.005
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.25, 0.4999])
+def test_reach_is_that_of_the_same_graph_in_scipy(margin):
+    for seed in range(34):
+        rng = np.random.default_rng([seed, int(100 * margin)])
+        cost = smooth_field(rng, (15, 18), width=seed % 3, closed=rng.uniform(0.0, 0.4))
+        start = rng.permutation(np.argwhere(np.isfinite(cost)))[0]
+        reach, back = spread(cost, tuple(start + 0.5), margin=margin)
+        wanted = reach_by_graph(cost, MOVES, margin, start)
+        np.testing.assert_allclose(reach, wanted, rtol=1e-9)
+        np.testing.assert_array_equal(back == NOT_REACHED, np.isinf(wanted))
+        assert back[tuple(start)] == FROM_START
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (40, 30), closed=0.2)
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2]
+    wanted = reach_by_graph(cost, MOVES, 0.3, start)[tuple(goal)]
+    straight = np.array([start, goal]) + 0.5
+    if is_clear(cost, straight, 0.3):
+        wanted = min(wanted, line_cost(cost, straight))
+    way = find_way(cost, tuple(start + 0.5), tuple(goal + 0.5), margin=0.3)
+    if way is None:
+        assert math.isinf(wanted)
+        return
+    assert way.graph_cost == pytest.approx(wanted, rel=1e-9)
+    assert way.cost <= way.graph_cost
+    assert way.cost == pytest.approx(line_cost(cost, way.line), rel=1e-9)
+    assert is_clear(cost, way.line, 0.3)
+    assert gap_to_closed(cost, way.line) >= 0.3 - 1e-6
+
+
+def test_following_back_gives_a_way_of_the_cost_reached():
+    cost = smooth_field(np.random.default_rng(3), (40, 40), closed=0.2)
+    start = tuple(np.argwhere(np.isfinite(cost))[0] + [0.3, 0.8])
+    reach, back = spread(cost, start, margin=0.2)
+    tiles = np.argwhere(np.isfinite(reach))[::97]
+    assert len(tiles) > 5
+    for row, col in tiles:
+        line = np.vstack([start, follow_back(back, row, col)[::-1]])
+        assert tuple(line[-1]) == (row + 0.5, col + 0.5)
+        assert line_cost(cost, line) == pytest.approx(reach[row, col], rel=1e-9)
+        assert is_clear(cost, line, 0.2)
+    closed = np.argwhere(np.isinf(cost))[0]
+    with pytest.raises(ValueError, match="no way to the tile"):
+        follow_back(back, *closed)
+
+
+def test_light_is_not_faster_between_two_media():
+    """Refraction, 20 geometries, ratios from 1 : 1.5 to 1 : 4."""
+    rng, shares = np.random.default_rng(5), []
+    for k in range(20):
+        above, below = (1.0, np.linspace(1.5, 4.0, 20)[k])[:: 1 if k % 2 else -1]
+        cost = np.full((60, 80), above, np.float32)
+        cost[30:] = below
+        start, goal = (rng.uniform(3, 29), rng.uniform(2, 78)), (rng.uniform(31, 57), rng.uniform(2, 78))
+        shares.append(find_way(cost, start, goal).cost / two_media(start, goal, 30, above, np.float32(below)))
+    assert min(shares) >= 1 - 1e-6
+    assert max(shares) <= 1.001  # 1.005 is asked for
+
+
+def test_a_wall_with_a_gap_is_passed_through_the_gap():
+    cost = EVEN[:40, :40].copy()
+    cost[20] = np.inf
+    cost[20, 30] = 1
+    start, goal = (5.3, 4.2), (33.0, 8.5)
+    way = find_way(cost, start, goal)
+    assert way.cost == pytest.approx(taut_length(cost, start, goal), rel=1e-5)
+    cost[20, 30] = np.inf
+    assert find_way(cost, start, goal) is None
+
+
+@pytest.mark.parametrize("margin", [0.1, 0.3, 0.45])
+def test_a_margin_bends_the_way_around_a_corner_in_an_arc(margin):
+    cost = EVEN[:40, :40].copy()
+    cost[20, :21] = np.inf
+    start, goal = (10.0, 10.0), (33.0, 9.0)
+    way = find_way(cost, start, goal, margin=margin)
+    corners = np.array([[20.0, 21.0], [21.0, 21.0]])
+    length, turned = 1.0, 0.0  # the wall's end is one tile wide
+    for point, corner, towards in ((start, corners[0], 1), (goal, corners[1], -1)):
+        away = np.subtract(corner, point)
+        length += math.sqrt(away @ away - margin**2)
+        heading = math.atan2(away[1], towards * away[0]) + math.asin(margin / math.hypot(*away))
+        turned += heading
+    exact = length + margin * turned
+    assert exact - 1e-6 <= way.cost <= exact * 1.0005
+    assert gap_to_closed(cost, way.line) == pytest.approx(margin, abs=1e-4)
+
+
+@pytest.mark.parametrize("turns", [2, 4])
+def test_a_spiral_is_followed_to_its_middle(turns):
+    cost, start, goal = spiral(turns)
+    way = find_way(cost, start, goal)
+    assert way.cost == pytest.approx(taut_length(cost, start, goal), rel=1e-5)
+    wide = find_way(cost, start, goal, margin=0.4)
+    assert way.cost < wide.cost < wide.graph_cost
+    assert gap_to_closed(cost, wide.line) >= 0.4 - 1e-6
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_no_way_leads_between_closed_tiles_that_touch_at_a_corner(margin):
+    cost = EVEN[:12, :12].copy()
+    cost[np.add.outer(np.arange(12), np.arange(12)) % 2 == 1] = np.inf
+    reach, _ = spread(cost, (4.5, 6.5), margin=margin)
+    assert np.isfinite(reach).sum() == 1
+    assert find_way(cost, (4.5, 6.5), (5.5, 7.5), margin=margin) is None
+    diagonal = EVEN[:12, :12].copy()
+    np.fill_diagonal(diagonal, np.inf)
+    for start in ((3.2, 8.9), (3.2, 5.0), (4.0 - 1e-9, 4.0 + 1e-9)):
+        assert find_way(diagonal, start, start[::-1], margin=margin) is None
+
+
+def test_a_corridor_of_one_tile_lets_through_what_is_narrow():
+    cost = text_map("##########", "#.###....#", "#.##..##.#", "#....#.#.#", "######...#", "##########")
+    way = find_way(cost, (1.5, 1.5), (3.5, 6.5), margin=0.49)
+    assert way is None or gap_to_closed(cost, way.line) >= 0.49 - 1e-6
+    for margin in (0.0, 0.2, 0.49):
+        way = find_way(cost, (1.5, 1.5), (3.5, 4.5), margin=margin)
+        assert gap_to_closed(cost, way.line) >= margin - 1e-6
+    assert find_way(cost, (1.5, 1.5), (3.5, 4.5)).cost == pytest.approx(
+        taut_length(cost, (1.5, 1.5), (3.5, 4.5)), rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_there_and_back_turned_and_mirrored_cost_the_same(seed):
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (50, 60), closed=0.15)
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + rng.uniform(0.05, 0.95, (2, 2))
+    way, back = (
+        find_way(cost, tuple(start), tuple(goal), margin=0.2),
+        find_way(cost, tuple(goal), tuple(start), margin=0.2),
+    )
+    assert (way.cost, way.graph_cost) == (back.cost, back.graph_cost)
+    np.testing.assert_array_equal(way.line, back.line[::-1])
+    others = {
+        "turned": (np.rot90(cost), lambda p: (60 - p[1], p[0])),
+        "upside down": (cost[::-1], lambda p: (50 - p[0], p[1])),
+        "transposed": (cost.T, lambda p: (p[1], p[0])),
+    }
+    for name, (turned, place) in others.items():
+        other = find_way(turned, place(start), place(goal), margin=0.2)
+        assert other.graph_cost == pytest.approx(way.graph_cost, rel=1e-12), name
+        assert other.cost == pytest.approx(way.cost, rel=1e-9), name
+
+
+def test_a_start_beside_closed_tiles_leads_away_from_them():
+    cost = EVEN[:12, :12].copy()
+    cost[4, 2:9] = np.inf
+    cost[2:5, 8] = np.inf
+    start, goal = (3.98, 7.99), (8.0, 5.0)
+    way = find_way(cost, start, goal, margin=0.4)
+    np.testing.assert_allclose(way.line[[0, -1]], [start, goal], rtol=0, atol=1e-9)
+    assert gap_to_closed(cost, way.line[1:]) >= 0.4 - 1e-6
+    assert gap_to_closed(cost, way.line[:2]) == pytest.approx(0.01, abs=1e-9)
+
+
+def test_no_distance_is_a_way():
+    way = find_way(EVEN, (3.3, 4.4), (3.3, 4.4))
+    assert way.cost == 0.0
+    assert way.line.shape == (2, 2)
+
+
+@pytest.mark.parametrize("goal", [(4.5, 4.5), (-0.5, 2.0), (12.0, 3.0), (3.0, 1e9)])
+def test_ends_in_closed_tiles_or_outside_have_no_way(goal):
+    cost = EVEN[:12, :12].copy()
+    cost[4, 4] = np.inf
+    assert find_way(cost, (1.0, 1.0), goal) is None
+    assert find_way(cost, goal, (1.0, 1.0)) is None
+
+
+@pytest.mark.parametrize("value", [0.99, np.nan, -np.inf])
+def test_costs_below_one_are_refused(value):
+    cost = EVEN[:5, :5].copy()
+    cost[2, 2] = value
+    with pytest.raises(ValueError, match="at least 1"):
+        find_way(cost, (1.0, 1.0), (3.0, 3.0))
+
+
+@pytest.mark.parametrize("margin", [-0.1, 0.5, np.nan])
+def test_margins_out_of_range_are_refused(margin):
+    with pytest.raises(ValueError, match="margin is"):
+        find_way(EVEN, (1.0, 1.0), (3.0, 3.0), margin=margin)
