@@ -38,7 +38,6 @@ ROOMS = {
         {"core", "readers", "rating", "layers", "survey"},
         {"numpy", "pyproj", "sklearn"},
     ),
-    "route": ({"core"}, {"numpy"}),
     "lab": (
         # layers and route: ways are planned over the layers of a map and driven
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},

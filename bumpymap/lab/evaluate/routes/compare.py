@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import TileField
-from bumpymap.lab.evaluate.routes.predicted import LineFigures
+from bumpymap.lab.evaluate.routes.predicted import LineFigures, cut_at_tiles
 from bumpymap.lab.simulate import WayDrive
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "by_class",
     "order",
     "results_of",
+    "stopped_at_obstacle",
     "wilson",
 ]
 
@@ -30,6 +31,8 @@ _NORMAL = 1.959963984540054
 """97.5 % quantile of the standard normal."""
 _LEAST_PATH_M = 1.0
 """Tiles with less driven path are not compared: the axles were mostly in other tiles."""
+_NEAR_M = 1.5
+"""What stops a vehicle is this close to its middle, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,8 @@ class WayResult:
     """``best`` or ``straight``."""
     predicted: LineFigures
     drives: list[WayDrive]
+    obstacle_stops: int = 0
+    """Number of drives that ended at a tile that holds an obstacle: it is passable beside it."""
 
     @property
     def arrived(self) -> int:
@@ -122,6 +127,8 @@ class Arrivals:
     high: float
     held: bool
     """Whether ``expected`` is in the interval."""
+    obstacle_stops: int
+    """Drives that ended at a tile that holds an obstacle."""
     ways_held: int
     """Ways whose own P(arrives) is in the interval of their own drives."""
 
@@ -203,6 +210,7 @@ def arrivals(ways: Sequence[WayResult]) -> Arrivals:
         low=low,
         high=high,
         held=low <= expected <= high,
+        obstacle_stops=sum(way.obstacle_stops for way in ways),
         ways_held=sum(held),
     )
 
@@ -237,13 +245,29 @@ def by_class(
 
 
 def results_of(
-    predicted: Mapping[tuple[int, str], LineFigures], driven: Mapping[tuple[str | int, ...], WayDrive]
+    field: TileField,
+    lines: Mapping[tuple[int, str], Floats],
+    predicted: Mapping[tuple[int, str], LineFigures],
+    driven: Mapping[tuple[str | int, ...], WayDrive],
 ) -> list[WayResult]:
-    """Join predictions and drives of all ways."""
-    return [
-        WayResult(pair, name, figures, [made for key, made in driven.items() if key[:2] == (pair, name)])
-        for (pair, name), figures in predicted.items()
-    ]
+    """Join predictions and drives of all ways; ``lines`` are in field coordinates."""
+    results = []
+    for (pair, name), figures in predicted.items():
+        drives = [made for key, made in driven.items() if key[:2] == (pair, name)]
+        ends = [stopped_at_obstacle(field, lines[pair, name], made) for made in drives]
+        results.append(WayResult(pair, name, figures, drives, sum(ends)))
+    return results
+
+
+def stopped_at_obstacle(field: TileField, line: Floats, made: WayDrive) -> bool:
+    """Return whether a drive failed within 1.5 m of the way in a tile that holds an obstacle."""
+    if made.outcome == "completed":
+        return False
+    pieces = cut_at_tiles(line)
+    end = np.cumsum(pieces.length) * field.grid.tile_size
+    begin = end - pieces.length * field.grid.tile_size
+    near = (begin < made.reached_m + _NEAR_M) & (end > made.reached_m - _NEAR_M)
+    return bool((field.obstacle[pieces.row[near], pieces.col[near]] > 0).any())
 
 
 def _driven_tiles(field: TileField, drives: Sequence[WayDrive]) -> Floats:

@@ -25,7 +25,9 @@ _ORDER = (
 _ARRIVALS = (
     "P(arrives) = exp(-sum of hazards) against the share of the drives that arrived. The drives along one way are much "
     "alike, so for the 95 % interval (Wilson) each way counts as one trial. *Ways inside* counts the ways whose own "
-    "P(arrives) lies in the interval of their own drives."
+    "P(arrives) lies in the interval of their own drives. *Failed at an obstacle*: drives that ended where the tile of "
+    "the way holds an obstacle. Such a tile is passable beside it, but a way that is planned on tiles does not know "
+    "where, and p_fail is of the ground alone."
 )
 _GROUND = (
     "Tiles with at least 1 m of driven path along the best ways, by the class of their predicted C_r; only drives that "
@@ -108,10 +110,12 @@ def _arrival_lines(findings: RouteFindings) -> list[str]:
             f"{percent(own.low)} to {percent(own.high)}",
             "yes" if own.held else "no",
             f"{own.ways_held} of {own.ways}",
+            f"{own.obstacle_stops} of {own.drives - round(own.arrived * own.drives)}",
         ]
         for name, own in findings.arrivals.items()
     ]
-    return table(("way", "ways", "drives", "P(arrives)", "arrived", "95 % interval", "inside", "ways inside"), rows)
+    header = ("way", "ways", "drives", "P(arrives)", "arrived", "95 % interval", "inside", "ways inside")
+    return table((*header, "failed at an obstacle"), rows)
 
 
 def _ground_lines(findings: RouteFindings) -> list[str]:

@@ -99,14 +99,11 @@ def evaluate_routes(
     field = route_map.read(route_map.window)
     pairs = choose_pairs(field, plan, settings, options.progress)
     c_r_raw = _raw(route_map, calibration, field, pairs)
-    predicted = {
-        (number, name): predict_line(field, line, c_r_raw)
-        for number, pair in enumerate(pairs)
-        for name, line in pair.lines().items()
-    }
+    lines = {(number, name): line for number, pair in enumerate(pairs) for name, line in pair.lines().items()}
+    predicted = {key: predict_line(field, line, c_r_raw) for key, line in lines.items()}
     profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
     driven = drive_pairs(route_map, profile, pairs, settings, options)
-    ways = results_of(predicted, driven)
+    ways = results_of(field, lines, predicted, driven)
     best, straight = ([way for way in ways if way.name == name] for name in WAYS)
     facts = {
         "vehicle": route_map.vehicle.name,

@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.routes.compare import WayResult, agree, arrivals, by_class, order, wilson
+from bumpymap.lab.evaluate.routes.compare import (
+    WayResult,
+    agree,
+    arrivals,
+    by_class,
+    order,
+    stopped_at_obstacle,
+    wilson,
+)
 from bumpymap.lab.evaluate.routes.predicted import LineFigures
 from bumpymap.lab.simulate.way import WayDrive
 
@@ -61,6 +69,15 @@ def test_arrivals_count_each_way_once():
     assert (found.low, found.high) == wilson(1.75, 2)
     assert found.held
     assert found.ways_held == 1  # 3 of 4 allow 0.9; 4 of 4 do not allow 0.5
+
+
+def test_a_drive_that_ends_at_an_obstacle_is_counted(made_up):
+    field = made_up.read(made_up.window)
+    field.obstacle[0, 3] = 0.2
+    line = np.array([[0.5, 0.5], [0.5, 9.5]])
+    at = [stopped_at_obstacle(field, line, WayDrive("stuck", reached_m=metres)) for metres in (5.9, 6.1, 11.9, 12.1)]
+    assert at == [False, True, True, False]  # the tile is 7.5 m to 10.5 m from the start
+    assert not stopped_at_obstacle(field, line, WayDrive("completed", reached_m=9.0))
 
 
 def test_wilson_is_the_set_of_shares_that_the_score_test_does_not_reject():
