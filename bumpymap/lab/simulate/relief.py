@@ -15,12 +15,16 @@ from bumpymap.lab.simulate.terrain import cell_triangles, fit_plane
 __all__ = ["ReliefGround", "corridor_triangles", "fill_gaps"]
 
 _Floats = NDArray[np.float64]
+_RINGS = 15
+"""Pixels from the rim of a hole inwards."""
 _SLOPE_PIXELS = 15
 """Side of the square whose plane gives the slope at a place."""
 
 
 def fill_gaps(heights: NDArray[np.floating]) -> _Floats:
     """Fill NaN pixels as the map does: with the mean of their known 8 neighbours, from the rim of a hole inwards.
+
+    What lies more than 15 pixels inside, such as all that is beyond the survey, gets the nearest height.
 
     Parameters
     ----------
@@ -36,20 +40,23 @@ def fill_gaps(heights: NDArray[np.floating]) -> _Floats:
     BadInputError
         No height is known.
     """
-    from scipy.ndimage import convolve
+    from scipy.ndimage import convolve, distance_transform_edt
 
     filled = heights.astype(np.float64)
     missing = np.isnan(filled)
     if missing.all():
         raise BadInputError("no height is known in this window of the map, so there is no ground to drive over")
     ring = np.ones((3, 3))
-    while missing.any():
+    for _ in range(_RINGS):
+        if not missing.any():
+            return filled
         total = convolve(np.where(missing, 0.0, filled), ring, mode="constant")
         known = convolve((~missing).astype(np.float64), ring, mode="constant")
         rim = missing & (known > 0.5)
         filled[rim] = total[rim] / known[rim]
         missing = missing & ~rim
-    return filled
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(filled[tuple(nearest)], np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,13 @@ def test_a_single_gap_is_the_mean_of_its_neighbours():
     assert fill_gaps(heights)[1, 1] == pytest.approx(np.nanmean(heights.astype(float)))
 
 
+def test_deep_inside_a_gap_the_nearest_height_counts():
+    heights = np.full((5, 60), np.nan)
+    heights[:, 0], heights[:, -1] = 1.0, 3.0
+    filled = fill_gaps(heights)
+    assert np.array_equal(filled[2], [1.0] * 30 + [3.0] * 30)
+
+
 def test_without_any_height_there_is_no_ground():
     with pytest.raises(BadInputError, match="no height is known"):
         fill_gaps(np.full((4, 4), np.nan))
