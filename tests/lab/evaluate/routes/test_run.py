@@ -3,11 +3,14 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.progress import SilentProgress
 from bumpymap.lab.evaluate.routes import trial
@@ -119,6 +122,36 @@ def test_drives_are_recorded_and_not_made_again(made_up, warthog, tmp_path, monk
     with pytest.raises(OutputError, match="other settings"):
         evaluate_routes(made_up, warthog, round_the_wall, other, options(tmp_path))
     evaluate_routes(made_up, warthog, round_the_wall, other, options(tmp_path, overwrite=True))
+
+
+def test_the_command_evaluates_and_does_not_replace_a_report_unasked(made_up, tmp_path, monkeypatch):
+    pytest.importorskip("dartpy")
+    fake_drives(monkeypatch)
+    monkeypatch.setattr("bumpymap.layers.open_map", lambda _folders: made_up)
+    monkeypatch.setattr("bumpymap.lab.RouteTrialSettings", partial(RouteTrialSettings, least_m=12.0, most_m=20.0))
+    words = [
+        "evaluate",
+        "--routes",
+        "layers",
+        "--out",
+        str(tmp_path),
+        "--pairs",
+        "2",
+        "--repeats",
+        "1",
+        "--workers",
+        "1",
+    ]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "best way against straight line: right on" in done.output
+    assert (tmp_path / "report.md").read_text().startswith("# Can routes be trusted?")
+    again = CliRunner().invoke(main, words)
+    assert again.exit_code != 0
+    assert "--overwrite" in again.stderr
+    other = CliRunner().invoke(main, [*words, "--vehicle", "car", "--overwrite"])
+    assert other.exit_code == 3
+    assert "were made with the calibration" in other.stderr
 
 
 @pytest.mark.slow
