@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
+from bumpymap.cli._evaluate_routes import evaluate_routes_over, summarise_routes
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, merge_settings, option_name, output_options, workers_option
 from bumpymap.cli._progress import show_progress
@@ -18,8 +19,10 @@ from bumpymap.core import CRS_OR_LOCAL, Ground, OutputError, Progress, Rating, U
 if TYPE_CHECKING:
     from bumpymap.lab import EvaluateSettings, Findings, Subject
 
-_OF_ALL = ("surveys", "library", "scans", "out", "seed", "overwrite", "quiet", "log_json")
+_OF_ALL = ("surveys", "library", "scans", "routes", "out", "seed", "overwrite", "quiet", "log_json")
 _OF_SCANS = ("scenes", "model", "stripes")
+_OF_ROUTES = ("pairs", "repeats")
+_OF_VEHICLES = ("vehicle", "calibration", "workers")
 _OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
 _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("densities",)}
 """Options that have no effect if a part is skipped."""
@@ -29,6 +32,7 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @click.option("--library", is_flag=True, help="Evaluate on synthetic library terrain instead of a survey.")
 @click.option("--scans", is_flag=True, help="Evaluate the classes of single scans: given frames, or simulated scenes.")
+@click.option("--routes", is_flag=True, help="Evaluate ways over the layers of a map: folders that map wrote.")
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
 @click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
 @click.option("--local", is_flag=True, help="Treat coordinates without a CRS as metres.")
@@ -65,12 +69,12 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 )
 @click.option("--model", type=PATH, metavar="FILE", help="With --scans: your own scan network.")
 @click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: your own stripe classes.")
+@click.option("--pairs", type=int, metavar="N", help="With --routes: starts and goals [default: 20].")
+@click.option("--repeats", type=int, metavar="N", help="With --routes: drives along each way [default: 4].")
 @click.option("--skip", default="", metavar="LIST", help="Parts to omit: drives, density, invariance, noise, timing.")
 @click.option("--overwrite", is_flag=True, help="Replace the report, and discard drives made with other settings.")
 @output_options()
-def command(
-    *, surveys: tuple[Any, ...], library: bool, scans: bool, out: Path, quiet: bool, log_json: bool, **given: Any
-) -> None:
+def command(*, surveys: tuple[Any, ...], library: bool, scans: bool, routes: bool, out: Path, **given: Any) -> None:
     """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
 
     With several vehicles, the report also compares their order; the first one determines the patches. To resume an
@@ -81,17 +85,21 @@ def command(
     bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
     bumpymap evaluate --library --out trust
     bumpymap evaluate --scans --out trust
+    bumpymap evaluate --routes site_layers --out trust_routes
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    shown = _Output(quiet, log_json)
-    _refuse_other_options(places=bool(surveys), scans=scans)
+    set_up_logging(as_json=given["log_json"])
+    shown = _Output(given["quiet"], given["log_json"])
+    if scans + library + routes > 1:
+        raise UsageError("--scans, --library and --routes are separate evaluations; give one of them")
+    _refuse_other_options(places=bool(surveys), scans=scans, routes=routes)
+    if routes:
+        _evaluate_routes(surveys, out, given, shown)
+        return
     if scans:
-        if library:
-            raise UsageError("--scans and --library are separate evaluations; give one of them")
         _evaluate_scans(surveys, out, given, shown, overwrite=given["overwrite"])
         return
     if library == bool(surveys):
-        raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans")
+        raise UsageError("evaluate takes either surveys, such as site.laz, or --library, or --scans, or --routes")
     settings = _settings(given)
     _refuse_unused_options(settings, library=library)
     subjects = _subjects(given)
@@ -114,18 +122,31 @@ def command(
         _summary(findings, files)
 
 
-def _refuse_other_options(*, places: bool, scans: bool) -> None:
-    """Raise UsageError for options of the other evaluation, which would have no effect."""
+def _refuse_other_options(*, places: bool, scans: bool, routes: bool) -> None:
+    """Raise UsageError for options of the other evaluations, which would have no effect."""
     given = given_options(click.get_current_context().params)
     for name in given:
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
             raise UsageError(
-                f"{option_name(name)} applies to surveys and vehicles and has no effect with --scans: leave it out"
+                f"{option_name(name)} applies to {_subject_of(name)} and has no effect with --scans: leave it out"
+            )
+        if routes and name not in (*_OF_ALL, *_OF_ROUTES, *_OF_VEHICLES):
+            raise UsageError(
+                f"{option_name(name)} applies to {_subject_of(name)} and has no effect with --routes: leave it out"
             )
         if not scans and name in _OF_SCANS:
             raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
+        if not routes and name in _OF_ROUTES:
+            raise UsageError(f"{option_name(name)} applies to routes: add --routes, or leave it out")
     if scans and places and "scenes" in given:
         raise UsageError("--scenes applies to simulated scenes: leave out --scenes or the frames")
+    if routes and not places:
+        raise UsageError("evaluate --routes takes the folder of layers that `bumpymap map` wrote, such as site_layers")
+
+
+def _subject_of(name: str) -> str:
+    """Return what an option is about."""
+    return "scans" if name in _OF_SCANS else "routes" if name in _OF_ROUTES else "surveys and vehicles"
 
 
 def _refuse_unused_options(settings: "EvaluateSettings", *, library: bool) -> None:
@@ -157,6 +178,14 @@ class _Output:
         if self.log_json and not self.quiet:
             print_json({"out": str(out), "files": [path.name for path in files]})
         return not (self.quiet or self.log_json)
+
+
+def _evaluate_routes(folders: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Output) -> None:
+    findings, files = evaluate_routes_over(
+        folders, out, given, shown.progress(), lambda: _check_place(out, overwrite=given["overwrite"])
+    )
+    if shown.summary(out, files):
+        summarise_routes(findings, files)
 
 
 def _evaluate_scans(

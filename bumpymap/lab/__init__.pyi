@@ -12,6 +12,20 @@ from .evaluate.pictures import (
 from .evaluate.report import (
     write_report as write_report,
 )
+from .evaluate.routes.planner import (
+    RoutePlanner as RoutePlanner,
+)
+from .evaluate.routes.report import (
+    write_route_report as write_route_report,
+)
+from .evaluate.routes.run import (
+    RouteFindings as RouteFindings,
+    evaluate_routes as evaluate_routes,
+    require_calibration as require_calibration,
+)
+from .evaluate.routes.settings import (
+    RouteTrialSettings as RouteTrialSettings,
+)
 from .evaluate.run import (
     evaluate_library as evaluate_library,
     evaluate_survey as evaluate_survey,

@@ -28,6 +28,10 @@ def evaluate(tmp_path, *words):
         (["--scans", "--library"], "give one of them"),
         (["--library", "site.laz"], "takes either surveys"),
         ([], "takes either surveys"),
+        (["site.laz", "--pairs", "5"], "--pairs applies to routes: add --routes"),
+        (["--routes", "site", "--densities", "5"], "--densities applies to surveys and vehicles"),
+        (["--routes", "--library"], "give one of them"),
+        (["--routes"], "takes the folder of layers"),
     ],
 )
 def test_options_of_another_evaluation_are_refused(tmp_path, words, message):

@@ -2,6 +2,7 @@ from .drive import (
     DriveSettings as DriveSettings,
 )
 from .journal import (
+    JobJournal as JobJournal,
     Journal as Journal,
     Key as Key,
 )
@@ -13,6 +14,13 @@ from .plan import (
     CalibrationSettings as CalibrationSettings,
     library_terrain as library_terrain,
 )
+from .pool import (
+    drive_jobs as drive_jobs,
+)
+from .relief import (
+    ReliefGround as ReliefGround,
+    fill_gaps as fill_gaps,
+)
 from .ride_fit import (
     relief_and_slope as relief_and_slope,
     survey_terrains as survey_terrains,
@@ -23,4 +31,8 @@ from .thin_surveys import (
 from .validate import (
     DriveConditions as DriveConditions,
     drive_patches as drive_patches,
+)
+from .way import (
+    WayDrive as WayDrive,
+    drive_way as drive_way,
 )

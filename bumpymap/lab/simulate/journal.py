@@ -1,18 +1,22 @@
-"""The progress file of many drives: one line of JSON for each driven patch, so that an interrupted run can continue."""
+"""The progress file of many drives: one line of JSON for each driven patch, so that an interrupted run can continue.
+
+The drives along a way are recorded in the same manner: a `JobJournal` is told how a record is read back.
+"""
 
 import errno
 import json
 import logging
 import os
 import stat
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Generic, TextIO, TypeVar
 
 from bumpymap.core import OutputError, atomic, parse_json
 from bumpymap.lab.simulate.patch import PatchDrives
 
-__all__ = ["Journal", "Key"]
+__all__ = ["JobJournal", "Journal", "Key"]
 
 _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)
@@ -20,18 +24,29 @@ _LOG = logging.getLogger(__name__)
 Key = tuple[str | int, ...]
 """Identifies a patch in a run."""
 
+Record = TypeVar("Record")
 
-class Journal:
-    """The file of driven patches. The first line holds the settings; drives with other settings are not reused.
+
+class JobJournal(Generic[Record]):
+    """The file of finished jobs. The first line holds the settings; drives with other settings are not reused.
 
     Only settings and versions are compared, so a code change that does not affect the numbers keeps the journal valid.
+
+    Parameters
+    ----------
+    path : Path
+    settings : dict
+        Plain JSON.
+    read : callable
+        Makes a record, a dataclass, from the dict of its fields; raises ValueError, KeyError or TypeError if it cannot.
     """
 
-    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+    def __init__(self, path: Path, settings: dict[str, Any], read: Callable[[dict[str, Any]], Record]) -> None:
         self._path = path
+        self._read = read
         self._header = json.dumps({"format": _FORMAT, "settings": settings}, sort_keys=True)
 
-    def resume(self, *, discard_other: bool) -> dict[Key, PatchDrives]:
+    def resume(self, *, discard_other: bool) -> dict[Key, Record]:
         """Open the file and return the patches that an earlier run with the same settings drove.
 
         An incomplete line, for example after a power cut, is dropped with all lines that follow it.
@@ -50,7 +65,7 @@ class Journal:
                         "use those settings, or start again with --overwrite"
                     )
                 lines = []
-            driven = _read_patches(lines[1:])
+            driven = self._records(lines[1:])
             kept = [self._header, *(_line(key, drives) for key, drives in driven.items())]
             with atomic(self._path) as temporary:  # a full disk must not lose driven patches
                 temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
@@ -60,7 +75,7 @@ class Journal:
             _LOG.info("continuing with %d driven patches of %s", len(driven), self._path)
         return driven
 
-    def add(self, key: Key, drives: PatchDrives) -> None:
+    def add(self, key: Key, drives: Record) -> None:
         """Append a driven patch and flush it to disk."""
         try:
             with self._open_file(os.O_WRONLY | os.O_APPEND) as file:
@@ -97,18 +112,30 @@ class Journal:
             raise OutputError(f"{self._path} is not a file. Remove it, or choose another --out")
         return os.fdopen(descriptor, "a" if flags & os.O_APPEND else "r", encoding="utf-8")
 
+    def _records(self, lines: list[str]) -> dict[Key, Record]:
+        driven: dict[Key, Record] = {}
+        for line in lines:
+            try:
+                fields = parse_json(line)
+                key = tuple(fields.pop("patch"))
+                driven[key] = self._read(fields)
+            except (ValueError, KeyError, TypeError, AttributeError):
+                text = "the progress file ends in a damaged line; %d driven patches before it are kept"
+                _LOG.warning(text, len(driven))
+                break
+        return driven
 
-def _line(key: Key, drives: PatchDrives) -> str:
+
+class Journal(JobJournal[PatchDrives]):
+    """The file of driven patches."""
+
+    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+        super().__init__(path, settings, _patch_drives)
+
+
+def _line(key: Key, drives: Any) -> str:
     return json.dumps({"patch": key, **asdict(drives)}, allow_nan=False)
 
 
-def _read_patches(lines: list[str]) -> dict[Key, PatchDrives]:
-    driven: dict[Key, PatchDrives] = {}
-    for line in lines:
-        try:
-            record = parse_json(line)
-            driven[tuple(record["patch"])] = PatchDrives(tuple(record["outcome"]), tuple(record["c_r"]))
-        except (ValueError, KeyError, TypeError):
-            _LOG.warning("the progress file ends in a damaged line; %d driven patches before it are kept", len(driven))
-            break
-    return driven
+def _patch_drives(fields: dict[str, Any]) -> PatchDrives:
+    return PatchDrives(tuple(fields["outcome"]), tuple(fields["c_r"]))

@@ -87,13 +87,32 @@ def require_dart() -> Any:
 
 
 class DartVehicle:
-    """A vehicle at the start of a strip of ground, heading along it."""
+    """A vehicle at the start of a strip of ground, heading along it.
 
-    def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
+    Parameters
+    ----------
+    profile : Vehicle
+    ground : DrivenGround
+    strip : Strip
+    physics : Physics
+    triangles : array (n, 3, 3) float32, optional
+        The mesh of the ground, as from `strip_triangles`, if it is not that of the strip; then only start and heading
+        of the strip are used.
+    """
+
+    def __init__(
+        self,
+        profile: Vehicle,
+        ground: DrivenGround,
+        strip: Strip,
+        physics: Physics,
+        triangles: NDArray[np.float32] | None = None,
+    ) -> None:
         self._dart = require_dart()
         self._radius = profile.wheel.radius_m
         self._world = self._make_world(physics)
-        self._world.addSkeleton(self._load_ground(strip_triangles(ground, strip), physics))
+        mesh = strip_triangles(ground, strip) if triangles is None else triangles
+        self._world.addSkeleton(self._load_ground(mesh, physics))
         robot = self._dart.dynamics.Skeleton("vehicle")
         self._wheels: dict[str, list[Any]] = {"left": [], "right": []}
         self.chassis = self._build(robot, profile, physics)

@@ -10,8 +10,7 @@ from multiprocessing.connection import wait
 from typing import Any, Protocol, TypeVar
 
 from bumpymap.core import BumpymapError, Child, ChildDiedError, shielded
-from bumpymap.lab.simulate.journal import Journal, Key
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.journal import JobJournal, Key
 
 __all__ = ["Job", "Progress", "attempt", "drive_jobs", "run_in_processes"]
 
@@ -37,14 +36,14 @@ Result = TypeVar("Result")
 
 
 def drive_jobs(
-    task: Callable[[JobType], PatchDrives],
+    task: Callable[[JobType], Result],
     jobs: Sequence[JobType],
     progress: Progress | None = None,
     *,
     workers: int = 1,
-    journal: Journal | None = None,
+    journal: JobJournal[Result] | None = None,
     discard_other: bool = False,
-) -> dict[Key, PatchDrives]:
+) -> dict[Key, Result]:
     """Drive all jobs that are not in the journal yet.
 
     Parameters
@@ -57,7 +56,7 @@ def drive_jobs(
         Called with (finished drives, all drives) at the start and after every job.
     workers : int
         Number of processes; the result does not depend on it.
-    journal : Journal, optional
+    journal : JobJournal, optional
         Records finished jobs; jobs already in it are not run again.
     discard_other : bool
         Discard a journal written with other settings instead of raising an error.
@@ -84,8 +83,8 @@ def drive_jobs(
 
 
 def _results(
-    task: Callable[[JobType], PatchDrives], jobs: Sequence[JobType], workers: int
-) -> AbstractContextManager[Iterator[PatchDrives]]:
+    task: Callable[[JobType], Result], jobs: Sequence[JobType], workers: int
+) -> AbstractContextManager[Iterator[Result]]:
     """Run jobs in this process (one worker) or in child processes; return an iterator of results in order."""
     if workers <= 1:
         return nullcontext(map(task, jobs))

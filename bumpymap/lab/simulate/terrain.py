@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 
-__all__ = ["DrivenGround", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
+__all__ = [
+    "DrivenGround",
+    "PatchGround",
+    "PlaneGround",
+    "SineGround",
+    "Strip",
+    "cell_triangles",
+    "fit_plane",
+    "strip_triangles",
+]
 
 _Floats = NDArray[np.float64]
 
@@ -199,6 +208,24 @@ def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
     along, across = middle @ forward, middle @ np.array([-forward[1], forward[0]])
     reach = strip.half_width + step
     keep = (along >= -reach) & (along <= strip.length + reach) & (np.abs(across) <= reach)
+    return cell_triangles(vertices, keep)
+
+
+def cell_triangles(vertices: NDArray[np.float32], keep: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Triangulate cells of a grid.
+
+    Parameters
+    ----------
+    vertices : array (rows + 1, cols + 1, 3) float32
+        Easting, northing, upward, m; south row first.
+    keep : bool (rows, cols)
+        The cells.
+
+    Returns
+    -------
+    array (n, 3, 3) float32
+        As from `strip_triangles`.
+    """
     south_west, south_east = vertices[:-1, :-1][keep], vertices[:-1, 1:][keep]
     north_west, north_east = vertices[1:, :-1][keep], vertices[1:, 1:][keep]
     lower = np.stack([south_west, south_east, north_east], axis=1)
