@@ -50,9 +50,9 @@ class WaitingChunk:
         """Forget a block."""
         del self._places[key]
 
-    def compact(self) -> int:
-        """Copy what is needed if at least half of the points are not; return how many bytes that frees."""
-        if len(self._places) == len(self.points.keys) or 2 * self.counts().sum() > len(self.points):
+    def compact(self, share: float) -> int:
+        """Copy what is needed if at least a ``share`` of the points is not; return how many bytes that frees."""
+        if len(self._places) == len(self.points.keys) or self.counts().sum() > (1 - share) * len(self.points):
             return 0
         before = self.points.size_bytes
         self.points = self.points.of_blocks(list(self._places.values()))
@@ -110,13 +110,10 @@ class WaitingPoints:
                 del self._chunks[id(chunk)]
                 self.size_bytes -= chunk.points.size_bytes
 
-    def compact(self) -> None:
-        """Copy what is needed of the chunks of which at least half is not.
-
-        What is copied is never more than what is freed.
-        """
+    def compact(self, share: float) -> None:
+        """Copy what is needed of the chunks of which at least a ``share`` (0..1) is not."""
         for chunk in self:
-            self.size_bytes -= chunk.compact()
+            self.size_bytes -= chunk.compact(share)
 
     def drop(self, chunks: Iterable[WaitingChunk]) -> None:
         """Forget chunks."""

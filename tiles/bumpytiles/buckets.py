@@ -22,6 +22,9 @@ __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 _TILES = BLOCK_TILES**2
 _LEAST_ROOM = 0.25
 """Share of the limit that must be free once complete blocks are finished: rarely so often that it takes time."""
+_COMPACTED = (0.5, 0.125)
+"""Chunks are copied of which half is finished: no more is copied than freed. If that is not enough, also those of which
+an eighth is: less time than to write the points and read them again."""
 _SLICE = 1 << 20
 """Points that are read together from a block on disk that is too large to read as a whole."""
 
@@ -104,12 +107,13 @@ class TileBuckets:
     @property
     def must_spill(self) -> bool:
         """Whether too little is free after ``compact``: call ``spill``."""
-        full = self.limits is not None and self.limits.waiting_bytes * (1 - _LEAST_ROOM)
-        return self.limits is not None and self._waiting.size_bytes > full
+        return self.limits is not None and self._waiting.size_bytes > (1 - _LEAST_ROOM) * self.limits.waiting_bytes
 
     def compact(self) -> None:
-        """Free the memory of finished blocks in chunks that are half finished or more, by copying the others."""
-        self._waiting.compact()
+        """Free the memory of finished blocks in chunks with others, by copying these: only as much as is needed."""
+        for share in _COMPACTED:
+            if self.must_spill:
+                self._waiting.compact(share)
 
     def spill(self) -> tuple[int, int]:
         """Start to write the older half of the points, without those of done blocks; return the first and last chunk.

@@ -208,22 +208,24 @@ def test_chunks_whose_blocks_are_finished_count_as_read(tmp_path):
     assert all(start > 0 for _, start, _ in kept)  # points of the coarse node still wait
 
 
-@pytest.mark.parametrize("share", [0.2, 0.45, 0.8])
-def test_what_is_left_of_a_chunk_is_copied_if_it_is_little(share):
+@pytest.mark.parametrize(
+    ("done", "limit", "copied"), [(0.8, 1.0, True), (0.8, 1.5, False), (0.3, 1.0, True), (0.05, 1.0, False)]
+)
+def test_what_is_left_of_a_chunk_is_copied_where_room_is_needed(tmp_path, done, limit, copied):
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0, 960, 5000), rng.uniform(0, 48, 5000)
-    buckets, whole = TileBuckets(GRID), TileBuckets(GRID)
+    limits = MemoryLimits(round(limit * POINT_BYTES * 5000), 100_000, tmp_path)
+    buckets, whole = TileBuckets(GRID, limits), TileBuckets(GRID)
     for store in (buckets, whole):
-        store.add(x, y, rng.random(5000) * 0, np.zeros(5000, bool))
+        store.add(x, y, np.zeros(5000), np.zeros(5000, bool))
     keys = buckets.keys()
-    for key in keys[: round(len(keys) * (1 - share))]:
+    for key in keys[: round(len(keys) * done)]:
         buckets.finish(key)
     left = buckets.keys()
     needed = sum(buckets.points(key) for key in left)
-    before = buckets._waiting.size_bytes
     buckets.compact()
-    assert before == POINT_BYTES * 5000
-    assert buckets._waiting.size_bytes == POINT_BYTES * (needed if 2 * needed <= 5000 else 5000)
+    assert buckets._waiting.size_bytes == POINT_BYTES * (needed if copied else 5000)
+    assert buckets.must_spill == (done < 0.25)
     for key in left:
         (one,), (other,) = buckets.block(key), whole.block(key)
         assert np.array_equal(one.starts, other.starts)
