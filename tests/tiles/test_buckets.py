@@ -131,10 +131,12 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     for number, chunk in enumerate(chunks(east, 100), start=4):
         buckets.add_chunk(group_points(GRID, *chunk), number)
         if buckets.is_full:
-            ready = [key for key in buckets.blocks_to_spill() if key[1] < 5]  # the west is read
-            finished.extend(tile for key in ready for tile in flat(buckets.block(key)))
-            buckets.done.update(ready)
-            buckets.spill()
+            for key in [key for key in buckets.keys_in_memory() if key[1] < 5]:  # the west is read
+                finished.extend(flat(buckets.block(key)))
+                buckets.finish(key)
+            buckets.compact()
+            if buckets.must_spill:
+                buckets.spill()
     first_half = tuple(column[:400] for column in west)
     assert sorted(finished) == in_memory(first_half)
     assert flat(buckets.blocks()) == in_memory(east)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles._group_kernels import BLOCK_TILES
+from bumpytiles._waiting import WaitingChunk, WaitingPoints
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.grouping import GroupedPoints, PointPart, columns_of, group_points
 from bumpytiles.pack import BlockKey, Pack, PackWriter
@@ -19,6 +20,11 @@ from bumpytiles.split import TilePoints, sort_block
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
 _TILES = BLOCK_TILES**2
+_LEAST_ROOM = 0.25
+"""Share of the limit that must be free once complete blocks are finished: rarely so often that it takes time."""
+_COMPACTED = (0.5, 0.125)
+"""Chunks are copied of which half is finished: no more is copied than freed. If that is not enough, also those of which
+an eighth is: less time than to write the points and read them again."""
 _SLICE = 1 << 20
 """Points that are read together from a block on disk that is too large to read as a whole."""
 
@@ -41,48 +47,6 @@ class MemoryLimits:
     """Most points of one block that are sorted together."""
     scratch: Path
     """Folder for packs of points."""
-
-
-@dataclass(slots=True)
-class _Waiting:
-    """Chunks in memory, oldest first, with an index of the blocks in them."""
-
-    chunks: list[tuple[int, GroupedPoints]] = field(default_factory=list)
-    index: dict[BlockKey, list[tuple[GroupedPoints, int]]] = field(default_factory=dict)
-    size_bytes: int = 0
-    left: dict[int, int] = field(default_factory=dict)
-    """Blocks of a chunk (by its ``id``) that are not finished, for chunks of which some are."""
-
-    def add(self, number: int, chunk: GroupedPoints) -> None:
-        self.chunks.append((number, chunk))
-        self.size_bytes += chunk.size_bytes
-        for place, key in enumerate(chunk.keys):
-            self.index.setdefault(key, []).append((chunk, place))
-
-    def finish(self, key: BlockKey) -> None:
-        """Forget a block, and the chunks that have no other blocks."""
-        gone = []
-        for chunk, _ in self.index.pop(key, ()):
-            left = self.left[id(chunk)] = self.left.get(id(chunk), len(chunk.keys)) - 1
-            if not left:
-                gone.append(id(chunk))
-                self.size_bytes -= chunk.size_bytes
-                del self.left[id(chunk)]
-        if gone:
-            self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
-
-    def drop(self, chunks: list[tuple[int, GroupedPoints]]) -> None:
-        gone = {id(chunk) for _, chunk in chunks}
-        for number in gone:
-            self.left.pop(number, None)
-        self.chunks = [held for held in self.chunks if id(held[1]) not in gone]
-        self.size_bytes -= sum(chunk.size_bytes for _, chunk in chunks)
-        for key in {key for _, chunk in chunks for key in chunk.keys}:
-            left = [held for held in self.index.get(key, ()) if id(held[0]) not in gone]
-            if left:
-                self.index[key] = left
-            else:
-                self.index.pop(key, None)
 
 
 class TileBuckets:
@@ -113,7 +77,7 @@ class TileBuckets:
         """Blocks whose points are no longer needed."""
         self.final: int | None = None
         """Chunks before this number can no longer be dropped; None: no chunk can. A pack never mixes both kinds."""
-        self._waiting = _Waiting()
+        self._waiting = WaitingPoints()
         self._spilling: Future[Pack] | None = None
         self._writer = ThreadPoolExecutor(1)
 
@@ -133,18 +97,23 @@ class TileBuckets:
 
     def add_chunk(self, chunk: GroupedPoints, number: int = 0) -> None:
         """Add a grouped chunk. Numbers must not decrease; chunks of the same number stay together."""
-        self._waiting.add(number, chunk)
+        self._waiting.add(number, chunk, self.done)
 
     @property
     def is_full(self) -> bool:
-        """Whether points in memory take more than the limit: call ``spill``."""
+        """Whether points in memory take more than the limit: finish complete blocks, then ``compact``."""
         return self.limits is not None and self._waiting.size_bytes > self.limits.waiting_bytes
 
-    def blocks_to_spill(self) -> list[BlockKey]:
-        """Return the blocks that ``spill`` would write and of which no point is on disk yet, south-west first."""
-        self.wait()
-        keys = {key for _, chunk in self._oldest() for key in chunk.keys} - self.done
-        return sorted(key for key in keys if not any(pack.rows(key) for pack in self.packs))
+    @property
+    def must_spill(self) -> bool:
+        """Whether too little is free after ``compact``: call ``spill``."""
+        return self.limits is not None and self._waiting.size_bytes > (1 - _LEAST_ROOM) * self.limits.waiting_bytes
+
+    def compact(self) -> None:
+        """Free the memory of finished blocks in chunks with others, by copying these: only as much as is needed."""
+        for share in _COMPACTED:
+            if self.must_spill:
+                self._waiting.compact(share)
 
     def spill(self) -> tuple[int, int]:
         """Start to write the older half of the points, without those of done blocks; return the first and last chunk.
@@ -155,10 +124,12 @@ class TileBuckets:
             raise ValueError("without MemoryLimits there is no folder to spill to")
         self.wait()
         chosen = self._oldest()
-        chunks = {id(chunk) for _, chunk in chosen}
-        keys = sorted({key for _, chunk in chosen for key in chunk.keys} - self.done)
-        held = {key: [entry for entry in self._held(key) if id(entry[0]) in chunks] for key in keys}
-        first, last = chosen[0][0], chosen[-1][0]
+        held: dict[BlockKey, list[tuple[GroupedPoints, int]]] = {}
+        for chunk in chosen:
+            for key in chunk.keys:
+                held.setdefault(key, []).append((chunk.points, chunk.place(key)))
+        held = {key: held[key] for key in sorted(held)}
+        first, last = chosen[0].number, chosen[-1].number
         self._waiting.drop(chosen)
         path = self.limits.scratch / f"points-{first:08d}-{last:08d}.pack"
         self._spilling = self._writer.submit(_write, path, held, {"first": first, "last": last})
@@ -173,34 +144,39 @@ class TileBuckets:
         return pack
 
     def finish(self, key: BlockKey) -> None:
-        """Free the points of a block that is done, as soon as all blocks of a chunk are."""
+        """Note that a block is done. Its points are freed when all blocks of their chunk are, or by ``compact``."""
         self.done.add(key)
         self._waiting.finish(key)
 
     def drop_from(self, first: int) -> None:
         """Drop the points of chunk ``first`` and all later ones, which must not be final."""
         self.wait()
-        self._waiting.drop([held for held in self._waiting.chunks if held[0] >= first])
+        self._waiting.drop([chunk for chunk in self._waiting if chunk.number >= first])
         for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
             self.packs.remove(pack)
             pack.path.unlink(missing_ok=True)
 
     def in_memory(self) -> NDArray[np.int64]:
         """Return row, column and number of points of each block of each chunk in memory, (n, 3)."""
-        found = [
-            np.column_stack([chunk.keys, np.diff(chunk.starts)]) for _, chunk in self._waiting.chunks if chunk.keys
-        ]
-        return np.concatenate([np.empty((0, 3), np.int64), *found])
+        return self._waiting.counts()
+
+    def chunks_in_memory(self) -> set[int]:
+        """Return the numbers of the chunks with points in memory that are not done."""
+        return {chunk.number for chunk in self._waiting}
+
+    def keys_in_memory(self) -> list[BlockKey]:
+        """Return the blocks with points in memory that are not done, south-west first."""
+        return sorted(self._waiting.keys)
 
     @property
     def is_empty(self) -> bool:
         """Whether no point is in memory."""
-        return not self._waiting.chunks
+        return not len(self._waiting)
 
     def keys(self) -> list[BlockKey]:
         """Return the blocks that hold points and are not done, south-west first."""
         self.wait()
-        return sorted({*self._waiting.index, *(key for pack in self.packs for key in pack.keys)} - self.done)
+        return sorted({*self._waiting.keys, *(key for pack in self.packs for key in pack.keys)} - self.done)
 
     def window(self) -> TileWindow:
         """Return the smallest window of whole blocks around all points (at least one)."""
@@ -210,7 +186,7 @@ class TileBuckets:
 
     def points(self, key: BlockKey) -> int:
         """Return the number of points of a block, duplicates included."""
-        in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._held(key))
+        in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._waiting.parts(key))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
     def marks(self, key: BlockKey) -> tuple[int, int]:
@@ -273,7 +249,7 @@ class TileBuckets:
 
     def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointPart]:
         names = tuple(names)
-        for chunk, place in self._held(key):
+        for chunk, place in self._waiting.parts(key):
             part = chunk.block(place)
             yield PointPart({name: part.columns[name] for name in names}, part.scaling)
         for pack in self.packs:
@@ -282,20 +258,18 @@ class TileBuckets:
                 read = pack.read(key, names, start, None if most is None else start + most)
                 yield PointPart(read, _scaling_of(pack))
 
-    def _held(self, key: BlockKey) -> list[tuple[GroupedPoints, int]]:
-        return self._waiting.index.get(key, [])
-
-    def _oldest(self) -> list[tuple[int, GroupedPoints]]:
+    def _oldest(self) -> list[WaitingChunk]:
         """Choose the oldest chunks, about half of the limit: all of a number, of one grid, and final or not, each."""
-        chosen: list[tuple[int, GroupedPoints]] = []
+        chosen: list[WaitingChunk] = []
         is_final, held, scaling = False, 0, None
-        for number, chunk in self._waiting.chunks:
-            same = self.final is None or number < self.final
+        for chunk in self._waiting:
+            same = self.final is None or chunk.number < self.final
             full = self.limits is not None and held >= self.limits.waiting_bytes // 2
-            if chosen and (is_final != same or (number != chosen[-1][0] and (full or chunk.scaling != scaling))):
+            other = chosen and chunk.number != chosen[-1].number
+            if chosen and (is_final != same or (other and (full or chunk.points.scaling != scaling))):
                 break
-            chosen.append((number, chunk))
-            is_final, held, scaling = same, held + chunk.size_bytes, chunk.scaling
+            chosen.append(chunk)
+            is_final, held, scaling = same, held + chunk.points.size_bytes, chunk.points.scaling
         return chosen
 
 

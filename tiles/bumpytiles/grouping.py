@@ -81,6 +81,16 @@ class GroupedPoints:
         span = slice(int(self.starts[place]), int(self.starts[place + 1]))
         return PointPart({name: array[span] for name, array in self.points.items()}, self.scaling)
 
+    def of_blocks(self, places: Sequence[int]) -> "GroupedPoints":
+        """Return a copy with some of the blocks, given by their places in increasing order."""
+        spans = [slice(int(self.starts[place]), int(self.starts[place + 1])) for place in places]
+        counts = [span.stop - span.start for span in spans]
+        columns = _empty_columns(columns_of(self.scaling), sum(counts))
+        for name, array in columns.items():
+            np.concatenate([self.points[name][span] for span in spans], out=array)
+        starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
+        return GroupedPoints([self.keys[place] for place in places], starts, columns, self.scaling)
+
     @property
     def size_bytes(self) -> int:
         """Memory that the points take."""

@@ -123,11 +123,15 @@ class BlockWork:
     def finish_early(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
     ) -> None:
-        """Rate blocks for each of ``kinds`` and count their tiles with ground, so that one kind can be chosen later."""
+        """Rate blocks for each of ``kinds`` and count their tiles with ground, so that one kind can be chosen later.
+
+        The blocks are done then, and their points are freed.
+        """
         for key, columns in self._finish(buckets, keys, threads, tuple(sinks)):
             marks = buckets.marks(key)
             for kind, sink in sinks.items():
                 sink.add(key, columns[kind], marks)
+            buckets.finish(key)
         for sink in sinks.values():
             sink.flush()
 

@@ -72,7 +72,6 @@ class ChunkStream:
     Parameters
     ----------
     ranges : sequence of OpenRange
-        At most one range of each file.
     grid : Grid
     threads : int
     """

@@ -46,7 +46,7 @@ class LocalExecutor:
         """Read all ranges that are unread; the worker keeps their points for the later tasks."""
         points, tiles = new_folder(self._space.points_folder), new_folder(self._space.new_tiles)
         self._worker = Worker(self._work, self._budget, points, tiles, self._progress)
-        task = single_task(plan.unread, plan.read, plan.finished)
+        task = single_task(plan.unread, plan.finished, plan.waiting)
         ranges = [
             OpenRange(part, plan.readers[part.file], plan.chunks[part.file][part.first : part.stop])
             for part in plan.unread

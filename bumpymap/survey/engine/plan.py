@@ -47,13 +47,18 @@ class ChunkRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadTask:
-    """Ranges to read one after the other, at most one of each file, and what the task must know of other ranges."""
+    """Ranges to read one after the other, and what the task must know of other ranges.
+
+    There are several ranges of a file only where an earlier run has read what lies between them.
+    """
 
     ranges: tuple[ChunkRange, ...]
     nearby: tuple[Bounds, ...] | None
     """Bounds in which other workers have or will have points: no block there is complete. None: everywhere."""
     finished: frozenset[BlockKey] = frozenset()
     """Blocks in their bounds that an earlier run has finished: their points are dropped."""
+    waiting: frozenset[BlockKey] = frozenset()
+    """Blocks of which an earlier run has left points on disk: they are not complete when the ranges are read."""
 
 
 def range_points(points: int, workers: int) -> int:
@@ -117,10 +122,11 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
     )
 
 
-def single_task(unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey]) -> ReadTask:
-    """Return the task of a worker that reads everything: only ranges read by an earlier run count as others'."""
-    known = [box.bounds for box in read if box.bounds is not None]
-    return ReadTask(tuple(unread), tuple(known) if len(known) == len(read) else None, frozenset(finished))
+def single_task(
+    unread: Sequence[ChunkRange], finished: Collection[BlockKey], waiting: Collection[BlockKey]
+) -> ReadTask:
+    """Return the task of a worker that reads everything; see `ReadTask`."""
+    return ReadTask(tuple(unread), (), frozenset(finished), frozenset(waiting))
 
 
 def shared_tasks(

@@ -13,6 +13,7 @@ from bumpymap.readers import LineSums, PointStats, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.chunk_stream import BadFile, ChunkStream, OpenRange, ReadChunk
 from bumpymap.survey.engine.completion import BlockCompletion
+from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.results import ReadResult, Span
 from bumpymap.survey.engine.sink import TileSink
 from bumpytiles import BlockKey, Bounds, Pack, TileBuckets
@@ -64,25 +65,26 @@ class RangeReader:
 
     Parameters
     ----------
+    task : ReadTask
+        Says where there are points of other workers or of an earlier run.
     ranges : sequence of OpenRange
+        The ranges of the task.
     store : TileBuckets
         Receives the points.
     work : BlockWork
     sinks : mapping of str to TileSink
         For finished tiles, by `BlockWork.kinds`.
-    nearby : sequence of (tuple of Bounds or None)
-        See `ReadTask`; for all ranges.
     threads : int
     progress : Progress
     """
 
     def __init__(
         self,
+        task: ReadTask,
         ranges: Sequence[OpenRange],
         store: TileBuckets,
         work: BlockWork,
         sinks: Mapping[str, TileSink],
-        nearby: Sequence[tuple[Bounds, ...] | None],
         threads: int,
         progress: Progress,
     ) -> None:
@@ -91,16 +93,16 @@ class RangeReader:
         self._stream = ChunkStream(ranges, work.grid, threads)
         self._readers = {source.range.file: source.reader for source in ranges}
         self._areas, bounds = _areas(ranges)
-        others: set[Bounds | None] = {box for boxes in nearby for box in (boxes if boxes is not None else (None,))}
-        self._completion = BlockCompletion(work.grid, [*bounds, *others])
+        others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
+        self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
         self._pending: deque[_PendingChunk] = deque()
         self._next = 0
         self._stats = PointStats()
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
-        """Return whether no unread chunk, of this worker or others, can add points to a block."""
-        return self._completion.is_complete(key)
+        """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before."""
+        return key not in self._elsewhere and self._completion.is_complete(key)
 
     def run(self, *, skip_bad: bool = False) -> Iterator[ReadResult]:
         """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files.
@@ -121,7 +123,7 @@ class RangeReader:
         """Return the result for chunks that are still in memory at the end; None if there are none."""
         if not self._pending and self._store.is_empty:
             return None
-        return replace(self._report(self._next), in_memory=self._store.in_memory())
+        return replace(self._report(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
 
     def _add(self, read: ReadChunk) -> Iterator[ReadResult]:
         source = read.source
@@ -148,18 +150,28 @@ class RangeReader:
             yield from self._make_room()
 
     def _make_room(self) -> Iterator[ReadResult]:
-        """Rate complete blocks, then write the older half of the waiting points to disk."""
+        """Rate complete blocks; if that does not make room, write the older half of the waiting points to disk.
+
+        Points of a block that are on disk are read again, so that the first nodes of an octree, which reach into every
+        block, do not keep the blocks from being rated.
+        """
         yield from self._spilled()
-        ready = [key for key in self._store.blocks_to_spill() if self.is_complete(key)]
+        ready = [key for key in self._store.keys_in_memory() if self.is_complete(key)]
         if any(tiles := self.finish_early(ready)):
+            waiting = self._store.chunks_in_memory()
+            gone = [chunk for chunk in self._pending if chunk.number not in waiting]
+            self._pending = deque(chunk for chunk in self._pending if chunk.number in waiting)
             yield ReadResult((), tiles=tiles)  # tiles are saved even if writing the points fails
-        _, last = self._store.spill()
-        self._spilling = self._report(last)
+            if gone:
+                yield self._report(gone)
+        self._store.compact()
+        if self._store.must_spill:
+            _, last = self._store.spill()
+            self._spilling = self._report(self._pending_up_to(last))
 
     def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
         """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
         self._work.finish_early(self._store, keys, self._threads, self._sinks)
-        self._store.done.update(keys)
         return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _spilled(self) -> Iterator[ReadResult]:
@@ -170,13 +182,19 @@ class RangeReader:
             result, self._spilling = self._spilling, None
             yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
 
-    def _report(self, last: int) -> ReadResult:
-        """Return the result for the pending chunks up to number ``last``."""
+    def _pending_up_to(self, last: int) -> list[_PendingChunk]:
+        """Take the pending chunks up to number ``last``."""
+        taken = []
+        while self._pending and self._pending[0].number <= last:
+            taken.append(self._pending.popleft())
+        return taken
+
+    def _report(self, chunks: Sequence[_PendingChunk]) -> ReadResult:
+        """Return the result for chunks that are no longer pending."""
         spans: list[Span] = []
         stats: dict[int, PointStats] = {}
         flagged, lines = False, LineSums()
-        while self._pending and self._pending[0].number <= last:
-            taken = self._pending.popleft()
+        for taken in chunks:
             file, first, stop = taken.span
             if spans and spans[-1][0] == file and spans[-1][2] == first:
                 spans[-1] = (file, spans[-1][1], stop)

@@ -38,6 +38,8 @@ class ReadPlan:
     """Ranges that an earlier run has read."""
     finished: set[BlockKey]
     """Blocks that an earlier run has finished."""
+    waiting: set[BlockKey]
+    """Blocks of which it has left points on disk."""
     skip_bad: bool
 
 
@@ -115,7 +117,9 @@ def _read(
     unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
     progress.start("reading points", total)
     progress.advance(sum(part.points for part in read))
-    plan = ReadPlan(readers, chunks, unread, read, collector.finished, inputs.skip_bad)
+    finished = collector.finished
+    waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - finished
+    plan = ReadPlan(readers, chunks, unread, read, finished, waiting, inputs.skip_bad)
     with closing(executor.read(plan)) as results:
         for result in results:
             collector.add(result)

@@ -117,7 +117,7 @@ class Worker:
 
     def _reading(self, task: ReadTask, ranges: Sequence[OpenRange]) -> RangeReader:
         self._store.done = set(task.finished)
-        return RangeReader(ranges, self._store, self._work, self._sinks, [task.nearby], self._threads, self._progress)
+        return RangeReader(task, ranges, self._store, self._work, self._sinks, self._threads, self._progress)
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Return the packs that hold points of unfinished blocks; delete the others."""

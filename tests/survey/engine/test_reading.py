@@ -13,7 +13,7 @@ from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork
 from bumpymap.survey.engine.chunk_stream import OpenRange
-from bumpymap.survey.engine.plan import cut_ranges
+from bumpymap.survey.engine.plan import cut_ranges, single_task
 from bumpymap.survey.engine.reading import RangeReader, refuse_no_points
 from bumpytiles import Grid, TileBuckets
 
@@ -101,7 +101,7 @@ def read(readers, *, skip_bad, threads=2):
     unread, _ = cut_ranges(readers, chunks, None, {})
     ranges = [OpenRange(part, readers[part.file], chunks[part.file]) for part in unread]
     store, work = Store(), BlockWork(GRID, (), Mock(), "all")
-    reading = RangeReader(ranges, store, work, {}, [()], threads, SilentProgress())
+    reading = RangeReader(single_task(unread, (), ()), ranges, store, work, {}, threads, SilentProgress())
     stats, bad = {}, {}
     for result in (*reading.run(skip_bad=skip_bad), reading.remainder()):
         stats |= result.stats
