@@ -46,12 +46,7 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
-<<<<<<< HEAD
     "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "lab"}, {"click", "rich"}),
-=======
-    "route": ({"core"}, {"numpy"}),
-    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "lab"}, {"click", "rich"}),
->>>>>>> s-drive
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""

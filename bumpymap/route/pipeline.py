@@ -25,11 +25,11 @@ from bumpymap.layers import (
     write_routes,
 )
 from bumpymap.route._moves import MOVES
+from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.no_way import explain_no_way
 from bumpymap.route.planner import PlannedWay, Planner, WornTiles, in_order
 from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.search import BYTES_PER_TILE
 from bumpymap.route.settings import RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.visits import MOST_VISITS, best_order
