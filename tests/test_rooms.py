@@ -40,7 +40,7 @@ ROOMS = {
         {"core", "readers", "rating", "layers", "survey"},
         {"numpy", "pyproj", "sklearn"},
     ),
-    "route": ({"core", "layers"}, {"numpy", "xarray"}),
+    "route": ({"core", "layers"}, {"numpy", "scipy", "xarray"}),
     "lab": (
         # layers and route: ways are planned over the layers of a map and driven
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},

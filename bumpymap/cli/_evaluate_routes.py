@@ -50,7 +50,7 @@ def evaluate_routes_over(
     with locked(out), interrupt_note(DRIVES_KEPT), progress as shown:
         check_place()
         options = TrialOptions(out, given["workers"] or os.cpu_count() or 1, given["overwrite"], shown)
-        plan = RoutePlanner.of(route_map.vehicle, route_map.grid.tile_size)
+        plan = RoutePlanner.of(route_map)
         findings, data = evaluate_routes(route_map, calibration, plan, settings, options)
         return findings, write_route_report(findings, data, out)
 

@@ -71,6 +71,12 @@ def _remarks(result: RouteResult, config: RouteConfig) -> Iterator[str]:
                 f"{route.name}: {route.figures.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in "
                 "the figures"
             )
+    for route in result.routes:
+        if route.figures.obstacle_m > 0:
+            yield (
+                f"{route.name}: on {route.figures.obstacle_m:,.1f} m an obstacle is nearer than half the vehicle's "
+                "width; its tile can be passed, but this line may touch it"
+            )
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 
 

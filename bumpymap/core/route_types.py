@@ -111,7 +111,7 @@ class RouteFigures:
     unknown_m: float
     """Length on unknown ground, m."""
     obstacle_m: float
-    """Length in tiles that hold an obstacle (they are passable beside it), m."""
+    """Length on which an obstacle is nearer than half the vehicle's width and 0.1 m, m: no way around was found."""
     climb_m: float
     descent_m: float
     seconds: float

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS, proj_version_str
 
-from bumpymap.core import BadInputError, CostTable, atomic
+from bumpymap.core import BadInputError, CostTable, atomic, read_record
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.summary import MapSummary
 
@@ -25,6 +25,7 @@ __all__ = [
     "complete_manifest",
     "describe_file",
     "describe_input",
+    "read_manifest",
     "software_versions",
     "write_manifest",
 ]
@@ -209,3 +210,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read the manifest of a complete map. Raises BadInputError if the folder does not hold one."""
+    if not folder.is_dir():
+        raise BadInputError(f"there is no folder {folder}. Give the folder that the layers were written to")
+    record = read_record(folder / MANIFEST_NAME)
+    if record is None or record.get("format") != MANIFEST_FORMAT:
+        hint = f" The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else ""
+        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{hint}")
+    return record

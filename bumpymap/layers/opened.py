@@ -19,15 +19,15 @@ from bumpymap.core import (
     BadInputError,
     Band,
     UsageError,
-    read_record,
 )
 from bumpymap.layers._notebook import import_notebook
-from bumpymap.layers.manifest import MANIFEST_FORMAT, MANIFEST_NAME
+from bumpymap.layers.manifest import read_manifest
 
 if TYPE_CHECKING:
     import geopandas
     import xarray
 
+    from bumpymap.layers.export.write import Export
     from bumpymap.layers.route.planned import PlannedRoute
 
     Point = str | tuple[float, float]
@@ -198,6 +198,27 @@ class Layers:
 
         return map_reach(self, start, **settings)
 
+    def export(self, out: str | os.PathLike[str], *, overwrite: bool = False, **settings: Any) -> "Export":
+        """Write the map in a format that robots read, as ``bumpymap export`` does.
+
+        Parameters
+        ----------
+        out : path
+            A folder of its own.
+        overwrite : bool
+            Replace an earlier export in the same format.
+        **settings
+            Fields of `bumpymap.layers.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``graph``, ``plan``), ...
+
+        Raises
+        ------
+        BadInputError, OutputError, UsageError
+            See `bumpymap.layers.export_map`.
+        """
+        from bumpymap.layers import ExportSettings, export_map, open_map
+
+        return export_map(open_map([self.folder]), out, ExportSettings(**settings), overwrite=overwrite)
+
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
         where = "in memory" if self._in_memory else f"in {self._folder}"
@@ -298,14 +319,3 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
 def temporary_folder() -> str:
     """Create a temporary folder for a run in memory; `Layers` deletes it."""
     return tempfile.mkdtemp(prefix="bumpymap-layers-")
-
-
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of a complete map. Raises BadInputError if the folder does not hold one."""
-    if not folder.is_dir():
-        raise BadInputError(f"there is no folder {folder}. Give the folder that the layers were written to")
-    record = read_record(folder / MANIFEST_NAME)
-    if record is None or record.get("format") != MANIFEST_FORMAT:
-        hint = f" The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else ""
-        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{hint}")
-    return record

@@ -14,8 +14,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle
-from bumpymap.layers.manifest import describe_file
-from bumpymap.layers.opened import read_manifest
+from bumpymap.layers.manifest import describe_file, read_manifest
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:

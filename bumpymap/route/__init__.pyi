@@ -27,6 +27,9 @@ from .places import (
     parse_point as parse_point,
     place_point as place_point,
 )
+from .planner import (
+    Planner as Planner,
+)
 from .search import (
     FROM_START as FROM_START,
     NOT_REACHED as NOT_REACHED,

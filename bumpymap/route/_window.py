@@ -10,7 +10,7 @@ from bumpymap.route._frame import Number, Point, is_open
 from bumpymap.route._line_kernels import connect
 from bumpymap.route._moves import REACH, move_tables
 from bumpymap.route._search_kernels import NEW, NOT_REACHED, Ground, Reached, Seeds, mark_crowded, search
-from bumpymap.route.line import as_margin, is_clear, line_cost
+from bumpymap.route.line import is_clear, line_cost, wide_margin
 
 __all__ = ["BYTES_PER_TILE", "RingedWindow"]
 
@@ -38,7 +38,7 @@ class RingedWindow:
             raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
         ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
         ringed[REACH:-REACH, REACH:-REACH] = cost
-        return cls(ringed, as_margin(margin), least if least < math.inf else 1.0)
+        return cls(ringed, wide_margin(margin), least if least < math.inf else 1.0)
 
     def inner(self, values: NDArray[Number]) -> NDArray[Number]:
         """Return values of the flattened window without the ring."""

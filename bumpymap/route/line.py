@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from bumpymap.core import TracedLine
 from bumpymap.route._line_kernels import LEAST_MARGIN, Line, Pieces, check_clear, sum_cost, trace_line
 
-__all__ = ["as_cost", "as_margin", "is_clear", "line_cost", "trace"]
+__all__ = ["as_cost", "as_margin", "is_clear", "line_cost", "trace", "wide_margin"]
 
 _MAX_MARGIN = 0.5
+_WIDER = 1.05
 
 
 def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -33,6 +34,12 @@ def as_margin(margin: float) -> float:
     if not 0.0 <= margin < _MAX_MARGIN:
         raise ValueError(f"margin is {margin} tiles; it must be at least 0 and below {_MAX_MARGIN}")
     return max(margin, LEAST_MARGIN)
+
+
+def wide_margin(margin: float) -> float:
+    """Return the margin that a search keeps: a twentieth more, so that the way round a corner needs few corners."""
+    least = as_margin(margin)
+    return min(_WIDER * least, 0.5 * (least + _MAX_MARGIN))
 
 
 def _as_line(cost: NDArray[np.floating], line: NDArray[np.floating]) -> Line:

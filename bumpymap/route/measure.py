@@ -51,7 +51,6 @@ class _Pieces:
     hazard: Floats
     """Per metre; 0 if unknown."""
     p_fail: Floats
-    obstacle: Floats
     unknown: NDArray[np.bool_]
 
 
@@ -60,6 +59,8 @@ def measure_way(
     line: Floats,
     stops: Floats,
     cost_of: Callable[[TileField], NDArray[np.float32]],
+    *,
+    obstacle_m: float = 0.0,
 ) -> MeasuredWay:
     """Measure a way over a map.
 
@@ -73,11 +74,13 @@ def measure_way(
         Easting and northing of start, stops and goal, m.
     cost_of : callable
         Returns the cost per metre of each tile of a window, inf where closed.
+    obstacle_m : float
+        Length on which obstacles are too near, m, from `bumpymap.route.obstacles.find_near_obstacles`.
     """
     parts = [_pieces(site, part, cost_of) for part in _stretches(line, site.grid.tile_size * _STRETCH_TILES)]
     pieces = _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
     profile = _profile(site, line, pieces)
-    figures = _figures(pieces, profile, stops, site.vehicle.speed_mps, site.grid.tile_size)
+    figures = _figures(pieces, profile, stops, site, obstacle_m)
     return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
 
 
@@ -131,12 +134,11 @@ def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray
         c_r_high=np.where(unknown, np.nan, tiles.c_r_high[at]),
         hazard=np.where(unknown | np.isnan(hazard), 0.0, hazard),
         p_fail=np.where(unknown, np.nan, tiles.p_fail[at]),
-        obstacle=tiles.obstacle[at].astype(np.float64),
         unknown=unknown,
     )
 
 
-def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, speed: float, tile_size: float) -> RouteFigures:
+def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteMap, obstacle_m: float) -> RouteFigures:
     known = np.isfinite(pieces.c_r)
     weight = pieces.length * known
     total = float(weight.sum())
@@ -149,7 +151,7 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, speed: float
         [math.nan] * 3 if worst is None else [float(x[worst]) for x in (pieces.c_r, pieces.c_r_low, pieces.c_r_high)]
     )
     length = float(pieces.length.sum())
-    climb, descent = _climb(profile, tile_size)
+    climb, descent = _climb(profile, site.grid.tile_size)
     return RouteFigures(
         length_m=length,
         straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
@@ -163,10 +165,10 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, speed: float
         hazard=float((pieces.length * pieces.hazard).sum()),
         p_fail_max=float(np.nanmax(pieces.p_fail)) if np.isfinite(pieces.p_fail).any() else math.nan,
         unknown_m=float(pieces.length[pieces.unknown].sum()),
-        obstacle_m=float(pieces.length[pieces.obstacle > 0].sum()),
+        obstacle_m=obstacle_m,
         climb_m=climb,
         descent_m=descent,
-        seconds=length / speed,
+        seconds=length / site.vehicle.speed_mps,
     )
 
 

@@ -13,6 +13,7 @@ from bumpymap.layers import RouteMap, tiles_in, tiles_within
 from bumpymap.route.cost_field import TileChoice, cost_of
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way
+from bumpymap.route.obstacles import find_near_obstacles
 from bumpymap.route.settings import CostSettings
 from bumpytiles import TileWindow
 
@@ -22,6 +23,9 @@ Floats = NDArray[np.float64]
 
 _ROOM_M = 0.1
 """Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
+_MOST_TRIES = 40
+"""How often a way is planned again because it touches obstacles."""
+_NO_TILES = np.empty((0, 2), np.int64)
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 
@@ -36,11 +40,7 @@ class WornTiles:
 
     def factors(self, window: TileWindow) -> NDArray[np.float32]:
         """Return the factor on the cost of each tile of a window."""
-        worn = np.zeros((window.rows + 2, window.cols + 2), np.bool_)
-        row = window.row + window.rows - self.tiles[:, 1]
-        col = self.tiles[:, 0] - window.col + 1
-        inside = (row >= 0) & (row < worn.shape[0]) & (col >= 0) & (col < worn.shape[1])
-        worn[row[inside], col[inside]] = True
+        worn = _mask(self.tiles, TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2))
         for axis in (0, 1):
             worn |= np.roll(worn, 1, axis) | np.roll(worn, -1, axis)
         return np.where(worn[1:-1, 1:-1], np.float32(self.factor), np.float32(1.0))
@@ -84,7 +84,7 @@ class Planner:
     memory_tiles: int
     avoid: Any = None
     only: Any = None
-    _legs: dict[Any, Any] = field(default_factory=dict)
+    _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict)
 
     @property
     def rule(self) -> CostRule:
@@ -97,9 +97,14 @@ class Planner:
         return self.rule.fail_weight if self.settings.risk is None else self.settings.risk
 
     @property
+    def reach_m(self) -> float:
+        """Distance that a way keeps from obstacles, m: half the vehicle's width and 0.1 m."""
+        return 0.5 * self.site.vehicle.width_m + _ROOM_M
+
+    @property
     def margin(self) -> float:
-        """Distance that a way keeps from closed tiles, in tiles: half the vehicle's width and 0.1 m."""
-        return min((0.5 * self.site.vehicle.width_m + _ROOM_M) / self.site.grid.tile_size, _MOST_MARGIN)
+        """Distance that a way keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
+        return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
 
     def cost(self, tiles: TileField, risk: float | None = None) -> NDArray[np.float32]:
         """Return the cost per metre of each tile of a window, inf where closed."""
@@ -150,7 +155,8 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        return PlannedWay(line, measure_way(self.site, line, stops, self.cost))
+        near = find_near_obstacles(self.site, line, self.reach_m)
+        return PlannedWay(line, measure_way(self.site, line, stops, self.cost, obstacle_m=near.length))
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
@@ -158,34 +164,86 @@ class Planner:
         return np.inf if way is None else way.measured.figures.cost_m
 
     def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
-        size = self.site.grid.tile_size
-        key = (*start, *goal, risk, None if worn is None else id(worn))
+        """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
+        if worn is not None:
+            return self._clear_line(start, goal, risk, worn)
+        key = (*start, *goal, self.risk if risk is None else risk)
         if key not in self._legs:
-            found = plan_way(
-                lambda window: self.load(window, risk, worn),
-                self.site.window,
-                self.place(start, self.site.window),
-                self.place(goal, self.site.window),
-                margin=self.margin,
-                memory_tiles=self.memory_tiles,
-            )
-            line = None
-            if found is not None:
-                window = self.site.window
-                east = window.col + found.line[:, 1]
-                north = window.row + window.rows - found.line[:, 0]
-                line = np.column_stack([east, north]) * size
-                line[0], line[-1] = start, goal
-            if worn is not None:
+            self._legs[key] = self._clear_line(start, goal, risk, None)
+        return self._legs[key]
+
+    def _clear_line(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
+        """Return the cheapest line on which the vehicle touches no obstacle, or the cheapest if there is none.
+
+        Tiles with obstacles that it would touch are closed, and the way is planned again. Obstacles within reach of
+        start and goal are left out: they stand there already.
+        """
+        first = line = self._line(start, goal, risk, worn, _NO_TILES)
+        ends = [find_near_obstacles(self.site, np.array([end, end]), self.reach_m).tiles for end in (start, goal)]
+        own = self.site.grid.index(np.array([start[0], goal[0]])), self.site.grid.index(np.array([start[1], goal[1]]))
+        kept = np.concatenate([*ends, np.column_stack(own)])
+        closed = _NO_TILES
+        for _ in range(_MOST_TRIES):
+            if line is None:
+                return first
+            near = _without(find_near_obstacles(self.site, line, self.reach_m).tiles, np.concatenate([kept, closed]))
+            if not len(near):
                 return line
-            self._legs[key] = line
-        kept: Floats | None = self._legs[key]
-        return kept
+            closed = np.concatenate([closed, near])
+            line = self._line(start, goal, risk, worn, closed)
+        return first
+
+    def _line(
+        self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None, closed: NDArray[np.int64]
+    ) -> Floats | None:
+        """Return the cheapest line between two points with some tiles closed, (m, 2) easting and northing, m."""
+
+        def load(window: TileWindow) -> NDArray[np.float32]:
+            cost = self.load(window, risk, worn)
+            cost[_mask(closed, window)] = np.inf
+            return cost
+
+        window = self.site.window
+        ends = (self.place(point, window) for point in (start, goal))
+        found = plan_way(load, window, *ends, margin=self.margin, memory_tiles=self.memory_tiles)
+        if found is None:
+            return None
+        east, north = window.col + found.line[:, 1], window.row + window.rows - found.line[:, 0]
+        line = np.column_stack([east, north]) * self.site.grid.tile_size
+        line[0], line[-1] = start, goal
+        return line
+
+    def line(self, start: Floats, goal: Floats) -> Floats | None:
+        """Plan the cheapest line between two points, (m, 2) easting and northing, m; None if there is none."""
+        return self._leg(start, goal, None, None)
+
+    def touches_obstacle(self, point: Floats) -> bool:
+        """Return whether the vehicle would touch an obstacle if it stood at a point (easting, northing)."""
+        return len(find_near_obstacles(self.site, np.array([point, point]), self.reach_m).tiles) > 0
+
+    def at(self, place: Floats, window: TileWindow) -> Floats:
+        """Convert rows from the north edge and columns from the west edge of a window to easting and northing, m."""
+        return np.array([window.col + place[1], window.row + window.rows - place[0]]) * self.site.grid.tile_size
 
     def place(self, point: Floats, window: TileWindow) -> tuple[float, float]:
         """Convert easting and northing [m] to rows from the north edge and columns from the west edge of a window."""
         size = self.site.grid.tile_size
         return float(window.row + window.rows - point[1] / size), float(point[0] / size - window.col)
+
+
+def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:
+    """Return where some tiles lie in a window, (rows, cols)."""
+    mask = np.zeros((window.rows, window.cols), np.bool_)
+    row, col = window.row + window.rows - 1 - tiles[:, 1], tiles[:, 0] - window.col
+    inside = (row >= 0) & (row < window.rows) & (col >= 0) & (col < window.cols)
+    mask[row[inside], col[inside]] = True
+    return mask
+
+
+def _without(tiles: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the tiles that are not among others."""
+    known = (tiles[:, None] == others).all(axis=2).any(axis=1)
+    return np.asarray(tiles[~known])
 
 
 def in_order(stops: Sequence[Floats] | Floats, order: Sequence[int]) -> Floats:

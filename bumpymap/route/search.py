@@ -20,8 +20,8 @@ from bumpymap.route._frame import Point, SearchFrame, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import RingedWindow
-from bumpymap.route.line import as_cost, line_cost
-from bumpymap.route.straighten import pull_tight
+from bumpymap.route.line import as_cost, line_cost, wide_margin
+from bumpymap.route.straighten import pull_tight, thin_out
 
 __all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
 
@@ -89,7 +89,7 @@ def tight_way(found: Found, margin: float) -> Way:
     if found.line is None:
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
-    line = pull_tight(near, found.line - corner, margin)
+    line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin)
     pulled = line_cost(near, line)
     return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bumpymap.route._pull_kernels import Corners, Shortcuts, Tightening, leave_out, move_corners
 from bumpymap.route.line import as_cost, as_margin, line_cost
 
-__all__ = ["pull_tight"]
+__all__ = ["pull_tight", "thin_out"]
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,8 @@ _GAIN = 1e-6
 """Pulling ends with a round that gains less, as a share of the cost."""
 _LEAST_MOVE, _WORTH = 1e-10, 1e-7
 """A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
+_LEAST_SAVING = 1e-3
+"""What a corner of a thinned line saves at least, tiles."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
 _SPARE = 5e-10
@@ -72,6 +74,21 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
         if gain <= _GAIN * given:
             break
     return best if total <= given else line
+
+
+def thin_out(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
+    """Leave out corners of a tight line that save less than 0.001 tiles, 3 mm: of an arc round a corner a few are left.
+
+    Parameters
+    ----------
+    cost, line
+        As `pull_tight`; the line keeps more than the margin, or the arcs stay as they are.
+    margin : float
+        Tiles, at least 0 and below 0.5.
+    """
+    kept = as_margin(margin) + _SPARE
+    thinning = Tightening(as_cost(cost), kept, 0.0, _LEAST_SAVING, _LEAST_STEP)
+    return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
 
 
 def _leave_out(tightening: Tightening, line: Floats) -> Floats:

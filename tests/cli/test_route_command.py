@@ -91,7 +91,7 @@ def test_the_way_goes_through_the_gap_and_all_files_are_there(layers, tmp_path):
     assert north > (SOUTH + ROWS - 3) * 3.0
     properties = json.loads((out / "route.geojson").read_text())["features"][0]["properties"]
     assert properties["detour"] > 1.5
-    assert properties["length_m"] == pytest.approx(line.length, rel=1e-6)
+    assert properties["length_m"] == pytest.approx(line.length, abs=0.02)  # 7 decimals of a degree
     assert properties["cost_m"] == pytest.approx(line.length * (1 + 2.5 * 0.1 - 300 * np.log(0.99) / 10), rel=1e-5)
 
 

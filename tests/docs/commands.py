@@ -22,6 +22,8 @@ import laspy
 import numpy as np
 import pyproj
 
+from bumpymap.cli import main as bumpymap_main
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
@@ -116,7 +118,10 @@ def furnish(folder: Path) -> None:
     survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
     x, y = np.asarray(survey.x), np.asarray(survey.y)
     (folder / "flights").mkdir()
-    (folder / "demo_out").mkdir()
+    bumpymap_main(
+        ["map", str(ROOT / "sample_data" / "quarry.laz"), "--out", str(folder / "demo_out" / "layers"), "--quiet"],
+        standalone_mode=False,
+    )
     (folder / "sample_data").mkdir()
     shutil.copy(ROOT / "sample_data" / "quarry.laz", folder / "sample_data")
     for name, east in (("site.laz", 0.0), ("survey.laz", 0.0), ("flights/1.laz", 0.0), ("flights/2.laz", 12.0)):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.core import NO_TILE, CostRule, Georeference, RouteVehicle, TileField
+from bumpymap.core import NO_TILE, OBSTACLE, CostRule, Georeference, RouteVehicle, TileField
 from bumpytiles import Grid, TileWindow
 
 GRID = Grid()
@@ -32,6 +32,7 @@ class TileMap:
     vehicle: RouteVehicle = WARTHOG
     has_crs: bool = True
     windows: list = field(default_factory=list)
+    stones: list = field(default_factory=list)
 
     def __post_init__(self):
         self.c_r = np.asarray(self.c_r, np.float32)
@@ -72,6 +73,18 @@ class TileMap:
             self.rule,
             self.vehicle,
         )
+
+    def objects(self, window):
+        """Chosen pixels with an obstacle: easting and northing, m."""
+        pixels = self.grid.pixels
+        out = np.zeros((window.rows * pixels, window.cols * pixels), np.uint8)
+        size = self.grid.tile_size / pixels
+        for easting, northing in self.stones:
+            row = int((window.row + window.rows) * pixels - np.floor(northing / size) - 1)
+            col = int(np.floor(easting / size) - window.col * pixels)
+            if 0 <= row < out.shape[0] and 0 <= col < out.shape[1]:
+                out[row, col] = OBSTACLE
+        return out
 
     def heights(self, window):
         pixel = self.grid.tile_size / self.grid.pixels

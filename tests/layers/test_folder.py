@@ -3,6 +3,7 @@ import json
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,8 +85,8 @@ def test_same_bytes_in_another_process(tmp_path, cost_map):
     here.mkdir()
     there.mkdir()
     write(cost_map, here, manifest={})
-    conftest = __file__.replace("test_folder.py", "conftest.py")
-    subprocess.run([sys.executable, "-c", code, conftest, str(there)], check=True, env={"PYTHONHASHSEED": "7"})
+    maps = Path(__file__).parents[1] / "helpers" / "cost_maps.py"
+    subprocess.run([sys.executable, "-c", code, str(maps), str(there)], check=True, env={"PYTHONHASHSEED": "7"})
     first, second = hashes(here), hashes(there)
     del first["run.json"], second["run.json"]
     assert first == second

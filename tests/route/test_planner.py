@@ -100,3 +100,34 @@ def test_there_and_back_cost_the_same():
     stops = np.array([site.at(1.2, 1.9), site.at(58.7, 66.1)])
     there, back = (planner(site).way(points).measured.figures for points in (stops, stops[::-1]))
     assert there.cost_m == pytest.approx(back.cost_m, rel=1e-12)
+
+
+def test_a_stone_on_the_line_is_passed_beside_its_tile():
+    site = TileMap(np.full((21, 40), 0.1))
+    stops = np.array([site.at(10.5, 2.5), site.at(10.5, 37.5)])
+    site.stones = [tuple(site.at(10.6, 20.5)), tuple(site.at(9.2, 20.5)), tuple(site.at(2.5, 2.5))]
+    plan = planner(site)
+    way = plan.way(stops)
+    apart = shapely.distance(shapely.LineString(way.line), shapely.points(np.array(site.stones)))
+    assert apart.min() >= plan.reach_m - 0.15
+    assert way.measured.figures.obstacle_m == 0.0
+    assert 1.0 < way.measured.figures.detour < 1.05
+
+
+def test_where_every_way_touches_an_obstacle_the_figures_say_so():
+    barred = np.full((9, 20), Barred.SLOPE)
+    barred[4] = Barred.NO
+    site = TileMap(np.full((9, 20), 0.1), barred)
+    site.stones = [tuple(site.at(4.5, 10.5))]
+    plan = planner(site)
+    way = plan.way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)]))
+    assert way.measured.figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
+
+
+def test_a_start_beside_an_obstacle_is_left():
+    site = TileMap(np.full((9, 20), 0.1))
+    stops = np.array([site.at(4.5, 2.5), site.at(4.5, 17.5)])
+    site.stones = [tuple(site.at(4.5, 2.4))]
+    figures = planner(site).way(stops).measured.figures
+    assert figures.detour == pytest.approx(1.0, abs=1e-6)
+    assert 0.0 < figures.obstacle_m < 3.0

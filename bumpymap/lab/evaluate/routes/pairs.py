@@ -10,13 +10,12 @@ from bumpymap.core import BadInputError, Progress, TileField
 from bumpymap.lab.evaluate.routes.predicted import cut_at_tiles, shared_length, tile_cost
 from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
 
-__all__ = ["Planner", "WayPair", "choose_pairs"]
+__all__ = ["PlanWay", "WayPair", "choose_pairs"]
 
 Floats = NDArray[np.float64]
-Planner = Callable[[Floats, Floats, Floats], Floats | None]
-"""Plans a way: cost per metre (rows, cols), infinite where closed; start and goal (2,) in field coordinates, that
-is tiles from the north and from the west of the window. Returns the corners (n, 2) from start to goal, or None if there
-is no way."""
+PlanWay = Callable[[Floats, Floats], Floats | None]
+"""Plans a way over the map: start and goal (2,) in field coordinates, that is tiles from its north and from its west.
+Returns the corners (n, 2) from start to goal, or None if there is no way."""
 
 _MOST_TRIED = 5000
 
@@ -36,7 +35,7 @@ class WayPair:
 
 
 def choose_pairs(
-    field: TileField, plan: Planner, settings: RouteTrialSettings, progress: Progress
+    field: TileField, plan: PlanWay, settings: RouteTrialSettings, progress: Progress
 ) -> list[WayPair]:  # fmt: skip
     """Draw starts and goals at centres of passable tiles between which a way exists.
 
@@ -47,7 +46,7 @@ def choose_pairs(
     ----------
     field : TileField
         The whole map.
-    plan : Planner
+    plan : PlanWay
     settings : RouteTrialSettings
     progress : Progress
 
@@ -65,7 +64,7 @@ def choose_pairs(
         pieces = cut_at_tiles(straight)
         if not known[pieces.row, pieces.col].all():
             continue
-        best = plan(cost, start, goal)
+        best = plan(start, goal)
         if best is None or shared_length(best, straight) > settings.most_shared:
             continue
         found.append(WayPair(np.asarray(best, np.float64), straight))

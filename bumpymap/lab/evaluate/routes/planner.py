@@ -1,37 +1,41 @@
-"""The planner of `bumpymap.route` for an evaluation."""
+"""The planner of routes, as the evaluation asks it."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import RouteVehicle
-from bumpymap.route import find_way
+from bumpymap.route import CostSettings, Planner
+
+if TYPE_CHECKING:
+    from bumpymap.layers import RouteMap
 
 __all__ = ["RoutePlanner"]
 
-_BESIDE_M = 0.1
-"""Room between vehicle and closed tiles, m: as between vehicle and obstacles where tiles are judged passable."""
-_MOST_MARGIN = 0.45
-"""Largest margin, tiles: a way through a corridor of one tile must stay possible."""
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class RoutePlanner:
-    """Plans the cheapest way; a `Planner`."""
+    """Plans the cheapest way as ``bumpymap route`` does; a `PlanWay`."""
 
-    margin: float
-    """Distance that a way keeps from closed tiles, tiles."""
+    planner: Planner
 
     @classmethod
-    def of(cls, vehicle: RouteVehicle, tile_size: float) -> "RoutePlanner":
-        """Return the planner of a vehicle: ways keep half its width and 0.1 m from closed tiles."""
-        return cls(min((vehicle.width_m / 2 + _BESIDE_M) / tile_size, _MOST_MARGIN))
+    def of(cls, route_map: "RouteMap") -> "RoutePlanner":
+        """Return the planner of a map, with the settings of its vehicle."""
+        return cls(Planner(route_map, CostSettings(), route_map.window.cols * route_map.window.rows))
 
-    def __call__(
-        self, cost: NDArray[np.float64], start: NDArray[np.float64], goal: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Plan a way; see `Planner`."""
-        ends = [(float(place[0]), float(place[1])) for place in (start, goal)]
-        way = find_way(cost.astype(np.float32), *ends, margin=self.margin)
-        return None if way is None else way.line
+    def __call__(self, start: Floats, goal: Floats) -> Floats | None:
+        """Plan a way; see `PlanWay`. None too if an obstacle stands where it begins or ends."""
+        window = self.planner.site.window
+        ends = np.array([self.planner.at(place, window) for place in (start, goal)])
+        if any(self.planner.touches_obstacle(end) for end in ends):
+            return None
+        line = self.planner.line(*ends)
+        if line is None:
+            return None
+        placed = np.array([self.planner.place(corner, window) for corner in line])
+        placed[0], placed[-1] = start, goal
+        return placed

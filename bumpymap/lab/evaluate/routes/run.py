@@ -22,7 +22,7 @@ from bumpymap.lab.evaluate.routes.compare import (
     results_of,
 )
 from bumpymap.lab.evaluate.routes.measured import ride_without_correction
-from bumpymap.lab.evaluate.routes.pairs import Planner, WayPair, choose_pairs
+from bumpymap.lab.evaluate.routes.pairs import PlanWay, WayPair, choose_pairs
 from bumpymap.lab.evaluate.routes.predicted import predict_line
 from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
 from bumpymap.lab.evaluate.routes.trial import WAYS, drive_pairs
@@ -74,7 +74,7 @@ def require_calibration(route_map: "RouteMap", calibration: Calibration) -> None
 def evaluate_routes(
     route_map: "RouteMap",
     calibration: Calibration,
-    plan: Planner,
+    plan: PlanWay,
     settings: RouteTrialSettings,
     options: TrialOptions,
 ) -> tuple[RouteFindings, RouteTrialData]:
@@ -86,7 +86,7 @@ def evaluate_routes(
     calibration : Calibration
         The one that the map was made with; it has a ride model.
     plan : callable
-        See `Planner`.
+        See `PlanWay`.
     settings : RouteTrialSettings
     options : TrialOptions
 

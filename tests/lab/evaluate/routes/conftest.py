@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from bumpymap.core import CostRule, Georeference, RouteVehicle, TileField
+from bumpymap.core import NO_TILE, CostRule, Georeference, RouteVehicle, TileField
 from bumpymap.rating import Calibration
 from bumpytiles import Grid, TileWindow
 
@@ -24,6 +24,7 @@ class MadeUpMap:
     window = TileWindow(1000, -300, COLS, ROWS)
     grid = Grid()
     vehicle = RouteVehicle("warthog", 1.37, 1.0)
+    rule = CostRule(5.0, 300.0, 10.0, 30.0)
 
     @property
     def calibration_id(self):
@@ -34,18 +35,18 @@ class MadeUpMap:
         files = [{"path": "heightmap.tif", "sha256": "0"}, {"path": "obstacle.tif", "sha256": "1"}]
         return ({"inputs": [{"path": "made/up.laz"}], "files": files},)
 
-    def read(self, window):
-        assert window == self.window
+    def read(self, window, bands=()):
         barred = np.zeros((ROWS, COLS), np.uint8)
         barred[2:, WALL_COL] = 5
         level = np.full(barred.shape, self.c_r, np.float32)
         p_fail = np.where(barred, 0.9, 0.001).astype(np.float32)
         c_r = np.where(barred, 1.0, level).astype(np.float32)
-        rule = CostRule(5.0, 300.0, 10.0, 30.0)
-        place = Georeference(None)
-        return TileField(
-            self.grid, place, window, barred, c_r, c_r * 0.8, c_r * 1.25, p_fail, 0 * c_r, rule, self.vehicle
+        bands = [c_r, c_r * 0.8, c_r * 1.25, p_fail, 0 * c_r]
+        barred, *bands = (
+            self._placed(np.full((window.rows, window.cols), nothing, values.dtype), values, window, 1)
+            for values, nothing in ((barred, NO_TILE), *((band, np.nan) for band in bands))
         )
+        return TileField(self.grid, Georeference(None), window, barred, *bands, self.rule, self.vehicle)
 
     def heights(self, window):
         """Sine waves of 3 m along the easting, NaN outside the map, with some gaps."""
@@ -60,11 +61,11 @@ class MadeUpMap:
         out = np.full((window.rows * PIXELS, window.cols * PIXELS), 255, np.uint8)
         return self._placed(out, np.zeros((ROWS * PIXELS, COLS * PIXELS), np.uint8), window)
 
-    def _placed(self, out, whole, window):
+    def _placed(self, out, whole, window, pixels=PIXELS):
         """Copy what lies in the window; north rows first."""
         own = self.window
-        top = (window.row + window.rows - own.row - own.rows) * PIXELS
-        left = (own.col - window.col) * PIXELS
+        top = (window.row + window.rows - own.row - own.rows) * pixels
+        left = (own.col - window.col) * pixels
         row, col = np.indices(out.shape)
         inside = (row >= top) & (row < top + len(whole)) & (col >= left) & (col < left + whole.shape[1])
         out[inside] = whole[row[inside] - top, col[inside] - left]

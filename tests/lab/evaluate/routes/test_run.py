@@ -33,7 +33,7 @@ def options(out, *, overwrite=False):
     return TrialOptions(out, 1, overwrite, SilentProgress())
 
 
-def round_the_wall(_cost, start, goal):
+def round_the_wall(start, goal):
     """Through the gap in the north of the made-up map."""
     return np.array([start, [0.9, 4.5], [0.9, 6.5], goal])
 
@@ -85,15 +85,14 @@ def test_ride_of_measured_heights_without_noise_is_that_of_waves(made_up, wartho
 
 
 def test_the_planner_keeps_clear_of_barred_tiles(made_up):
-    field = made_up.read(made_up.window)
-    planner = RoutePlanner.of(made_up.vehicle, 3.0)
-    assert planner.margin == pytest.approx((1.37 / 2 + 0.1) / 3)
-    line = planner(np.where(field.barred == 0, 1.0, np.inf), np.array([4.5, 2.5]), np.array([4.5, 8.5]))
+    planner = RoutePlanner.of(made_up)
+    margin = (1.37 / 2 + 0.1) / 3
+    line = planner(np.array([4.5, 2.5]), np.array([4.5, 8.5]))
     share = np.linspace(0, 1, 200)[:, None]
     dense = np.concatenate([a + share * (b - a) for a, b in pairwise(line)])
     beside = np.maximum(np.maximum(5 - dense[:, 1], dense[:, 1] - 6), 0)
-    assert np.hypot(beside, np.maximum(2 - dense[:, 0], 0)).min() >= planner.margin - 1e-6
-    assert planner(np.full((6, 10), np.inf), np.array([4.5, 2.5]), np.array([4.5, 8.5])) is None
+    assert np.hypot(beside, np.maximum(2 - dense[:, 0], 0)).min() >= margin - 1e-6
+    assert planner(np.array([4.5, 2.5]), np.array([4.5, 5.5])) is None  # in the wall
 
 
 def fake_drives(monkeypatch):
@@ -157,7 +156,7 @@ def test_the_command_evaluates_and_does_not_replace_a_report_unasked(made_up, tm
 @pytest.mark.slow
 def test_ways_round_a_wall_are_driven_and_reported(made_up, warthog, tmp_path):
     pytest.importorskip("dartpy")
-    findings, data = evaluate_routes(made_up, warthog, RoutePlanner(0.26), SETTINGS, options(tmp_path))
+    findings, data = evaluate_routes(made_up, warthog, RoutePlanner.of(made_up), SETTINGS, options(tmp_path))
     files = write_route_report(findings, data, tmp_path)
     assert [path.name for path in files] == ["report.md", "report.json", "ways_driven.png", "ways_map.png"]
     assert all(way.arrived == 1 for way in findings.of("best"))

@@ -1,0 +1,88 @@
+"""Obstacles beside a way: where the vehicle would touch one, by the pixels of obstacle.tif.
+
+A tile with an obstacle is passable if the vehicle can get through it somewhere. A way that is planned on tiles does not
+know where, so it is checked against the pixels.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from bumpymap.core import OBSTACLE
+from bumpymap.layers import RouteMap
+from bumpytiles import TileWindow
+
+__all__ = ["NearObstacles", "find_near_obstacles"]
+
+Floats = NDArray[np.float64]
+
+_STRETCH_TILES = 32
+"""Longest stretch that is looked at together, tiles: 512 x 512 pixels of 0.2 m."""
+_STEP = 0.5
+"""Distance of the points of a line that are examined, in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class NearObstacles:
+    """Obstacles that are nearer to a line than the vehicle may come."""
+
+    tiles: NDArray[np.int64]
+    """(n, 2) column and row of the tiles that hold them, each once."""
+    length: float
+    """Length of the line that is too near, m."""
+
+
+def find_near_obstacles(site: RouteMap, line: Floats, reach: float) -> NearObstacles:
+    """Find the obstacles that are nearer to a line than ``reach``.
+
+    Parameters
+    ----------
+    site : RouteMap
+        The map; `RouteMap.objects` is used.
+    line : array (m, 2)
+        Easting and northing of the corners, m.
+    reach : float
+        From the line to the middle of a pixel with an obstacle, m.
+    """
+    pixel = site.grid.pixel_size
+    found, length = [np.empty((0, 2), np.int64)], 0.0
+    for points, step in _stretches(line, _STEP * pixel, site.grid.tile_size * _STRETCH_TILES):
+        window = _window(site, points, reach)
+        is_obstacle = site.objects(window) == OBSTACLE
+        if not is_obstacle.any():
+            continue
+        nearest = distance_transform_edt(~is_obstacle, return_distances=False, return_indices=True)
+        north = (window.row + window.rows) * site.grid.tile_size
+        row = np.floor((north - points[:, 1]) / pixel).astype(np.int64)
+        col = np.floor(points[:, 0] / pixel).astype(np.int64) - window.col * site.grid.pixels
+        row, col = (np.clip(index, 0, side - 1) for index, side in zip((row, col), is_obstacle.shape, strict=True))
+        place = nearest[:, row, col]
+        easting = (window.col * site.grid.pixels + place[1] + 0.5) * pixel
+        northing = north - (place[0] + 0.5) * pixel
+        near = np.hypot(easting - points[:, 0], northing - points[:, 1]) < reach
+        length += float(near.sum()) * step
+        found.append(np.column_stack([site.grid.index(easting[near]), site.grid.index(northing[near])]))
+    return NearObstacles(np.unique(np.concatenate(found), axis=0), length)
+
+
+def _stretches(line: Floats, step: float, longest: float) -> Iterator[tuple[Floats, float]]:
+    """Yield points at even distances along a line, in parts of ``longest`` metres at most, and their distance, m."""
+    parts = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(parts)])
+    count = max(1, int(np.ceil(along[-1] / step)))
+    moving = np.concatenate([[True], parts > 0])
+    distance = (np.arange(count) + 0.5) * (along[-1] / count)
+    points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
+    size = max(1, int(longest / step))
+    for first in range(0, count, size):
+        yield points[first : first + size], float(along[-1] / count)
+
+
+def _window(site: RouteMap, points: Floats, reach: float) -> TileWindow:
+    """Return the tiles around points, with all that is within reach."""
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    col, row = site.grid.index(np.array([low[0], high[0]])), site.grid.index(np.array([low[1], high[1]]))
+    return TileWindow.around(col, row)
