@@ -61,10 +61,11 @@ def nearest_usable(
     while True:
         top, left = max(i - reach, 0), max(j - reach, 0)
         found = _nearest(is_open[top : i + reach + 1, left : j + reach + 1], row - top, col - left, margin)
+        is_all = top == 0 and left == 0 and i + reach + 1 >= rows and j + reach + 1 >= cols
         # A tile beyond what was examined is at least ``reach`` away.
-        if found is not None and found.distance <= reach:
+        if found is not None and (is_all or found.distance <= reach):
             return NearestPoint(found.row + top, found.col + left, found.distance)
-        if reach > max(rows, cols) + max(abs(i), abs(j)):
+        if is_all:
             return None
         reach *= 2
 
