@@ -74,8 +74,8 @@ def _remarks(result: RouteResult, config: RouteConfig) -> Iterator[str]:
     for route in result.routes:
         if route.figures.obstacle_m > 0:
             yield (
-                f"{route.name}: on {route.figures.obstacle_m:,.1f} m an obstacle is nearer than half the vehicle's "
-                "width; its tile can be passed, but this line may touch it"
+                f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m, where no gap was found; arrives "
+                "does not include that"
             )
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 

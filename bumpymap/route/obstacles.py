@@ -4,7 +4,6 @@ A tile with an obstacle is passable if the vehicle can get through it somewhere.
 know where, so it is checked against the pixels.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +12,9 @@ from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import OBSTACLE
 from bumpymap.layers import RouteMap
-from bumpytiles import TileWindow
+from bumpytiles import Grid, TileWindow
 
-__all__ = ["NearObstacles", "find_near_obstacles"]
+__all__ = ["NearObstacles", "Touches", "find_near_obstacles", "sample_line", "touches_along"]
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +34,16 @@ class NearObstacles:
     """Length of the line that is too near, m."""
 
 
+@dataclass(frozen=True, slots=True)
+class Touches:
+    """Which points are too near to an obstacle."""
+
+    near: NDArray[np.bool_]
+    """(n,)."""
+    tiles: NDArray[np.int64]
+    """(k, 2) column and row of the tile of the nearest obstacle, of each point that is too near."""
+
+
 def find_near_obstacles(site: RouteMap, line: Floats, reach: float) -> NearObstacles:
     """Find the obstacles that are nearer to a line than ``reach``.
 
@@ -47,38 +56,47 @@ def find_near_obstacles(site: RouteMap, line: Floats, reach: float) -> NearObsta
     reach : float
         From the line to the middle of a pixel with an obstacle, m.
     """
-    pixel = site.grid.pixel_size
-    found, length = [np.empty((0, 2), np.int64)], 0.0
-    for points, step in _stretches(line, _STEP * pixel, site.grid.tile_size * _STRETCH_TILES):
-        window = _window(site, points, reach)
-        is_obstacle = site.objects(window) == OBSTACLE
-        if not is_obstacle.any():
-            continue
-        nearest = distance_transform_edt(~is_obstacle, return_distances=False, return_indices=True)
-        north = (window.row + window.rows) * site.grid.tile_size
-        row = np.floor((north - points[:, 1]) / pixel).astype(np.int64)
-        col = np.floor(points[:, 0] / pixel).astype(np.int64) - window.col * site.grid.pixels
-        row, col = (np.clip(index, 0, side - 1) for index, side in zip((row, col), is_obstacle.shape, strict=True))
-        place = nearest[:, row, col]
-        easting = (window.col * site.grid.pixels + place[1] + 0.5) * pixel
-        northing = north - (place[0] + 0.5) * pixel
-        near = np.hypot(easting - points[:, 0], northing - points[:, 1]) < reach
-        length += float(near.sum()) * step
-        found.append(np.column_stack([site.grid.index(easting[near]), site.grid.index(northing[near])]))
-    return NearObstacles(np.unique(np.concatenate(found), axis=0), length)
+    points, step = sample_line(line, site.grid)
+    found = touches_along(site, points, reach)
+    return NearObstacles(np.unique(found.tiles, axis=0), float(found.near.sum()) * step)
 
 
-def _stretches(line: Floats, step: float, longest: float) -> Iterator[tuple[Floats, float]]:
-    """Yield points at even distances along a line, in parts of ``longest`` metres at most, and their distance, m."""
+def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
+    """Return points in the middle of even parts of a line, half a pixel apart, and the length of a part, m."""
     parts = np.hypot(*np.diff(line, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(parts)])
-    count = max(1, int(np.ceil(along[-1] / step)))
+    count = max(1, int(np.ceil(along[-1] / (_STEP * grid.pixel_size))))
     moving = np.concatenate([[True], parts > 0])
     distance = (np.arange(count) + 0.5) * (along[-1] / count)
     points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
-    size = max(1, int(longest / step))
-    for first in range(0, count, size):
-        yield points[first : first + size], float(along[-1] / count)
+    return points, float(along[-1] / count)
+
+
+def touches_along(site: RouteMap, points: Floats, reach: float) -> Touches:
+    """Find which points of a line are nearer to an obstacle than ``reach``; see `find_near_obstacles`."""
+    size = max(1, int(_STRETCH_TILES * site.grid.pixels / _STEP))
+    found = [_of_stretch(site, points[first : first + size], reach) for first in range(0, len(points), size)]
+    return Touches(np.concatenate([each.near for each in found]), np.concatenate([each.tiles for each in found]))
+
+
+def _of_stretch(site: RouteMap, points: Floats, reach: float) -> Touches:
+    """Look at some points in one window."""
+    pixel = site.grid.pixel_size
+    window = _window(site, points, reach)
+    is_obstacle = site.objects(window) == OBSTACLE
+    if not is_obstacle.any():
+        return Touches(np.zeros(len(points), np.bool_), np.empty((0, 2), np.int64))
+    nearest = distance_transform_edt(~is_obstacle, return_distances=False, return_indices=True)
+    north = (window.row + window.rows) * site.grid.tile_size
+    row = np.floor((north - points[:, 1]) / pixel).astype(np.int64)
+    col = np.floor(points[:, 0] / pixel).astype(np.int64) - window.col * site.grid.pixels
+    row, col = (np.clip(index, 0, side - 1) for index, side in zip((row, col), is_obstacle.shape, strict=True))
+    place = nearest[:, row, col]
+    easting = (window.col * site.grid.pixels + place[1] + 0.5) * pixel
+    northing = north - (place[0] + 0.5) * pixel
+    near = np.hypot(easting - points[:, 0], northing - points[:, 1]) < reach
+    tiles = np.column_stack([site.grid.index(easting[near]), site.grid.index(northing[near])])
+    return Touches(near, tiles)
 
 
 def _window(site: RouteMap, points: Floats, reach: float) -> TileWindow:

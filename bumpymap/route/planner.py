@@ -15,6 +15,7 @@ from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way
 from bumpymap.route.obstacles import find_near_obstacles
 from bumpymap.route.settings import CostSettings
+from bumpymap.route.steering import steer_clear
 from bumpytiles import TileWindow
 
 __all__ = ["PlannedWay", "Planner", "WornTiles"]
@@ -23,7 +24,7 @@ Floats = NDArray[np.float64]
 
 _ROOM_M = 0.1
 """Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
-_MOST_TRIES = 40
+_MOST_TRIES = 12
 """How often a way is planned again because it touches obstacles."""
 _NO_TILES = np.empty((0, 2), np.int64)
 _MOST_MARGIN = 0.45
@@ -165,6 +166,9 @@ class Planner:
 
     def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
         """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
+        if tuple(goal) < tuple(start):  # there and back are the same line
+            back = self._leg(goal, start, risk, worn)
+            return None if back is None else back[::-1]
         if worn is not None:
             return self._clear_line(start, goal, risk, worn)
         key = (*start, *goal, self.risk if risk is None else risk)
@@ -175,10 +179,10 @@ class Planner:
     def _clear_line(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
         """Return the cheapest line on which the vehicle touches no obstacle, or the cheapest if there is none.
 
-        Tiles with obstacles that it would touch are closed, and the way is planned again. Obstacles within reach of
-        start and goal are left out: they stand there already.
+        Where it touches one, it is searched on pixels; if it touches one still, the tiles of these obstacles are
+        closed, and the way is planned again. Obstacles within reach of start and goal are left out.
         """
-        first = line = self._line(start, goal, risk, worn, _NO_TILES)
+        first = line = self._steered_line(start, goal, risk, worn, _NO_TILES)
         ends = [find_near_obstacles(self.site, np.array([end, end]), self.reach_m).tiles for end in (start, goal)]
         own = self.site.grid.index(np.array([start[0], goal[0]])), self.site.grid.index(np.array([start[1], goal[1]]))
         kept = np.concatenate([*ends, np.column_stack(own)])
@@ -190,10 +194,10 @@ class Planner:
             if not len(near):
                 return line
             closed = np.concatenate([closed, near])
-            line = self._line(start, goal, risk, worn, closed)
+            line = self._steered_line(start, goal, risk, worn, closed)
         return first
 
-    def _line(
+    def _steered_line(
         self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None, closed: NDArray[np.int64]
     ) -> Floats | None:
         """Return the cheapest line between two points with some tiles closed, (m, 2) easting and northing, m."""
@@ -211,7 +215,7 @@ class Planner:
         east, north = window.col + found.line[:, 1], window.row + window.rows - found.line[:, 0]
         line = np.column_stack([east, north]) * self.site.grid.tile_size
         line[0], line[-1] = start, goal
-        return line
+        return steer_clear(self.site, line, load, self.reach_m)
 
     def line(self, start: Floats, goal: Floats) -> Floats | None:
         """Plan the cheapest line between two points, (m, 2) easting and northing, m; None if there is none."""

@@ -21,7 +21,7 @@ from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import RingedWindow
 from bumpymap.route.line import as_cost, line_cost, wide_margin
-from bumpymap.route.straighten import pull_tight, thin_out
+from bumpymap.route.straighten import LEAST_SAVING, pull_tight, thin_out
 
 __all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
 
@@ -58,7 +58,9 @@ class Found:
     """Costs of the window, in the frame."""
 
 
-def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0) -> Way | None:
+def find_way(
+    cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0, least_saving: float = LEAST_SAVING
+) -> Way | None:
     """Find the cheapest way.
 
     Parameters
@@ -69,6 +71,8 @@ def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: f
         Field coordinates.
     margin : float
         Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
+    least_saving : float
+        Corners that save less are left out, tiles.
 
     Returns
     -------
@@ -81,15 +85,15 @@ def find_way(cost: NDArray[np.floating], start: Point, goal: Point, *, margin: f
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
     found = seek(as_cost(cost), start, goal, margin)
-    return None if found.line is None else tight_way(found, margin)
+    return None if found.line is None else tight_way(found, margin, least_saving)
 
 
-def tight_way(found: Found, margin: float) -> Way:
+def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -> Way:
     """Pull a way that has been found tight."""
     if found.line is None:
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
-    line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin)
+    line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
     pulled = line_cost(near, line)
     return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
 

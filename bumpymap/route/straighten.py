@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bumpymap.route._pull_kernels import Corners, Shortcuts, Tightening, leave_out, move_corners
 from bumpymap.route.line import as_cost, as_margin, line_cost
 
-__all__ = ["pull_tight", "thin_out"]
+__all__ = ["LEAST_SAVING", "pull_tight", "thin_out"]
 
 Floats = NDArray[np.float64]
 
@@ -26,8 +26,8 @@ _GAIN = 1e-6
 """Pulling ends with a round that gains less, as a share of the cost."""
 _LEAST_MOVE, _WORTH = 1e-10, 1e-7
 """A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
-_LEAST_SAVING = 1e-3
-"""What a corner of a thinned line saves at least, tiles."""
+LEAST_SAVING = 1e-3
+"""What a corner of a thinned line saves at least by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
 _SPARE = 5e-10
@@ -76,8 +76,10 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
     return best if total <= given else line
 
 
-def thin_out(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
-    """Leave out corners of a tight line that save less than 0.001 tiles, 3 mm: of an arc round a corner a few are left.
+def thin_out(
+    cost: NDArray[np.floating], line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
+) -> Floats:
+    """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
 
     Parameters
     ----------
@@ -85,9 +87,11 @@ def thin_out(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> F
         As `pull_tight`; the line keeps more than the margin, or the arcs stay as they are.
     margin : float
         Tiles, at least 0 and below 0.5.
+    least_saving : float
+        What a corner saves at least, tiles.
     """
     kept = as_margin(margin) + _SPARE
-    thinning = Tightening(as_cost(cost), kept, 0.0, _LEAST_SAVING, _LEAST_STEP)
+    thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
     return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
 
 

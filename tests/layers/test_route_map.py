@@ -1,4 +1,3 @@
-from dataclasses import fields, is_dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -6,7 +5,7 @@ import pytest
 import rasterio
 from hypothesis import given, strategies as st
 from pyproj import CRS
-from route_maps import VEHICLE, bare_map, write_folder
+from route_maps import VEHICLE, bare_map, part_of, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
@@ -15,22 +14,6 @@ from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 SMALL = Grid(3.0, 4)
-
-
-def part_of(cost_map, chosen):
-    """The same map with some of its tiles."""
-
-    def cut(record):
-        changes = {}
-        for field in fields(record):
-            value = getattr(record, field.name)
-            if isinstance(value, np.ndarray):
-                changes[field.name] = value[chosen]
-            elif is_dataclass(value) and field.name in {"patches", "textures"}:
-                changes[field.name] = cut(value)
-        return replace(record, **changes)
-
-    return cut(cost_map)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray
-from route_maps import write_folder
+from route_maps import part_of, write_folder
 from route_sites import ROWS, SOUTH, WEST, place, site
 
 import bumpymap
@@ -55,3 +55,17 @@ def test_a_reach_is_a_dataset(layers):
 def test_a_map_is_exported(layers, tmp_path):
     done = layers.export(tmp_path / "nav2", to="nav2")
     assert {"map.yaml", "map.pgm"} <= {path.name for path in done.files}
+
+
+def test_a_map_in_sheets_gives_the_same_way(layers, tmp_path):
+    whole = site()
+    middle = WEST + 9
+    sheets = [
+        write_folder(tmp_path / "west", part_of(whole, whole.patches.col < middle)),
+        write_folder(tmp_path / "east", part_of(whole, whole.patches.col >= middle - 2)),
+    ]
+    ends = (pair(20.5, 8.5), pair(20.5, 22.5))
+    one, *others = (bumpymap.find_routes(folders, *ends)[0] for folders in (layers, sheets, sheets[::-1]))
+    for other in others:
+        np.testing.assert_array_equal(other.line, one.line)
+        assert other.figures == one.figures

@@ -131,3 +131,20 @@ def test_a_start_beside_an_obstacle_is_left():
     figures = planner(site).way(stops).measured.figures
     assert figures.detour == pytest.approx(1.0, abs=1e-6)
     assert 0.0 < figures.obstacle_m < 3.0
+
+
+def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
+    barred = np.full((9, 20), Barred.SLOPE)
+    barred[4] = Barred.NO
+    site = TileMap(np.full((9, 20), 0.1), barred)
+    site.stones = [tuple(site.at(4.15, 10.5)), tuple(site.at(4.85, 14.5))]
+    plan = planner(site)
+    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+    way = plan.way(stops)
+    line = shapely.LineString(way.line)
+    assert way.measured.figures.obstacle_m == 0.0
+    assert shapely.distance(line, shapely.points(np.array(site.stones))).min() >= plan.reach_m - 0.15
+    north, south = (site.at(row, 0)[1] for row in (4, 5))
+    assert south + plan.reach_m - 1e-6 <= way.line[:, 1].min() < way.line[:, 1].max() <= north - plan.reach_m + 1e-6
+    back = plan.way(stops[::-1])
+    np.testing.assert_array_equal(back.line, way.line[::-1])
