@@ -137,7 +137,7 @@ def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
     barred = np.full((9, 20), Barred.SLOPE)
     barred[4] = Barred.NO
     site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.15, 10.5)), tuple(site.at(4.85, 14.5))]
+    site.stones = [tuple(site.at(4.32, 10.5)), tuple(site.at(4.68, 14.5))]
     plan = planner(site)
     stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
     way = plan.way(stops)
