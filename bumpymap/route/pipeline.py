@@ -6,6 +6,7 @@ Open the map, find the points on it, plan the ways, measure them, write them.
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,9 @@ def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Flo
     if len(points) > MOST_VISITS:
         raise UsageError(f"the order of {len(points)} points is not searched: give at most {MOST_VISITS}")
     ring = np.concatenate([points, points[:1]]) if config.round_trip else points
-    costs = np.array([[planner.leg_cost(a, b) if a is not b else 0.0 for b in ring] for a in ring])
+    costs = np.zeros((len(ring), len(ring)))
+    for a, b in combinations(range(len(ring)), 2):
+        costs[a, b] = costs[b, a] = planner.leg_cost(ring[a], ring[b])
     order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
     return in_order(ring, order[: len(points)])
 
