@@ -26,7 +26,7 @@ from bumpymap.layers import (
     write_routes,
 )
 from bumpymap.route._moves import MOVES
-from bumpymap.route._window import BYTES_PER_TILE
+from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.no_way import explain_no_way
 from bumpymap.route.planner import PlannedWay, Planner, WornTiles, in_order
@@ -96,7 +96,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
 
 def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
-    return Planner(site, config.cost, memory_limit(config.memory) // BYTES_PER_TILE, avoid, only)
+    tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
+    return Planner(site, config.cost, tiles, avoid, only)
 
 
 def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[PlannedRoute]:
