@@ -16,7 +16,6 @@ from pyproj.exceptions import ProjError
 from bumpymap.core import (
     NO_TILE,
     BadInputError,
-    Barred,
     CostRule,
     Georeference,
     RouteVehicle,
@@ -120,43 +119,6 @@ class RouteMap:
         nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
-
-    def read_passable(self, window: TileWindow, *, robust: bool = False, unknown: bool = False) -> TileField:
-        """Read what the cost of a way depends on and no more: 9 bytes a tile.
-
-        Parameters
-        ----------
-        window : TileWindow
-        robust : bool
-            Read ``c_r_high`` in the place of ``c_r``.
-        unknown : bool
-            Read ``obstacle`` too, on which it depends whether an unknown tile may be crossed: 13 bytes a tile.
-        """
-        return self.read(window, ("c_r_high" if robust else "c_r", "p_fail", *(("obstacle",) if unknown else ())))
-
-    def read_cost(self, window: TileWindow) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Read what bars the tiles, and their cost at the weights of the layers: 5 bytes a tile, of the smallest files.
-
-        Returns
-        -------
-        barred : uint8 (rows, cols)
-            A `Barred`, or ``NO_TILE``.
-        cost : float32 (rows, cols)
-            Factor on distance; NaN if the tile is not passable.
-        """
-        if self._overlapping(window):
-            field = self.read_passable(window)
-            cost = self.rule.cost(field.c_r.astype(np.float64), self.rule.hazard(field.p_fail))
-            return field.barred, np.where(field.barred == Barred.NO, cost, np.nan).astype(np.float32)
-        barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
-        factor = np.full(barred.shape, np.nan, np.float32)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is not None:
-                place = window_slices(window, part)
-                sheet.read_into([barred[place]], "barred.tif", part)
-                sheet.read_into([factor[place]], "cost.tif", part)
-        return barred, factor
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
         """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none.

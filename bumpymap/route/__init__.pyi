@@ -8,7 +8,6 @@ from .api import (
 from .cost_field import (
     TileChoice as TileChoice,
     cost_of as cost_of,
-    load_cost as load_cost,
 )
 from .growing import (
     plan_way as plan_way,

@@ -12,12 +12,14 @@ from bumpymap.route._moves import REACH, move_tables
 from bumpymap.route._search_kernels import NEW, NOT_REACHED, Ground, Reached, Seeds, mark_crowded, search
 from bumpymap.route.line import is_clear, line_cost, wide_margin
 
-__all__ = ["BYTES_PER_TILE", "RingedWindow"]
+__all__ = ["BYTES_PER_TILE", "MOST_TILES", "RingedWindow"]
 
 Floats = NDArray[np.float64]
 
 BYTES_PER_TILE = 36
 """Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below."""
+MOST_TILES = 2_000_000_000
+"""Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
 
 @dataclass(frozen=True, slots=True)

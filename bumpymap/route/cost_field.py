@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, TileField, UsageError
-from bumpymap.layers import RouteMap
-from bumpytiles import TileWindow
 
-__all__ = ["TileChoice", "cost_of", "load_cost"]
+__all__ = ["TileChoice", "cost_of"]
 
 _STRIP = 256
 """Rows that are computed at once, so that the float64 arrays in between stay small."""
@@ -87,38 +85,6 @@ def cost_of(
             cost[rows][(barred == Barred.UNKNOWN) & ~(field.obstacle[rows] > 0.0)] = unknown_cost
         if choice is not None:
             cost[rows] = np.where(choice.closed(rows), np.float32(np.inf), cost[rows])
-    return cost
-
-
-def load_cost(
-    route_map: RouteMap,
-    window: TileWindow,
-    *,
-    risk_m: float | None = None,
-    robust: bool = False,
-    unknown_cost: float | None = None,
-    choice: TileChoice | None = None,
-) -> NDArray[np.float32]:
-    """Read a window of a map as the values of `cost_of`, from the smallest files that hold them.
-
-    With the weights of the layers, cost.tif holds them: a tenth of the time and of the bytes that the bands of
-    roughness.tif take. For parameters see `cost_of`.
-
-    Raises
-    ------
-    UsageError
-        A weight is out of range.
-    BadInputError
-        A file is missing or damaged.
-    """
-    if robust or unknown_cost is not None or risk_m not in {None, route_map.rule.fail_weight}:
-        field = route_map.read_passable(window, robust=robust, unknown=unknown_cost is not None)
-        return cost_of(field, risk_m=risk_m, robust=robust, unknown_cost=unknown_cost, choice=choice)
-    _, cost = route_map.read_cost(window)
-    for start in range(0, len(cost), _STRIP):
-        rows = slice(start, start + _STRIP)
-        closed = np.isnan(cost[rows]) if choice is None else np.isnan(cost[rows]) | choice.closed(rows)
-        cost[rows][closed] = np.inf
     return cost
 
 

@@ -31,7 +31,7 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
         if window.cols * window.rows > planner.memory_tiles:
             return f"{between} over passable ground"
         cost = planner.load(window)
-        barred = planner.site.read_passable(window).barred
+        barred = planner.site.read(window, ()).barred
         reached = [
             np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
         ]

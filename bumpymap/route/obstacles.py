@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
 
 from bumpymap.core import OBSTACLE
 from bumpymap.layers import RouteMap
@@ -83,20 +83,17 @@ def _of_stretch(site: RouteMap, points: Floats, reach: float) -> Touches:
     """Look at some points in one window."""
     pixel = site.grid.pixel_size
     window = _window(site, points, reach)
-    is_obstacle = site.objects(window) == OBSTACLE
-    if not is_obstacle.any():
+    row, col = np.nonzero(site.objects(window) == OBSTACLE)
+    if not len(row):
         return Touches(np.zeros(len(points), np.bool_), np.empty((0, 2), np.int64))
-    nearest = distance_transform_edt(~is_obstacle, return_distances=False, return_indices=True)
     north = (window.row + window.rows) * site.grid.tile_size
-    row = np.floor((north - points[:, 1]) / pixel).astype(np.int64)
-    col = np.floor(points[:, 0] / pixel).astype(np.int64) - window.col * site.grid.pixels
-    row, col = (np.clip(index, 0, side - 1) for index, side in zip((row, col), is_obstacle.shape, strict=True))
-    place = nearest[:, row, col]
-    easting = (window.col * site.grid.pixels + place[1] + 0.5) * pixel
-    northing = north - (place[0] + 0.5) * pixel
-    near = np.hypot(easting - points[:, 0], northing - points[:, 1]) < reach
-    tiles = np.column_stack([site.grid.index(easting[near]), site.grid.index(northing[near])])
-    return Touches(near, tiles)
+    easting, northing = (window.col * site.grid.pixels + col + 0.5) * pixel, north - (row + 0.5) * pixel
+    # Sliding midpoints: pixels lie on a grid, on which medians split badly.
+    tree = KDTree(np.column_stack([easting, northing]), balanced_tree=False, compact_nodes=False)
+    distance, nearest = tree.query(points, distance_upper_bound=reach)
+    near = distance < reach
+    place = nearest[near]
+    return Touches(near, np.column_stack([site.grid.index(easting[place]), site.grid.index(northing[place])]))
 
 
 def _window(site: RouteMap, points: Floats, reach: float) -> TileWindow:

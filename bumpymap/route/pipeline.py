@@ -6,6 +6,7 @@ Open the map, find the points on it, plan the ways, measure them, write them.
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from bumpymap.layers import (
     write_routes,
 )
 from bumpymap.route._moves import MOVES
-from bumpymap.route._window import BYTES_PER_TILE
+from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.no_way import explain_no_way
 from bumpymap.route.planner import PlannedWay, Planner, WornTiles, in_order
@@ -95,7 +96,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
 
 def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
-    return Planner(site, config.cost, memory_limit(config.memory) // BYTES_PER_TILE, avoid, only)
+    tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
+    return Planner(site, config.cost, tiles, avoid, only)
 
 
 def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[PlannedRoute]:
@@ -134,7 +136,9 @@ def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Flo
     if len(points) > MOST_VISITS:
         raise UsageError(f"the order of {len(points)} points is not searched: give at most {MOST_VISITS}")
     ring = np.concatenate([points, points[:1]]) if config.round_trip else points
-    costs = np.array([[planner.leg_cost(a, b) if a is not b else 0.0 for b in ring] for a in ring])
+    costs = np.zeros((len(ring), len(ring)))
+    for a, b in combinations(range(len(ring)), 2):
+        costs[a, b] = costs[b, a] = planner.leg_cost(ring[a], ring[b])
     order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
     return in_order(ring, order[: len(points)])
 

@@ -2,16 +2,21 @@
 
 import math
 import re
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, UsageError, describe_crs
 from bumpymap.layers import RouteMap
+from bumpytiles import Grid, TileWindow
 
-__all__ = ["GridPoint", "parse_point", "place_point"]
+__all__ = ["GridPoint", "parse_point", "place_in_window", "place_point"]
 
 System = Literal["lonlat", "crs"]
+Place: TypeAlias = Sequence[float] | NDArray[np.float64]
+"""Easting and northing, m."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"\s*(?:(lonlat|crs)\s*:)?\s*({_NUMBER})\s*[,;\s]\s*({_NUMBER})\s*", re.IGNORECASE)
@@ -98,6 +103,25 @@ def place_point(
     raise BadInputError(
         f"{name} lies outside the map, which spans {_extent(route_map)}. {_swapped(x, y, route_map)}{_FORMS}"
     )
+
+
+def place_in_window(
+    point: Sequence[float] | NDArray[np.float64], grid: Grid, window: TileWindow
+) -> tuple[float, float]:
+    """Convert easting and northing [m] to field coordinates of a window: tiles from its north and from its west edge.
+
+    A point on a border lies in the tile to the north or east of it, as everywhere on the grid. Rows of a window count
+    southwards, so there it is the last number before the border.
+    """
+    col, row = grid.index(np.array([point[0], point[1]], np.float64)).tolist()
+    top, left = window.row + window.rows - 1 - row, col - window.col
+    r, c = window.row + window.rows - point[1] / grid.tile_size, point[0] / grid.tile_size - window.col
+    return _in_tile(float(r), top), _in_tile(float(c), left)
+
+
+def _in_tile(coordinate: float, tile: int) -> float:
+    """Return a coordinate, or the nearest one in a tile."""
+    return min(max(coordinate, float(tile)), math.nextafter(tile + 1.0, tile))
 
 
 def _on_grid(x: float, y: float, route_map: RouteMap, system: System, *, forced: bool) -> GridPoint | None:

@@ -14,6 +14,7 @@ from bumpymap.route.cost_field import TileChoice, cost_of
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way
 from bumpymap.route.obstacles import find_near_obstacles
+from bumpymap.route.places import place_in_window
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.steering import steer_clear
 from bumpytiles import TileWindow
@@ -85,7 +86,7 @@ class Planner:
     memory_tiles: int
     avoid: Any = None
     only: Any = None
-    _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict)
+    _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def rule(self) -> CostRule:
@@ -106,6 +107,12 @@ class Planner:
     def margin(self) -> float:
         """Distance that a way keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
         return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """What of the map the cost depends on, besides what bars tiles."""
+        obstacle = () if self.settings.unknown is None else ("obstacle",)
+        return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
     def cost(self, tiles: TileField, risk: float | None = None) -> NDArray[np.float32]:
         """Return the cost per metre of each tile of a window, inf where closed."""
@@ -129,10 +136,7 @@ class Planner:
 
     def load(self, window: TileWindow, risk: float | None = None, worn: WornTiles | None = None) -> NDArray[np.float32]:
         """Read the cost per metre of each tile of a window."""
-        bands = ["c_r_high" if self.settings.robust else "c_r", "p_fail"]
-        if self.settings.unknown is not None:
-            bands.append("obstacle")
-        cost = self.cost(self.site.read(window, bands), risk)
+        cost = self.cost(self.site.read(window, self.bands), risk)
         if worn is not None:
             cost *= worn.factors(window)
         return cost
@@ -231,8 +235,7 @@ class Planner:
 
     def place(self, point: Floats, window: TileWindow) -> tuple[float, float]:
         """Convert easting and northing [m] to rows from the north edge and columns from the west edge of a window."""
-        size = self.site.grid.tile_size
-        return float(window.row + window.rows - point[1] / size), float(point[0] / size - window.col)
+        return place_in_window(point, self.site.grid, window)
 
 
 def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:

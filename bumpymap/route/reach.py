@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
 from bumpymap.route._moves import MOVES
+from bumpymap.route._reach_kernels import add_up_lengths
 from bumpymap.route.planner import Planner
-from bumpymap.route.search import NOT_REACHED, spread
+from bumpymap.route.search import spread
 from bumpytiles import TileWindow
 
-__all__ = ["Reach", "find_reach"]
+__all__ = ["Reach", "find_reach", "window_within"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +26,8 @@ class Reach:
     minutes: NDArray[np.float32]
     """Driving time of that way at the profile's speed, min; NaN likewise."""
     back: NDArray[np.uint8]
-    """The move by which that way enters the tile, see `bumpymap.route.search.MOVES`; 255 at the start and where the
-    tile cannot be reached."""
+    """The move by which that way enters the tile, see `bumpymap.route.MOVES`; `FROM_START` (254) if it leads straight
+    from the start to the middle of the tile, `NOT_REACHED` (255) if there is none."""
     passable: int
     """Tiles of the window that are not closed."""
     tile_size: float
@@ -69,7 +70,7 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
         The window does not fit in the memory limit.
     """
     site = planner.site
-    window = _window(site.window, start / site.grid.tile_size, most_m / site.grid.tile_size)
+    window = window_within(site.window, start / site.grid.tile_size, most_m / site.grid.tile_size)
     if window.cols * window.rows > planner.memory_tiles:
         raise UsageError(
             f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {planner.memory_tiles:,} fit "
@@ -78,21 +79,26 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
     cost = planner.load(window)
     place = planner.place(start, window)
     spent, back = spread(cost, place, margin=planner.margin)
-    reached = np.isfinite(spent)
-    length = _way_lengths(back, place) * site.grid.tile_size
-    minutes = np.where(reached, length / site.vehicle.speed_mps / 60.0, np.nan)
+    passable = int(np.isfinite(cost).sum())
+    del cost  # a map may fill the memory that the search is given: what follows takes no more
+    spent[np.isinf(spent)] = np.nan
+    spent *= site.grid.tile_size
+    length = np.full(spent.shape, np.nan)
+    add_up_lengths(back, MOVES, *place, length)
+    length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0
+    length[np.isnan(spent)] = np.nan
     return Reach(
         window=window,
-        cost=np.where(reached, spent * site.grid.tile_size, np.nan).astype(np.float32),
-        minutes=minutes.astype(np.float32),
+        cost=spent.astype(np.float32),
+        minutes=length.astype(np.float32),
         back=back,
-        passable=int(np.isfinite(cost).sum()),
+        passable=passable,
         tile_size=site.grid.tile_size,
     )
 
 
-def _window(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileWindow:
-    """Return the part of a map within a distance, tiles."""
+def window_within(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileWindow:
+    """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
     if not math.isfinite(most):
         return whole
     west = max(whole.col, math.floor(start[0] - most))
@@ -100,22 +106,3 @@ def _window(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileW
     east = min(whole.col + whole.cols, math.ceil(start[0] + most) + 1)
     north = min(whole.row + whole.rows, math.ceil(start[1] + most) + 1)
     return TileWindow(west, south, max(east - west, 1), max(north - south, 1))
-
-
-def _way_lengths(back: NDArray[np.uint8], start: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the length of the way to each tile, tiles; 0 where there is none.
-
-    Every tile knows the one before it. Adding the length up to that one and looking at the one before that, each time
-    twice as far back, takes as many rounds as the longest way has moves in binary digits.
-    """
-    cols = back.shape[1]
-    moved = back < len(MOVES)
-    move = MOVES[np.where(moved, back, 0)]
-    length = np.where(moved, np.hypot(move[..., 0], move[..., 1]), 0.0).ravel()
-    before = (np.arange(back.size).reshape(back.shape) - np.where(moved, move @ np.array([cols, 1]), 0)).ravel()
-    while (before != before[before]).any():
-        length = length + length[before]
-        before = before[before]
-    row, col = np.divmod(before, cols)
-    first = np.hypot(row + 0.5 - start[0], col + 0.5 - start[1]).reshape(back.shape)
-    return np.where(back == NOT_REACHED, 0.0, length.reshape(back.shape) + first)

@@ -164,7 +164,9 @@ def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> 
     """
     window = RingedWindow.of(as_cost(cost), margin)
     reached = window.search(window.seeds(settle_point(start), None), (0.0, 0.0), 0.0)
-    return np.ascontiguousarray(window.inner(reached.g)), np.ascontiguousarray(window.inner(reached.back))
+    g, back = reached.g, reached.back
+    del reached  # before copies are made
+    return np.ascontiguousarray(window.inner(g)), np.ascontiguousarray(window.inner(back))
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:

@@ -79,6 +79,8 @@ class RouteConfig:
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
             for value in values:
                 _number(name, value, 0.0)
+                if value == 0.0:
+                    raise UsageError(f"{name} holds 0; nothing but the start is reached in that: leave it out")
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BARRED_TEXT, NO_TILE, BadInputError, Barred, TileField
 from bumpymap.layers import RouteMap
-from bumpymap.route.places import GridPoint
+from bumpymap.route.places import GridPoint, place_in_window
 from bumpytiles import TileWindow
 
 __all__ = ["NearestPoint", "nearest_usable", "usable_point"]
@@ -115,8 +115,7 @@ def usable_point(
         The tile is closed, and nothing can be used within ``snap_m``: why, and where the nearest usable point is.
     """
     size, window = field.grid.tile_size, field.window
-    row = window.row + window.rows - point.northing / size
-    col = point.easting / size - window.col
+    row, col = place_in_window(point, field.grid, window)
     found = nearest_usable(np.isfinite(cost), row, col, margin=margin)
     if found is not None and found.distance == 0.0:
         return point

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from bumpymap.core import OBSTACLE, Barred
 from bumpymap.layers import RouteMap
@@ -31,6 +31,8 @@ _LONGEST_TILES = 96
 """A longer section without a point that is clear is left as it is."""
 _AROUND_TILES = 5
 """How far beside a section a way round obstacles is searched."""
+_ROUNDING = 1e-9
+"""By how much distances between pixels may be shorter, m."""
 _SAVING_M = 0.003
 """What a corner saves at least, m of level ground."""
 
@@ -102,14 +104,15 @@ def _search(site: RouteMap, part: Floats, load: Load, reach: float) -> Floats | 
     by_obstacles = site.read(window, ()).barred == Barred.OBSTACLE
     tiles, beside = (np.repeat(np.repeat(each, grid.pixels, 0), grid.pixels, 1) for each in (cost, by_obstacles))
     # Of a tile that obstacles close, the vehicle may overlap what is free.
-    closed = (np.isinf(tiles) & ~beside) | (site.objects(window) == OBSTACLE)
-    distance = distance_transform_edt(~closed) * grid.pixel_size
+    closed, stones = np.isinf(tiles) & ~beside, site.objects(window) == OBSTACLE
+    pixel = grid.pixel_size
+    room = np.minimum(_gap(closed) * pixel - reach, _gap(stones) * pixel - (reach - 0.5 * pixel))
     north = (window.row + window.rows) * grid.tile_size
     west = window.col * grid.tile_size
     places = np.column_stack([north - part[:, 1], part[:, 0] - west]) / grid.pixel_size
-    blocked = distance < reach + 0.5 * grid.pixel_size  # a line may run along the side of an open pixel
-    for row, col in places[[0, -1]]:  # the vehicle stands there, whatever is beside it
-        _open_around(blocked, closed, row, col, reach / grid.pixel_size)
+    blocked = room < -_ROUNDING
+    for row, col in places[[0, -1]]:  # the vehicle stands there, whatever is beside it, and gets no nearer to that
+        blocked &= ~_leads_away(room, row, col, reach / pixel) | closed | stones
     start, goal = ((float(row), float(col)) for row, col in places[[0, -1]])
     open_cost = np.where(blocked, np.float32(np.inf), tiles)
     found = find_way(open_cost, start, goal, least_saving=_SAVING_M / grid.pixel_size)
@@ -120,13 +123,23 @@ def _search(site: RouteMap, part: Floats, load: Load, reach: float) -> Floats | 
     return line
 
 
-def _open_around(blocked: NDArray[np.bool_], closed: NDArray[np.bool_], row: float, col: float, reach: float) -> None:
-    """Open pixels within reach of a point that are not closed themselves."""
+def _gap(marked: NDArray[np.bool_]) -> Floats:
+    """Return the distance of each pixel, a full square, to the nearest marked one, in pixels; 0 if they touch."""
+    if not marked.any():
+        return np.full(marked.shape, np.inf)
+    gap: Floats = distance_transform_edt(~binary_dilation(marked, np.ones((3, 3), np.bool_)))
+    return gap
+
+
+def _leads_away(room: Floats, row: float, col: float, reach: float) -> NDArray[np.bool_]:
+    """Return the pixels within reach of a point that have as much room as the pixel that it lies in."""
+    near = np.zeros(room.shape, np.bool_)
     top, left = max(math.floor(row - reach), 0), max(math.floor(col - reach), 0)
     part = slice(top, math.ceil(row + reach) + 1), slice(left, math.ceil(col + reach) + 1)
-    rows, cols = np.indices(blocked[part].shape)
-    near = np.hypot(rows + top + 0.5 - row, cols + left + 0.5 - col) <= reach
-    blocked[part] &= ~near | closed[part]
+    rows, cols = np.indices(room[part].shape)
+    near[part] = np.hypot(rows + top + 0.5 - row, cols + left + 0.5 - col) <= reach
+    near &= room >= room[math.floor(row), math.floor(col)]
+    return near
 
 
 def _window(site: RouteMap, part: Floats) -> TileWindow:

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import read_points
-from bumpymap.route.places import GridPoint, parse_point, place_point
+from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
 from bumpymap.route.planner import Planner
+from bumpymap.route.reach import window_within
 from bumpymap.route.settings import RouteConfig
-from bumpymap.route.snap import usable_point
-from bumpytiles import TileWindow
+from bumpymap.route.snap import nearest_usable, usable_point
 
 __all__ = ["Stops", "find_stops"]
 
@@ -57,19 +57,29 @@ def _named(planner: Planner, config: RouteConfig) -> list[tuple[str, GridPoint]]
             raise BadInputError(f"{config.points} holds one point; a way needs at least a start and a goal")
         names = [f"point {point.name} of {config.points}" for point in found]
         return [
-            (name, place_point(point.x, point.y, site, point.system, name=name))
+            (name, place_point(point.x, point.y, site, point.system, name=name, beyond_m=config.snap))
             for name, point in zip(names, found, strict=True)
         ]
     texts = [("start", config.start), *(("point to pass", via) for via in config.via), ("goal", config.goal)]
-    return [(f"the {name} {text}", parse_point(text, site)) for name, text in texts if text is not None]
+    return [
+        (f"the {name} {text}", parse_point(text, site, beyond_m=config.snap))
+        for name, text in texts
+        if text is not None
+    ]
 
 
 def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float) -> GridPoint:
     """Return a point, or the nearest one on ground that can be used. Raises BadInputError if that is too far."""
-    reach = math.ceil(max(snap_m, _LOOK_M) / planner.site.grid.tile_size) + 1
-    col, row = (int(index) for index in planner.site.grid.index(np.array(point)))
-    window = TileWindow(col - reach, row - reach, 2 * reach + 1, 2 * reach + 1)
-    field = planner.site.read(window)
-    return usable_point(
-        planner.site, field, planner.cost(field), point, name=name, snap_m=snap_m, margin=planner.margin
-    )
+    site, size = planner.site, planner.site.grid.tile_size
+    reach, most = (math.ceil(metres / size) + 1 for metres in (_LOOK_M, max(snap_m, _LOOK_M)))
+    while True:
+        window = window_within(site.window, np.array(point) / size, reach)
+        field = site.read(window, planner.bands)
+        cost = planner.cost(field)
+        found = nearest_usable(np.isfinite(cost), *place_in_window(point, site.grid, window), margin=planner.margin)
+        too_many = 4 * window.cols * window.rows > planner.memory_tiles
+        # What lies outside the window is at least ``reach`` away.
+        if (found is not None and found.distance <= reach) or reach >= most or window == site.window or too_many:
+            break
+        reach = min(2 * reach, most)
+    return usable_point(site, field, cost, point, name=name, snap_m=snap_m, margin=planner.margin)

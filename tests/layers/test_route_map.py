@@ -101,20 +101,13 @@ def test_pixels_are_those_of_the_rasters(folder):
     assert (found.read(far).barred == NO_TILE).all()
 
 
-def test_light_reading_gives_the_same_values(folder):
+def test_bands_that_are_not_asked_for_take_no_memory(folder):
     found = open_map([folder])
-    field, light = found.read(found.window), found.read_passable(found.window)
-    assert np.array_equal(light.c_r, field.c_r, equal_nan=True)
+    field, light = found.read(found.window), found.read(found.window, ("c_r_high", "p_fail"))
+    assert np.array_equal(light.c_r_high, field.c_r_high, equal_nan=True)
     assert np.array_equal(light.p_fail, field.p_fail, equal_nan=True)
     assert np.isnan(light.obstacle).all()
-    assert light.obstacle.strides == (0, 0)  # no memory
-    robust = found.read_passable(found.window, robust=True, unknown=True)
-    assert np.array_equal(robust.c_r_high, field.c_r_high, equal_nan=True)
-    assert np.array_equal(robust.obstacle, field.obstacle, equal_nan=True)
-    barred, cost = found.read_cost(found.window)
-    with rasterio.open(folder / "cost.tif") as file:
-        assert np.array_equal(cost, file.read(1), equal_nan=True)
-    assert np.array_equal(barred, field.barred)
+    assert light.obstacle.strides == (0, 0)
 
 
 def test_a_map_in_sheets_reads_like_the_whole(made, folder, tmp_path):
@@ -127,8 +120,6 @@ def test_a_map_in_sheets_reads_like_the_whole(made, folder, tmp_path):
     assert same(joined.read(window), whole.read(window))
     assert np.array_equal(joined.heights(window), whole.heights(window), equal_nan=True)
     assert np.array_equal(joined.objects(window), whole.objects(window))
-    for light, heavy in zip(joined.read_cost(window), whole.read_cost(window), strict=True):
-        assert np.array_equal(light, heavy, equal_nan=True)
 
 
 def merged_by_hand(values):
@@ -178,15 +169,6 @@ def test_what_counts_does_not_depend_on_the_order(values):
             band = choice.values(band, np.full((1, 1), new_value, np.float32))
         assert code[0, 0] == expected[0]
         assert np.array_equal(band[0, 0], np.float32(expected[1][0]), equal_nan=True)
-
-
-def test_cost_of_overlapping_sheets_is_that_of_their_bands(sheets):
-    joined = open_map(sheets)
-    field = joined.read(joined.window)
-    barred, cost = joined.read_cost(joined.window)
-    expected = joined.rule.cost(field.c_r.astype(float), joined.rule.hazard(field.p_fail))
-    assert np.array_equal(barred, field.barred)
-    assert np.array_equal(cost, np.where(barred == 0, expected, np.nan).astype(np.float32), equal_nan=True)
 
 
 def test_a_folder_given_twice_counts_once(folder):

@@ -6,7 +6,7 @@ import pytest
 from route_maps import RULE, bare_map
 
 from bumpymap.core import NO_TILE, Barred, TileField, UsageError
-from bumpymap.route import TileChoice, cost_of, load_cost
+from bumpymap.route import TileChoice, cost_of
 from bumpytiles import TileWindow
 
 
@@ -124,44 +124,3 @@ def test_avoid_and_only_close_tiles_and_open_none():
 def test_weights_out_of_range_are_refused(settings, words):
     with pytest.raises(UsageError, match=words):
         cost_of(made_field(3, 3), **settings)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"risk_m": RULE.fail_weight},
-        {"risk_m": 7.0},
-        {"robust": True},
-        {"unknown_cost": 4.0},
-        {"risk_m": 7.0, "robust": True, "unknown_cost": 4.0},
-    ],
-)
-def test_a_window_of_a_map_is_read_from_the_smallest_files(settings):
-    field = made_field()
-    rng = np.random.default_rng(5)
-    avoid, only = rng.random((2, *field.barred.shape)) < 0.4
-    for choice in (None, TileChoice(avoid, only), TileChoice(avoid)):
-        expected = cost_of(field, **settings, choice=choice)
-        assert np.array_equal(load_cost(FieldMap(field), field.window, **settings, choice=choice), expected)
-    with pytest.raises(UsageError, match="unknown=0"):
-        load_cost(FieldMap(field), field.window, unknown_cost=0.0)
-
-
-class FieldMap:
-    """Map that holds one window, and gives of it what is asked for and no more."""
-
-    def __init__(self, field):
-        self.field, self.rule = field, field.rule
-
-    def read_passable(self, window, *, robust, unknown):
-        assert window == self.field.window
-        kept = {"c_r_high" if robust else "c_r", "p_fail", *(("obstacle",) if unknown else ())}
-        nothing = np.broadcast_to(np.float32(np.nan), self.field.barred.shape)
-        bands = {"c_r", "c_r_low", "c_r_high", "p_fail", "obstacle"}
-        return replace(self.field, **dict.fromkeys(bands - kept, nothing))
-
-    def read_cost(self, window):
-        assert window == self.field.window
-        cost = cost_of(self.field)
-        return self.field.barred, np.where(np.isinf(cost), np.float32(np.nan), cost)

@@ -1,6 +1,7 @@
 """What can be reached, against ways to single tiles and closed forms."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from tile_maps import TileMap
 
 from bumpymap.core import Barred, UsageError
 from bumpymap.route import follow_back
+from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import find_reach
 from bumpymap.route.search import NOT_REACHED
@@ -62,3 +64,20 @@ def test_what_does_not_fit_in_memory_is_refused():
     site = TileMap(np.full((30, 30), 0.1))
     with pytest.raises(UsageError, match="900 tiles; 500 fit"):
         find_reach(Planner(site, CostSettings(), 500), site.at(3.5, 3.5), math.inf)
+
+
+def test_the_field_takes_no_more_memory_than_the_search():
+    """A map may fill the limit."""
+    rng = np.random.default_rng(6)
+    site = TileMap(rng.uniform(0.05, 0.5, (300, 300)), np.where(rng.random((300, 300)) < 0.1, Barred.SLOPE, Barred.NO))
+    plan = Planner(site, CostSettings(), 10**6)
+    cost = plan.load(site.window)
+    start = site.at(*(np.argwhere(site.barred == Barred.NO)[0] + 0.5))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Planner, "load", lambda *_: cost.copy())
+        find_reach(plan, start)  # compiles
+        tracemalloc.start()
+        find_reach(plan, start)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert most < 1.3 * BYTES_PER_TILE * cost.size

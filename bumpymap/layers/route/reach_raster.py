@@ -16,8 +16,8 @@ from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 __all__ = ["NO_MOVE", "ReachField", "write_reach", "write_reach_back"]
 
-NO_MOVE = 255
-"""Value of ``ReachField.back`` at the start and where no way leads."""
+TO_START, NO_MOVE = 254, 255
+"""Values of ``ReachField.back``: straight to the start, from tiles that see it; where no way leads."""
 _BLOCK = 128
 _WINDOW = 16 * BLOCK_TILES
 """Side of a window, tiles."""
@@ -35,7 +35,8 @@ class ReachField:
     minutes: NDArray[np.float32] | None = None
     """Time along that way at the profile's speed, min."""
     back: NDArray[np.uint8] | None = None
-    """Which of ``moves`` leads back along that way; ``NO_MOVE`` at the start and where no way leads."""
+    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start, and ``NO_MOVE`` where
+    no way leads."""
     moves: NDArray[np.int64] | None = None
     """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""
 
@@ -94,12 +95,17 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
 def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
     """Write reach_back.tif: a uint8 COG, the move that leads back from each tile along its cheapest way.
 
-    The metadata entry ``moves`` holds the moves as JSON: rows to the south and columns to the east of move 0, 1, ...
+    The metadata entry ``moves`` holds the moves as JSON: rows to the south and columns to the east of move 0, 1, ...;
+    ``straight_to_start`` is the value of tiles from whose middle the way goes straight to the start.
     For parameters and errors see `write_reach`; ``reach`` has ``back`` and ``moves``.
     """
     if reach.back is None or reach.moves is None:
         raise ValueError("this reach has no back-links")
-    own = {"title": "move that leads back to the start", "moves": json.dumps(reach.moves.tolist())}
+    own = {
+        "title": "move that leads back to the start",
+        "moves": json.dumps(reach.moves.tolist()),
+        "straight_to_start": str(TO_START),
+    }
     spec = RasterSpec(
         bands=[
             BandSpec("back", text="number of the move towards the start, rows south and columns east: see the metadata")

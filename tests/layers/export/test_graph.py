@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 import pytest
+import rasterio
 from scipy.ndimage import gaussian_filter, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
@@ -43,8 +44,9 @@ def load_graph(path):
 
 
 def closed_factor(route_map):
-    barred, cost = route_map.read_cost(route_map.window)
-    return np.where(barred == 0, cost, np.inf).astype(float)
+    with rasterio.open(route_map.folders[0] / "cost.tif") as file:
+        cost = file.read(1).astype(float)
+    return np.where(np.isnan(cost), np.inf, cost)
 
 
 @pytest.mark.parametrize("every", [1, 3])

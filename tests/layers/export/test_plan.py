@@ -76,7 +76,8 @@ def test_the_corners_are_the_waypoints(route_map, tmp_path, kind):
 
 
 def test_home_is_as_high_as_the_ground_at_the_start(route_map, tmp_path):
-    window, (barred, _) = route_map.window, route_map.read_cost(route_map.window)
+    window = route_map.window
+    barred = route_map.read(window, ()).barred
     row, col = np.argwhere(barred == 0)[0]
     middle = (window.col + col + 0.5) * 3.0, (window.row + window.rows - row - 0.5) * 3.0
     start = route_map.to_lonlat(*middle)
