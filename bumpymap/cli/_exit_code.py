@@ -100,7 +100,8 @@ def _message(error: Exception) -> tuple[int, list[str]]:
     if isinstance(error, BumpymapError | RunInterrupted):
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
-        return error.exit_code, [error.format_message()]
+        # click puts the choices of an option that is missing into lines of their own.
+        return error.exit_code, [error.format_message().replace("\n\t", " ")]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
     for cause in error_chain(error):

@@ -7,7 +7,7 @@ from typing import Any
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import Route
 from bumpymap.layers import route_properties
-from bumpymap.route import RouteConfig, RouteResult
+from bumpymap.route import Reach, RouteConfig, RouteResult
 
 __all__ = ["show"]
 
@@ -35,14 +35,20 @@ def show(result: RouteResult, config: RouteConfig, *, as_json: bool) -> None:
         for line in _remarks(result, config):
             print_line(line)
     if result.reach is not None:
-        reach = result.reach
-        print_line(
-            f"{reach.tiles:,} tiles ({reach.area_ha:,.2f} ha) can be reached from the start, {reach.share:.1%} of the "
-            f"passable ones; the farthest costs {reach.highest_cost:,.0f} m"
-        )
+        print_line(_reached(result.reach))
     if config.out is not None:
         folder = result.files[0].parent if result.files else config.out
         print_line(f"Files in {folder}: {', '.join(path.name for path in result.files)}")
+
+
+def _reached(reach: Reach) -> str:
+    """Say how much can be reached; of a part of the map, that it is one."""
+    tiles = f"{reach.tiles:,} tiles ({reach.area_ha:,.2f} ha) can be reached"
+    share = f"{reach.share:.1%} of the passable ones"
+    farthest = f"the farthest costs {reach.highest_cost:,.0f} m"
+    if reach.limit_m is None:
+        return f"{tiles} from the start, {share}; {farthest}"
+    return f"Within {reach.limit_m:,.0f} m of the start to each side, {tiles}, {share} there; {farthest}"
 
 
 def _row(route: Route) -> tuple[str, ...]:
@@ -91,9 +97,20 @@ def _time(seconds: float) -> str:
 
 
 def _record(result: RouteResult, config: RouteConfig) -> dict[str, Any]:
+    reach = result.reach
+    reached = None
+    if reach is not None:
+        reached = {
+            "tiles": reach.tiles,
+            "area_ha": round(reach.area_ha, 4),
+            "share": round(reach.share, 6),
+            "highest_cost_m": round(reach.highest_cost, 3),
+            "limit_m": reach.limit_m,
+        }
     return {
         "out": None if config.out is None else str(config.out),
         "files": [path.name for path in result.files],
         "routes": [route_properties(route) for route in result.routes],
+        "reach": reached,
         "notes": list(result.notes),
     }

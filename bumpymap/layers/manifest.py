@@ -214,10 +214,12 @@ def _plain(value: Any) -> Any:
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of a complete map. Raises BadInputError if the folder does not hold one."""
+    remedy = "Give the folder that `bumpymap map` wrote"
     if not folder.is_dir():
-        raise BadInputError(f"there is no folder {folder}. Give the folder that the layers were written to")
+        what = f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
+        raise BadInputError(f"{what}. {remedy}")
     record = read_record(folder / MANIFEST_NAME)
     if record is None or record.get("format") != MANIFEST_FORMAT:
-        hint = f" The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else ""
-        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map.{hint}")
+        hint = f"The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else remedy
+        raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     return record

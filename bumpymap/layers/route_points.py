@@ -121,12 +121,16 @@ def _read_csv(path: Path) -> list[FilePoint]:
                 columns = [names.index(name) for name in pair]
                 name_column = names.index("name") if "name" in names else None
                 filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
-                return [_point(path, number, line, columns, name_column, system) for number, line in filled]
+                where = [f"{path}, line {number}: '{separator.join(line)}'" for number, line in filled]
+                return [
+                    _point(at, number, line, columns, name_column, system)
+                    for at, (number, line) in zip(where, filled, strict=True)
+                ]
     raise BadInputError(f"{path} has the columns {', '.join(names) or '(none)'}; it needs {_ALLOWED}")
 
 
 def _point(
-    path: Path,
+    where: str,
     number: int,
     line: Sequence[Any],
     columns: Sequence[int],
@@ -136,10 +140,8 @@ def _point(
     try:
         x, y = (float(line[column]) for column in columns)
     except (ValueError, IndexError) as error:
-        raise BadInputError(
-            f"{path}, line {number}: '{','.join(line)}' has no two numbers where they belong"
-        ) from error
+        raise BadInputError(f"{where} has no two numbers where they belong; write decimals with a point") from error
     if not np.isfinite([x, y]).all():
-        raise BadInputError(f"{path}, line {number}: {x:g},{y:g} is not a place")
+        raise BadInputError(f"{where} is not a place")
     named = line[name_column].strip() if name_column is not None and name_column < len(line) else ""
     return FilePoint(named or str(number - 1), x, y, system)

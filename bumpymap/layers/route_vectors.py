@@ -89,4 +89,9 @@ def _texts(names: Sequence[object] | NDArray[np.object_]) -> tuple[str, ...]:
 
 
 def _unreadable(path: Path, error: BaseException) -> BadInputError:
-    return BadInputError(f"cannot read {path}: {error}. Give a vector file such as GeoJSON, which a GIS can save")
+    import pyogrio
+
+    remedy = "Give a vector file such as GeoJSON, which a GIS can save"
+    if isinstance(error, pyogrio.errors.DataSourceError):  # GDAL's text advises on its own command line
+        return BadInputError(f"cannot read {path}: it is no vector file, or it is damaged. {remedy}")
+    return BadInputError(f"cannot read {path}: {error}. {remedy}")

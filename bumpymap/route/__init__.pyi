@@ -29,6 +29,9 @@ from .places import (
 from .planner import (
     Planner as Planner,
 )
+from .reach import (
+    Reach as Reach,
+)
 from .search import (
     FROM_START as FROM_START,
     NOT_REACHED as NOT_REACHED,

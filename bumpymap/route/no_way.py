@@ -1,5 +1,6 @@
 """Why there is no way between two points, and what would help."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +12,8 @@ from bumpymap.route.search import spread
 
 __all__ = ["explain_no_way"]
 
-_NAMED = 3
 
-
-def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
+def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
     """Return the message for the first two points without a way between them.
 
     Parameters
@@ -22,12 +21,14 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
     planner : Planner
     points : array (k, 2)
         Easting and northing of the stops, m.
+    names : sequence of str
+        How the message calls each of them.
     """
     for number, (start, goal) in enumerate(pairwise(points)):
         if np.isfinite(planner.leg_cost(start, goal)):
             continue
         window, size = planner.site.window, planner.site.grid.tile_size
-        between = f"there is no way from point {number + 1} to point {number + 2}"
+        between = f"there is no way from {names[number]} to {names[number + 1]}"
         if window.cols * window.rows > planner.memory_tiles:
             return f"{between} over passable ground"
         cost = planner.load(window)
@@ -35,25 +36,41 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64]) -> str:
         reached = [
             np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
         ]
-        areas = [f"{int(part.sum()):,} tiles ({part.sum() * size**2 / 1e4:,.2f} ha)" for part in reached]
-        smaller = min(reached, key=lambda part: int(part.sum()))
+        areas = [_area(int(part.sum()), size) for part in reached]
+        beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
+        unknown = ""
+        if planner.settings.unknown is None and Barred.UNKNOWN in beside:
+            unknown = "cross unknown ground with `unknown=COST`, "
         return (
             f"{between}: {areas[0]} can be reached from the first, {areas[1]} from the second, and no tile from both. "
-            f"The smaller area is closed in by {_closed_by(smaller, barred)}. Choose other points, cross unknown "
-            "ground with `unknown=COST`, or map the survey for another vehicle"
+            f"Beside the smaller area lie: {_described(beside, planner)}. Choose other points, {unknown}or map the "
+            "survey for another vehicle"
         )
     return "there is no way through all points"
 
 
-def _closed_by(area: NDArray[np.bool_], barred: NDArray[np.uint8]) -> str:
-    """Say what bars the tiles around an area, the most frequent first."""
+def _area(tiles: int, size: float) -> str:
+    return f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * size**2 / 1e4:,.2f} ha)"
+
+
+def _beside(area: NDArray[np.bool_], barred: NDArray[np.uint8]) -> list[int]:
+    """Return what the tiles around an area are, codes of `Barred` or NO_TILE, the most frequent first."""
     beside = np.zeros_like(area)
     padded = np.pad(area, 1)
     beside |= padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
     codes, counts = np.unique(barred[beside & ~area], return_counts=True)
-    texts = {NO_TILE: "ground that was not surveyed"} | {int(code): text for code, text in BARRED_TEXT.items()}
-    texts[Barred.NO] = "areas that are not to be entered, or passages too narrow for the vehicle"
-    if not len(codes):
-        return "the edge of the map"
-    found = [texts[int(codes[at])] for at in np.argsort(-counts, kind="stable")[:_NAMED]]
-    return ", ".join(found)
+    return [int(codes[at]) for at in np.argsort(-counts, kind="stable")]
+
+
+def _described(codes: Sequence[int], planner: Planner) -> str:
+    """Say what bars the tiles around an area: the reasons of those that are not passable together, then the rest."""
+    narrow = "passages too narrow for the vehicle"
+    has_areas = planner.avoid is not None or planner.only is not None
+    texts = {
+        int(Barred.NO): f"tiles that `avoid` or `only` closes, or {narrow}" if has_areas else narrow,
+        int(Barred.UNKNOWN): BARRED_TEXT[Barred.UNKNOWN],
+        NO_TILE: "ground that was not surveyed",
+    }
+    reasons = [BARRED_TEXT[Barred(code)] for code in codes if code not in texts]
+    found = [f"tiles that are not passable ({', '.join(reasons)})"] if reasons else []
+    return "; ".join([*found, *(texts[code] for code in codes if code in texts)]) or "the edge of the map"

@@ -4,7 +4,6 @@ Open the map, find the points on it, plan the ways, measure them, write them.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -29,7 +28,7 @@ from bumpymap.route._moves import MOVES
 from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.no_way import explain_no_way
-from bumpymap.route.planner import PlannedWay, Planner, WornTiles, in_order
+from bumpymap.route.planner import PlannedWay, Planner, WornTiles
 from bumpymap.route.reach import Reach, find_reach
 from bumpymap.route.settings import RouteConfig
 from bumpymap.route.stops import Stops, find_stops
@@ -77,16 +76,15 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
             raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
         return _write_reach(planner, stops, config, config.out)
     progress.start("routes", None)
-    routes = list(_routes(planner, stops, config))
-    notes = list(stops.notes)
+    routes, order = _routes(planner, stops, config)
+    notes = [*stops.notes, *order]
     for folder in config.compare:
         other = _planner(open_map([folder]), config)
-        others = find_stops(other, config)
-        alone = replace(config, alternatives=1)
-        routes += [
-            replace(route, name=f"{route.name}, {other.site.vehicle.name}") for route in _routes(other, others, alone)
-        ]
-        notes += others.notes
+        vehicle = other.site.vehicle.name
+        others = find_stops(other, config, folder)
+        (route, *_), order = _routes(other, others, replace(config, alternatives=1))
+        routes.append(replace(route, name=f"{route.name}, {vehicle}"))
+        notes += [*others.notes, *(f"{vehicle}: {note}" for note in order)]
     files: list[Path] = []
     if config.out is not None:
         manifest = {"settings": asdict(config), "remarks": notes}
@@ -100,20 +98,24 @@ def _planner(site: RouteMap, config: RouteConfig) -> Planner:
     return Planner(site, config.cost, tiles, avoid, only)
 
 
-def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> Sequence[PlannedRoute]:
-    """Plan the best way through the stops, and alternatives."""
-    points = _in_best_order(planner, stops.points, config) if config.visit else stops.points
+def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
+    """Plan the best way through the stops, and alternatives; return them and a remark on the order that was found."""
+    if config.visit:
+        stops = _in_best_order(planner, stops, config)
     if config.round_trip:
-        points = np.concatenate([points, points[:1]])
+        stops = stops.in_order([*range(len(stops.names)), 0])
+    points = stops.points
 
     def plan(risk: float, worn: WornTiles | None) -> PlannedWay | None:
         return planner.way(points, risk, worn)
 
     ways = find_alternatives(plan, config.alternatives, planner.risk)
     if not ways:
-        raise BadInputError(explain_no_way(planner, points))
+        raise BadInputError(explain_no_way(planner, points, stops.names))
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
-    return [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
+    order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
+    routes = [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
+    return routes, order
 
 
 def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: float) -> PlannedRoute:
@@ -131,8 +133,9 @@ def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: fl
     )
 
 
-def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Floats:
-    """Return the points in the cheapest order; the first stays the first, and the goal the last."""
+def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops:
+    """Return the stops in the cheapest order; the first stays the first, and the goal the last."""
+    points = stops.points
     if len(points) > MOST_VISITS:
         raise UsageError(f"the order of {len(points)} points is not searched: give at most {MOST_VISITS}")
     ring = np.concatenate([points, points[:1]]) if config.round_trip else points
@@ -140,7 +143,7 @@ def _in_best_order(planner: Planner, points: Floats, config: RouteConfig) -> Flo
     for a, b in combinations(range(len(ring)), 2):
         costs[a, b] = costs[b, a] = planner.leg_cost(ring[a], ring[b])
     order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
-    return in_order(ring, order[: len(points)])
+    return stops.in_order(order[: len(points)])
 
 
 def reach_from(config: RouteConfig) -> ReachField:

@@ -1,7 +1,6 @@
 """Plan ways over a map: costs of its tiles by window, the search, and what a way costs."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -251,8 +250,3 @@ def _without(tiles: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.
     """Return the tiles that are not among others."""
     known = (tiles[:, None] == others).all(axis=2).any(axis=1)
     return np.asarray(tiles[~known])
-
-
-def in_order(stops: Sequence[Floats] | Floats, order: Sequence[int]) -> Floats:
-    """Return stops in another order, (k, 2)."""
-    return np.asarray([stops[at] for at in order])

@@ -31,6 +31,8 @@ class Reach:
     passable: int
     """Tiles of the window that are not closed."""
     tile_size: float
+    limit_m: float | None = None
+    """How far from the start the window reaches to each side, m; None: it is the whole map."""
 
     @property
     def tiles(self) -> int:
@@ -39,7 +41,7 @@ class Reach:
 
     @property
     def share(self) -> float:
-        """Share of the passable tiles that can be reached."""
+        """Share of the window's passable tiles that can be reached."""
         return self.tiles / max(self.passable, 1)
 
     @property
@@ -94,6 +96,7 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
         back=back,
         passable=passable,
         tile_size=site.grid.tile_size,
+        limit_m=None if window == site.window else most_m,
     )
 
 

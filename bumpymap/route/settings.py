@@ -77,10 +77,9 @@ class RouteConfig:
         _number("snap", self.snap, 0.0)
         memory_limit(self.memory)
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
-            for value in values:
-                _number(name, value, 0.0)
-                if value == 0.0:
-                    raise UsageError(f"{name} holds 0; nothing but the start is reached in that: leave it out")
+            if any(not (math.isfinite(value) and value > 0.0) for value in values):
+                given = ", ".join(map(repr, values))
+                raise UsageError(f"{name} is {given}; it must be a number above 0, or several")
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
@@ -102,4 +101,4 @@ _MOST_ALTERNATIVES = 10
 
 def _number(name: str, value: float | None, least: float) -> None:
     if value is not None and not (math.isfinite(value) and value >= least):
-        raise UsageError(f"{name} is {value!r}; it must be a number of at least {least:g}")
+        raise UsageError(f"{name} is {value!r}; it must be a finite number of at least {least:g}")

@@ -1,7 +1,9 @@
 """The points that a way must pass: read, placed on the map, moved off closed ground where that is allowed."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +28,44 @@ class Stops:
 
     points: NDArray[np.float64]
     """(k, 2) easting and northing, m, on ground that can be used."""
+    names: tuple[str, ...]
+    """(k,) how a message calls each of them."""
     notes: tuple[str, ...]
     """What was moved."""
 
+    def in_order(self, order: Sequence[int]) -> "Stops":
+        """Return some of the stops, in another order; a stop may be there twice."""
+        return replace(self, points=self.points[list(order)], names=tuple(self.names[at] for at in order))
 
-def find_stops(planner: Planner, config: RouteConfig) -> Stops:
+
+def find_stops(planner: Planner, config: RouteConfig, compared: Path | None = None) -> Stops:
     """Return the points that the settings name.
+
+    Parameters
+    ----------
+    planner : Planner
+    config : RouteConfig
+    compared : Path, optional
+        The layers if they are those of another vehicle, which messages then name.
 
     Raises
     ------
     BadInputError
         A point does not lie on the map, or on ground that cannot be used.
     """
+    vehicle = planner.site.vehicle.name
+    where, of = ("", "") if compared is None else (f"in {compared} ({vehicle}), ", f"{vehicle}: ")
     named = _named(planner, config)
-    points = [_usable(planner, name, point, config.snap) for name, point in named]
-    notes = [
-        f"{name} was moved by {math.dist(point, used):.1f} m to ground that can be used"
-        for (name, point), used in zip(named, points, strict=True)
-        if used != point
-    ]
-    return Stops(np.array(points), tuple(notes))
+    points = [_usable(planner, where + name, point, config.snap) for name, point in named]
+    names, notes = [], []
+    for (name, point), used in zip(named, points, strict=True):
+        if used == point:
+            names.append(name)
+            continue
+        moved = f"moved by {math.dist(point, used):.1f} m"
+        names.append(f"{name} ({moved})")
+        notes.append(f"{of}{name} was {moved} to ground that can be used")
+    return Stops(np.array(points), tuple(names), tuple(notes))
 
 
 def _named(planner: Planner, config: RouteConfig) -> list[tuple[str, GridPoint]]:

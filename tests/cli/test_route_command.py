@@ -80,6 +80,10 @@ def test_without_a_place_to_write_only_the_summary_is_printed(layers, tmp_path, 
         (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--isochrones", "1"], "without a goal"),
         (["--from", place(5.5, 5.5), "--isochrones", "1", "--isocosts", "50", "--out", "o"], "isochrones and isocosts"),
         (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--memory", "1MB"], "memory is '1MB'"),
+        (
+            ["--from", place(5.5, 5.5), "--isochrones", "0", "--out", "o"],
+            "isochrones is 0.0; it must be a",
+        ),
     ],
 )
 def test_wrong_usage_is_exit_code_2(layers, words, says):
@@ -113,9 +117,26 @@ def test_no_way_says_how_far_both_ends_reach(tmp_path):
     result = run(folder, "--from", place(5.5, 5.5), "--to", place(5.5, 25.5))
     assert result.exit_code == 3
     text = " ".join(result.output.split())
-    assert "no way from point 1 to point 2: 335 tiles (0.30 ha) can be reached from the first, 336 tiles" in text
-    assert "closed in by" in text
-    assert "too steep" in text
+    between = f"no way from the start {place(5.5, 5.5)} to the goal {place(5.5, 25.5)}"
+    assert f"{between}: 335 tiles (0.30 ha) can be reached from the first, 336 tiles" in text
+    assert "Beside the smaller area lie: tiles that are not passable (too steep)" in text
+    assert "--unknown COST" in text
+
+
+def test_no_way_counts_one_tile_and_names_what_was_moved_and_what_is_left_to_do(tmp_path):
+    made = site()
+    ring = (abs(made.patches.col - WEST - 25) <= 1) & (abs(made.patches.row - SOUTH - 12) <= 1)
+    slope = np.where(ring, 60.0, 2.0)
+    slope[(made.patches.col == WEST + 25) & (made.patches.row == SOUTH + 12)] = 2.0
+    folder = write_folder(tmp_path / "pocket", replace(made, patches=replace(made.patches, slope=slope)))
+    via = place(ROWS - 12.5, 25.5)
+    ends = ["--from", place(5.5, 5.5), "--to", place(ROWS - 12.5, 24.9), "--via", place(5.5, 9.5)]
+    result = run(folder, *ends, "--snap", 2, "--unknown", 3)
+    assert result.exit_code == 3
+    text = " ".join(result.output.split())
+    assert f"from the point to pass {place(5.5, 9.5)} to the goal {place(ROWS - 12.5, 24.9)} (moved by" in text, via
+    assert "1 tile (0.00 ha) from the second" in text
+    assert "--unknown" not in text
 
 
 def test_layers_of_two_vehicles_are_no_map_but_can_be_compared(layers, others):
@@ -131,6 +152,26 @@ def test_layers_of_two_vehicles_are_no_map_but_can_be_compared(layers, others):
     assert routes[1]["seconds"] > routes[0]["seconds"]
 
 
+def test_a_point_that_the_other_vehicle_cannot_use_is_told_with_its_layers(layers, tmp_path):
+    made = site()
+    slope = made.patches.slope.copy()
+    slope[(made.patches.col == WEST + 22) & (made.patches.row == SOUTH + ROWS - 21)] = 60.0
+    vehicle = {"name": "tug", "width_m": 0.7, "height_m": 0.5, "clearance_m": 0.1, "speed_mps": 0.5}
+    calibration = {"id": "abc", "vehicle": "tug"}
+    other = write_folder(
+        tmp_path / "tug",
+        replace(made, patches=replace(made.patches, slope=slope)),
+        vehicle=vehicle,
+        calibration=calibration,
+    )
+    words = [layers, "--compare", other, "--from", place(20.5, 8.5), "--to", place(20.5, 22.5)]
+    refused = run(*words)
+    assert refused.exit_code == 3
+    assert f"in {other} (tug), the goal {place(20.5, 22.5)} lies on" in " ".join(refused.output.split())
+    (note,) = record(*words, "--snap", 6)["notes"]
+    assert note.startswith("tug: the goal ")
+
+
 def test_a_cut_off_layer_is_refused(layers, tmp_path):
     folder = copytree(layers, tmp_path / "cut")
     raster = folder / "roughness.tif"
@@ -144,6 +185,29 @@ def test_snap_moves_a_point_and_says_so(layers):
     found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)
     (note,) = found["notes"]
     assert note.startswith(f"the start {place(10.5, 15.5)} was moved by ")
+
+
+def test_snapping_over_more_than_the_map_looks_at_the_map_alone(layers):
+    found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 1e12)
+    assert found["notes"] == record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)["notes"]
+
+
+def test_a_way_of_no_length_goes_down_by_zero(layers):
+    result = run(layers, "--from", place(5.5, 5.5), "--to", place(5.5, 5.5))
+    assert result.exit_code == 0
+    assert "0/0" in result.stdout
+    assert "-0" not in result.stdout
+
+
+def test_the_order_of_visits_is_told(layers, tmp_path):
+    points = tmp_path / "points.csv"
+    points.write_text(
+        f"name,x,y\nDepot,{place(5.5, 2.5)}\nPump,{place(5.5, 12.5)}\nGate,{place(5.5, 6.5)}\nEnd,{place(5.5, 13.5)}\n"
+    )
+    (note,) = record(layers, "--points", points, "--visit")["notes"]
+    of = [f"point {name} of {points}" for name in ("Depot", "Gate", "Pump", "End")]
+    assert note == f"order of the points: {of[0]}; {of[1]}; {of[2]}; {of[3]}"
+    assert record(layers, "--points", points)["notes"] == []
 
 
 def test_visits_are_put_in_order_and_the_way_returns(layers, tmp_path):
@@ -169,6 +233,20 @@ def test_what_can_be_reached_is_a_raster_and_outlines(layers, tmp_path):
         (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
     assert not cost[0] <= 60.0 * 1.6  # only around the wall
     assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
+
+
+def test_a_reach_over_part_of_the_map_says_so(layers, tmp_path):
+    words = [layers, "--from", place(20.5, 8.5), "--out", tmp_path / "reach", "--overwrite"]
+    part = run(*words, "--isocosts", 15)
+    assert part.stdout.startswith("Within 15 m of the start to each side, ")
+    found = record(*words, "--isocosts", 15)["reach"]
+    assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
+    assert found["limit_m"] == 15.0
+    assert found["tiles"] < 150
+    whole = record(*words)["reach"]
+    assert whole["limit_m"] is None
+    assert whole["tiles"] > 600
+    assert record(layers, "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))["reach"] is None
 
 
 def test_an_earlier_run_is_replaced_only_if_told(layers, tmp_path):

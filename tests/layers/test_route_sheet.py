@@ -114,3 +114,12 @@ def test_a_damaged_manifest_is_refused(small, tmp_path, key):
     folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
     with pytest.raises(BadInputError, match=r"run\.json is damaged"):
         open_map([folder])
+
+
+def test_a_survey_or_another_folder_is_told_to_be_mapped_first(tmp_path):
+    survey = tmp_path / "site.laz"
+    survey.touch()
+    with pytest.raises(BadInputError, match=r"site\.laz is a file\. Give the folder that `bumpymap map` wrote"):
+        open_map([survey])
+    with pytest.raises(BadInputError, match=r"not that of a map\. Give the folder that `bumpymap map` wrote"):
+        open_map([tmp_path])

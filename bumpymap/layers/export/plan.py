@@ -74,6 +74,8 @@ def read_route_line(path: Path) -> NDArray[np.float64]:
 
 def _first_line(record: Any) -> list[Any]:
     """Return the positions of the first line of a GeoJSON object; of a line in parts, one after the other."""
+    if not isinstance(record, dict) or "type" not in record:
+        raise LookupError("it is no GeoJSON")
     features = record["features"] if record["type"] == "FeatureCollection" else [record]
     for feature in features:
         geometry = feature["geometry"] if feature["type"] == "Feature" else feature
@@ -97,10 +99,14 @@ def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
     Raises
     ------
     BadInputError
-        The line leaves the map, or has too many corners.
+        The line leaves the map or has too many corners, or the map has no CRS.
     """
     if len(line) > _MOST_WAYPOINTS:
         raise BadInputError(f"the route has {len(line):,} corners; a mission may have {_MOST_WAYPOINTS:,}")
+    if not route_map.has_crs:
+        raise BadInputError(
+            "a mission is in longitude and latitude, and the map has no CRS. Map the survey with `crs='EPSG:CODE'`"
+        )
     easting, northing = route_map.from_lonlat(line[:, 0], line[:, 1])
     bounds, edge = route_map.grid.window_bounds(route_map.window), 0.1  # m: files round coordinates to 1 cm
     inside = (easting >= bounds.west - edge) & (easting <= bounds.east + edge)

@@ -15,6 +15,8 @@ __all__ = ["FAINT", "INK", "draw_profile"]
 INK, FAINT, GRID, INTERVAL = (28, 30, 34), (92, 96, 104), (226, 228, 232), (196, 200, 208)
 _LEAST_RELIEF_M = 2.0
 """Least span of the height axis, m: a level way must not look like mountains."""
+_LEAST_LENGTH_M = 1.0
+"""Least length of the axis of distance, m: a way of length 0 has none."""
 _FILL = 0.75
 
 
@@ -62,8 +64,7 @@ def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int]
     """
     left, top, width, height = box
     split = round(height * 0.6)
-    # A way of length 0 has no axis of distance.
-    far = max(float(profile.distance[-1]), 1e-3)
+    far = max(float(profile.distance[-1]), _LEAST_LENGTH_M)
     known = profile.z[np.isfinite(profile.z)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_RELIEF_M)
     room = max(high - low, _LEAST_RELIEF_M) * 0.12

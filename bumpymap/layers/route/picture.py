@@ -1,5 +1,6 @@
 """Write route.png: ways on the shaded relief in the colours of the ride cost, and the profile of the first."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bumpymap.core import Route, atomic
+from bumpymap.core import Route, RouteFigures, atomic
 from bumpymap.layers.route._chart import FAINT, INK, draw_profile
 from bumpymap.layers.route._pen import Colour, Pen, bar_length, ticks
 from bumpymap.layers.route._relief import (
@@ -168,7 +169,10 @@ def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
 
 def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     left, row = _EDGE + _PANEL + 24, _TITLE
-    pen.text((left, row + 8), "ride cost of the ground [rad/m]", INK, size=16)
+    first = routes[0]
+    several = len({route.vehicle.name for route in routes}) > 1
+    of_whom = f"for {_shortened(first.vehicle.name, 22)}" if several else "of the ground"
+    pen.text((left, row + 8), f"ride cost {of_whom} [rad/m]", INK, size=16)
     bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
     pen.paste(left, row + 24, bar)
     pen.rectangle((left, row + 24, left + _BAR, row + 46), None, FAINT)
@@ -188,10 +192,16 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
         pen.text((left + 54, row + 12), text, INK, size=16)
         row += 34
     row += 12
-    for role in ("start", "via", "goal") if any(len(route.stops) > 2 for route in routes) else ("start", "goal"):
-        _draw_stop(pen, (left + 20, row + 12), role)
-        pen.text((left + 54, row + 12), role, INK, size=16)
-        row += 34
+    # Where start and goal are one place, the mark of the goal lies under that of the start.
+    is_round = all((route.stops[0] == route.stops[-1]).all() for route in routes)
+    marks = {"start": "start and goal"} if is_round else {"start": "start", "goal": "goal"}
+    if any(len(route.stops) > 2 for route in routes):
+        marks["via"] = "via"
+    for role in ("start", "via", "goal"):
+        if role in marks:
+            _draw_stop(pen, (left + 20, row + 12), role)
+            pen.text((left + 54, row + 12), marks[role], INK, size=16)
+            row += 34
     _draw_figures(pen, routes, left, row + 12)
 
 
@@ -204,13 +214,13 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
         pen.text(
             (left + 54, row + 12),
-            _shortened(f"{route.name}, {route.vehicle.name}" if several else route.name, 32),
+            _shortened(_named(route) if several else route.name, 32),
             INK,
             size=16,
         )
         lines = (
             f"{_length(figures.length_m)}, cost {figures.cost_m:,.0f} m",
-            f"mean {figures.c_r_mean:.3f}, most {figures.c_r_max:.3f} rad/m",
+            _of_ride(figures),
             f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
         )
         for place, text in enumerate(lines):
@@ -218,6 +228,19 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         row += 106
     if len(routes) > len(shown):
         pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
+
+
+def _named(route: Route) -> str:
+    """Return name and vehicle of a way; ways that are compared have the vehicle in their name."""
+    vehicle = f", {route.vehicle.name}"
+    return route.name if route.name.endswith(vehicle) else route.name + vehicle
+
+
+def _of_ride(figures: RouteFigures) -> str:
+    """Return mean and largest ride cost; on unknown ground, and over no length, they are not known."""
+    values = {"mean": figures.c_r_mean, "most": figures.c_r_max}
+    known = [f"{name} {value:.3f}" for name, value in values.items() if math.isfinite(value)]
+    return f"{', '.join(known)} rad/m" if known else "ride cost not known"
 
 
 def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:

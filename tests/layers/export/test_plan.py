@@ -137,8 +137,16 @@ def test_a_map_without_a_crs_has_no_longitudes(make_field, write_map, tmp_path):
     local = make_field(6, 5, georeference=Georeference(None), easy=True)
     local_map = open_map([write_map(local, tmp_path / "local", local=True)])
     route = route_file(tmp_path / "r.json", {"type": "LineString", "coordinates": [[1, 2], [1, 3]]})
-    with pytest.raises(BadInputError, match="no CRS"):
+    with pytest.raises(BadInputError, match="a mission is in longitude and latitude, and the map has no CRS"):
         export_map(local_map, tmp_path / "out", ExportSettings(to="plan", route=route))
     record = export_map(local_map, tmp_path / "nav2", ExportSettings()).record
     assert record["datum"]["longitude"] is None
     assert record["datum"]["crs"] is None
+
+
+def test_the_manifest_of_a_route_is_no_route(make_field, write_map, tmp_path):
+    path = tmp_path / "route.json"
+    path.write_text('{"format": "bumpymap-route", "routes": []}')
+    route_map = open_map([write_map(make_field(6, 5, easy=True), tmp_path / "layers")])
+    with pytest.raises(BadInputError, match=r"from .*route\.json: it is no GeoJSON\. Give"):
+        export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=path))

@@ -1,5 +1,6 @@
 """route.png: what is where, in which colour."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -258,3 +259,46 @@ def test_the_title_says_how_far_and_for_whom():
     far = replace(one, figures=replace(one.figures, length_m=12_345.0))
     assert picture_module._title([far]) == "to the quarry: 12.3 km for warthog"
     assert len(picture_module._title([replace(one, name="n" * 500)])) < 120
+
+
+def words_of(routes, ground, monkeypatch):
+    """All texts that are written into a picture."""
+    words = []
+    text = Pen.text
+
+    def listen(pen, place, written, *args, **kwargs):
+        words.append(written)
+        return text(pen, place, written, *args, **kwargs)
+
+    monkeypatch.setattr(Pen, "text", listen)
+    paint_route(routes, ground)
+    return words
+
+
+def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
+    route = make_route()
+    still = replace(
+        route,
+        line=route.line[:1],
+        stops=route.stops[[0, 0]],
+        figures=replace(route.figures, length_m=0.0, c_r_mean=math.nan, climb_m=0.0, descent_m=0.0),
+        profile=replace(route.profile, distance=np.zeros_like(route.profile.distance)),
+    )
+    words = words_of([still], ground, monkeypatch)
+    assert not any("nan" in word for word in words)
+    assert f"most {still.figures.c_r_max:.3f} rad/m" in words
+    assert "0.0005" not in words
+    assert "goal" not in words  # its mark lies under that of the start
+    assert "start and goal" in words
+
+
+def test_ways_of_two_vehicles_say_whose_ground_it_is(ground, monkeypatch):
+    route = make_route()
+    rover = replace(route, name="route, rover", vehicle=RouteVehicle("rover", 0.7, 0.5))
+    words = words_of([route, rover], ground, monkeypatch)
+    assert "route, rover" in words
+    assert f"route, {route.vehicle.name}" in words
+    assert "rover, rover" not in " ".join(words)
+    assert f"ride cost for {route.vehicle.name} [rad/m]" in words
+    alone = words_of([route], ground, monkeypatch)
+    assert "ride cost of the ground [rad/m]" in alone

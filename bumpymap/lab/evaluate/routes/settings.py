@@ -29,9 +29,13 @@ class RouteTrialSettings:
     drive: DriveSettings = field(default_factory=DriveSettings)
 
     def __post_init__(self) -> None:
-        for name, least in (("total_pairs", 1), ("repeats", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+        for name, value, least in (
+            ("pairs", self.total_pairs, 1),
+            ("repeats", self.repeats, 1),
+            ("seed", self.seed, 0),
+        ):
+            if value < least:
+                raise UsageError(f"{name} is {value}; it must be {least} or more")
         if not 0 < self.least_m <= self.most_m:
             raise UsageError(
                 f"distances are {self.least_m} to {self.most_m} m; the first must be above 0 and no larger"

@@ -59,10 +59,16 @@ def test_a_map_without_ways_is_refused(made_up, warthog, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"total_pairs": 0}, {"repeats": 0}, {"least_m": 30.0, "most_m": 20.0}, {"offset_m": 2.0}]
+    ("wrong", "says"),
+    [
+        ({"total_pairs": 0}, "^pairs is 0; it must be 1 or more"),  # as the option is called
+        ({"repeats": 0}, "^repeats is 0"),
+        ({"least_m": 30.0, "most_m": 20.0}, "distances are 30"),
+        ({"offset_m": 2.0}, "offset_m is 2"),
+    ],
 )
-def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(UsageError):
+def test_settings_out_of_range_are_refused(wrong, says):
+    with pytest.raises(UsageError, match=says):
         RouteTrialSettings(**wrong)
 
 
