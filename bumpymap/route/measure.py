@@ -180,7 +180,7 @@ def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
     length = float(profile.distance[-1])
     apart = np.linspace(0.0, length, max(2, round(length / tile_size) + 1))
     rise = np.diff(np.interp(apart, profile.distance[known], profile.z[known]))
-    return float(rise[rise > 0].sum()), float(-rise[rise < 0].sum())
+    return float(rise[rise > 0].sum()), float(abs(rise[rise < 0].sum()))
 
 
 def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
