@@ -77,10 +77,7 @@ class RouteConfig:
         _number("snap", self.snap, 0.0)
         memory_limit(self.memory)
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
-            for value in values:
-                _number(name, value, 0.0)
-                if value == 0.0:
-                    raise UsageError(f"{name} holds 0; nothing but the start is reached in that: leave it out")
+            _levels(name, values)
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
@@ -98,6 +95,13 @@ class RouteConfig:
 
 
 _MOST_ALTERNATIVES = 10
+
+
+def _levels(name: str, values: tuple[float, ...]) -> None:
+    for value in values:
+        _number(name, value, 0.0)
+        if value == 0.0:
+            raise UsageError(f"{name} holds 0; nothing but the start is reached in that: leave it out")
 
 
 _MOST_COST = 1e9

@@ -35,8 +35,8 @@ class ReachField:
     minutes: NDArray[np.float32] | None = None
     """Time along that way at the profile's speed, min."""
     back: NDArray[np.uint8] | None = None
-    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start, and ``NO_MOVE`` where
-    no way leads."""
+    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start, ``NO_MOVE`` where no
+    way leads."""
     moves: NDArray[np.int64] | None = None
     """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""
 
