@@ -25,8 +25,8 @@ class CostSettings:
     """File of polygons that are not left."""
 
     def __post_init__(self) -> None:
-        _number("risk", self.risk, 0.0)
-        _number("unknown", self.unknown, 1.0)
+        _number("risk", self.risk, 0.0, _MOST_COST)
+        _number("unknown", self.unknown, 1.0, _MOST_COST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +99,11 @@ class RouteConfig:
 _MOST_ALTERNATIVES = 10
 
 
-def _number(name: str, value: float | None, least: float) -> None:
-    if value is not None and not (math.isfinite(value) and value >= least):
-        raise UsageError(f"{name} is {value!r}; it must be a finite number of at least {least:g}")
+_MOST_COST = 1e9
+"""Weights beyond all ground, with which costs can still be added up."""
+
+
+def _number(name: str, value: float | None, least: float, most: float = math.inf) -> None:
+    if value is not None and not (math.isfinite(value) and least <= value <= most):
+        limit = "" if math.isinf(most) else f" and at most {most:g}"
+        raise UsageError(f"{name} is {value!r}; it must be a finite number of at least {least:g}{limit}")

@@ -58,7 +58,7 @@ def steer_clear(site: RouteMap, line: Floats, load: Load, reach: float) -> Float
     """
     points, step = sample_line(line, site.grid)
     touches = touches_along(site, points, reach).near
-    if not touches.any():
+    if not touches.any() or step == 0.0:
         return line
     size = site.grid.tile_size
     cuts = _cuts(~touches, _SECTION_TILES * size / step, len(points))

@@ -124,6 +124,14 @@ def test_where_every_way_touches_an_obstacle_the_figures_say_so():
     assert way.measured.figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
 
 
+def test_a_way_of_no_length_beside_an_obstacle_stays_there():
+    site = TileMap(np.full((9, 20), 0.1))
+    site.stones = [tuple(site.at(4.5, 2.4))]
+    figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).measured.figures
+    assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
+    assert str(figures.descent_m) == "0.0"
+
+
 def test_a_start_beside_an_obstacle_is_left():
     site = TileMap(np.full((9, 20), 0.1))
     stops = np.array([site.at(4.5, 2.5), site.at(4.5, 17.5)])

@@ -53,6 +53,7 @@ def test_back_links_come_with_their_moves(reach, tmp_path):
     with rasterio.open(tmp_path / "reach_back.tif") as file:
         np.testing.assert_array_equal(file.read(1), reach.back)
         assert (file.nodata, json.loads(file.tags()["moves"])) == (NO_MOVE, reach.moves.tolist())
+        assert file.tags()["straight_to_start"] == "254"
 
 
 def test_arrays_that_do_not_fit_are_refused(reach):
