@@ -3,8 +3,8 @@
 Two surveys of one place never hit the same points, so their heightmaps differ by noise: little on asphalt, decimetres
 in scrub. How much is read off the tile's own differences, pixel by pixel:
 
-- Height: the differences are cut off at 1.5 times their usual size, so that no shrub decides, and added up. Without a
-  change they cancel; their sum over the root of the sum of their squares is z_height.
+- Height: the differences are cut off at 1.5 times their usual size, so that no shrub decides. z_height is their mean
+  over its standard error, Student's t, as the value of a normal distribution with the same probability.
 - Shape: noise of one pixel says nothing about the next, while a rut or a heap covers many. z_shape adds up products of
   differences of pixels one and two apart, taken about their mean, over the root of the sum of their squares.
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtr
 
 __all__ = ["LEAST_CELLS", "GroundChange", "coarsen", "compare_heights"]
 
@@ -29,6 +30,8 @@ _CUT = 1.5
 _FLOOR_M = 1e-3
 """Least standard deviation of the differences, m: heights are stored to a millimetre."""
 _NORMAL_MAD = 1.4826
+_EXACT, _MOST_T = 1e-9, 100.0
+"""Differences that are all alike leave no error: their t is limited."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 """Pairs of pixels of z_shape: rows and columns between them."""
 
@@ -75,7 +78,7 @@ def compare_heights(difference: Floats) -> GroundChange:
         level, form = _cut_off(values), _cut_off(values - middle)
         form -= np.nanmean(form, axis=(1, 2))[:, None, None]
     sums = np.nansum(level, axis=(1, 2)), np.nansum(level * level, axis=(1, 2))
-    height, shape = _ratio(*sums), _ratio(*_products(form))
+    height, shape = _student(_ratio(*sums), count), _ratio(*_products(form))
     return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, height, shape)))
 
 
@@ -96,6 +99,13 @@ def _products(form: Floats) -> tuple[Floats, Floats]:
         total += np.nansum(product, axis=(1, 2))
         square += np.nansum(product * product, axis=(1, 2))
     return total, square
+
+
+def _student(ratio: Floats, count: NDArray[np.int64]) -> Floats:
+    """Return the normal equivalent of Student's t, which follows from sum over root of the sum of squares."""
+    n = np.maximum(count, 2)
+    t = np.minimum(np.abs(ratio) * np.sqrt((n - 1) / np.maximum(n - ratio**2, _EXACT * n)), _MOST_T)
+    return np.asarray(-np.sign(ratio) * ndtri(stdtr(n - 1, -t)))
 
 
 def _ratio(total: Floats, square: Floats) -> Floats:

@@ -30,8 +30,8 @@ class DiffConfig:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.fdr) and 0.0 < self.fdr < 1.0):
-            raise UsageError(f"fdr is {self.fdr!r}; it must be a number between 0 and 1, such as 0.05")
+            raise UsageError(f"`fdr` is {self.fdr!r}; it must be a number between 0 and 1, such as 0.05")
         if self.min_tiles < 1:
-            raise UsageError(f"min_tiles is {self.min_tiles!r}; it must be a whole number of at least 1")
+            raise UsageError(f"`min_tiles` is {self.min_tiles!r}; it must be a whole number of at least 1")
         if self.offset is not None and not math.isfinite(self.offset):
-            raise UsageError(f"offset is {self.offset!r}; it must be a number of metres, such as 0")
+            raise UsageError(f"`offset` is {self.offset!r}; it must be a number of metres, such as 0")
