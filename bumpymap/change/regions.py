@@ -69,33 +69,30 @@ def describe_regions(
     order = place[np.argsort(area.ravel()[place], kind="stable")]
     cuts = np.flatnonzero(np.diff(area.ravel()[order])) + 1
     flat = {name: array.ravel() for name, array in values.items()}
-    flat |= {"c_r_before": before.c_r.ravel(), "c_r_after": after.c_r.ravel()}
-    kinds = code.ravel()
-    lost = ((before.barred == Barred.NO) & (after.barred != Barred.NO)).ravel()
-    won = ((before.barred != Barred.NO) & (after.barred == Barred.NO)).ravel()
-    found = []
-    for tiles in np.split(order, cuts) if len(order) else []:
-        heights = flat["d_height"][tiles]
-        found.append(
-            {
-                "tiles": len(tiles),
-                "area_m2": round(len(tiles) * tile_size**2, 3),
-                **{
-                    CODES[kind].replace(",", "").replace(" ", "_"): int((kinds[tiles] == kind).sum()) for kind in _KINDS
-                },
-                "d_height": _number(heights.mean()),
-                "d_height_lowest": _number(heights.min()),
-                "d_height_highest": _number(heights.max()),
-                "volume_m3": _number(heights.sum() * tile_size**2),
-                **{name: _mean(flat[name][tiles]) for name in ("d_c_r", "c_r_before", "c_r_after")},
-                **{name: _farthest(flat[name][tiles]) for name in ("z_height", "z_shape", "z_c_r")},
-                "class_before": _commonest(before.class_id.ravel()[tiles]),
-                "class_after": _commonest(after.class_id.ravel()[tiles]),
-                "passable_lost": int(lost[tiles].sum()),
-                "passable_won": int(won[tiles].sum()),
-            }
-        )
-    return tuple(found)
+    flat |= {"c_r_before": before.c_r.ravel(), "c_r_after": after.c_r.ravel(), "kind": code.ravel()}
+    flat |= {"class_before": before.class_id.ravel(), "class_after": after.class_id.ravel()}
+    free = before.barred == Barred.NO, after.barred == Barred.NO
+    flat |= {"passable_lost": (free[0] & ~free[1]).ravel(), "passable_won": (~free[0] & free[1]).ravel()}
+    parts = np.split(order, cuts) if len(order) else []
+    return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
+
+
+def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
+    """Return the properties of one change from the values of its tiles, (n,) each."""
+    heights, kinds = tiles["d_height"], tiles["kind"]
+    return {
+        "tiles": len(kinds),
+        "area_m2": round(len(kinds) * area_m2, 3),
+        **{CODES[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
+        "d_height": _number(heights.mean()),
+        "d_height_lowest": _number(heights.min()),
+        "d_height_highest": _number(heights.max()),
+        "volume_m3": _number(heights.sum() * area_m2),
+        **{name: _mean(tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
+        **{name: _farthest(tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
+        **{name: _commonest(tiles[name]) for name in ("class_before", "class_after")},
+        **{name: int(tiles[name].sum()) for name in ("passable_lost", "passable_won")},
+    }
 
 
 _KINDS = range(1, len(CODES))
