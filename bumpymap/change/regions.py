@@ -68,7 +68,7 @@ def describe_regions(
     place = np.flatnonzero(area)
     order = place[np.argsort(area.ravel()[place], kind="stable")]
     cuts = np.flatnonzero(np.diff(area.ravel()[order])) + 1
-    flat = {name: array.ravel() for name, array in values.items()}
+    flat: dict[str, NDArray[Any]] = {name: array.ravel() for name, array in values.items()}
     flat |= {"c_r_before": before.c_r.ravel(), "c_r_after": after.c_r.ravel(), "kind": code.ravel()}
     flat |= {"class_before": before.class_id.ravel(), "class_after": after.class_id.ravel()}
     free = before.barred == Barred.NO, after.barred == Barred.NO
