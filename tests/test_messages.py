@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import bumpymap
+from bumpymap.change import DiffConfig
 from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
 from bumpymap.core.config import MapConfig
@@ -173,6 +174,7 @@ def test_every_setting_in_backquotes_is_one():
     known = set(MapConfig.__dataclass_fields__) | {"poses", "stripes", "method", "fit"}
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
     known |= set(ExportSettings.__dataclass_fields__)
+    known |= set(DiffConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):
         if _is_for_commands(file):
             continue

@@ -41,12 +41,13 @@ ROOMS = {
         {"numpy", "pyproj", "sklearn"},
     ),
     "route": ({"core", "layers"}, {"numpy", "scipy", "xarray"}),
+    "change": ({"core", "layers"}, {"numpy", "scipy"}),
     "lab": (
         # layers and route: ways are planned over the layers of a map and driven
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
-    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "lab"}, {"click", "rich"}),
+    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "lab"}, {"click", "rich"}),
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""

@@ -16,6 +16,7 @@ __all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json"
 _COMMANDS = {
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
     "demo": "map a synthetic quarry as an example",
+    "diff": "find what has changed between two surveys of a site",
     "evaluate": "compare predictions with simulated drives over the same ground",
     "export": "write a map for robots: Nav2, grid_map, a graph of ways, a mission",
     "info": "report what a survey contains and what a run needs",

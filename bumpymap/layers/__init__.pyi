@@ -4,6 +4,18 @@ from ._imports import (
 from ._label import (
     label as label,
 )
+from .change import (
+    CHANGE_MANIFEST_NAME as CHANGE_MANIFEST_NAME,
+    CHANGE_NAMES as CHANGE_NAMES,
+    ChangeField as ChangeField,
+    check_change_out as check_change_out,
+    write_change as write_change,
+)
+from .change_pair import (
+    SurveyPair as SurveyPair,
+    SurveyTiles as SurveyTiles,
+    open_pair as open_pair,
+)
 from .completed_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,

@@ -28,8 +28,10 @@ _DTYPES = {
     "cost.tif": "float32",
     "heightmap.tif": "float32",
     "obstacle.tif": "uint8",
+    "class.tif": "uint8",
 }
-_RASTERS = tuple(_DTYPES)
+_RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
+"""What a route reads; a comparison of surveys reads the classes too."""
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif")
 _CHECKED = ("barred.tif", "roughness.tif", "cost.tif")
 _CHECKED_BYTES = 64 << 20

@@ -15,7 +15,7 @@ from bumpymap.core.settings_file import read_settings_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
-OWN_PAGES = {"scan": "scans.md", "route": "routes.md"}
+OWN_PAGES = {"scan": "scans.md", "route": "routes.md", "diff": "diff.md"}
 COMMANDS = main.list_commands(click.Context(main))
 
 
@@ -31,7 +31,7 @@ def options(name):
 
 
 def section(name):
-    """Return what the pages say about a command; scans and routes have pages of their own."""
+    """Return what the pages say about a command; some have pages of their own."""
     if name in OWN_PAGES:
         return (PAGES / OWN_PAGES[name]).read_text(encoding="utf-8").split("## Files")[0]
     text = (PAGES / "command-line.md").read_text(encoding="utf-8")

@@ -47,6 +47,7 @@ def reached(monkeypatch, tmp_path):
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
+    monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr("bumpymap.scan.fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
@@ -70,6 +71,7 @@ WORDS = {
     "evaluate": ["site.laz", "--out", "o"],
     "train": ["--out", "m.onnx"],
     "export": ["site_layers", "--to", "nav2", "--out", "o"],
+    "diff": ["may_layers", "june_layers"],
 }
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
@@ -78,6 +80,8 @@ MEANT = {
     ("train", "seed", 0): lambda got: got[0].seed,
     ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
+    ("diff", "offset", 0): lambda got: got[0].offset,
+    ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
 }
 SCENES = {"scenes", "sectors_per_class"}

@@ -124,7 +124,14 @@ def furnish(folder: Path) -> None:
     )
     (folder / "sample_data").mkdir()
     shutil.copy(ROOT / "sample_data" / "quarry.laz", folder / "sample_data")
-    for name, east in (("site.laz", 0.0), ("survey.laz", 0.0), ("flights/1.laz", 0.0), ("flights/2.laz", 12.0)):
+    for name, east in (
+        ("site.laz", 0.0),
+        ("survey.laz", 0.0),
+        ("may.laz", 0.0),
+        ("june.laz", 0.0),
+        ("flights/1.laz", 0.0),
+        ("flights/2.laz", 12.0),
+    ):
         part = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
         near = (abs(x - np.median(x) - east) < 6) & (abs(y - np.median(y)) < 9)
         part.header.offsets, part.header.scales = survey.header.offsets, survey.header.scales

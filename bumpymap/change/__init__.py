@@ -1,0 +1,5 @@
+"""What has changed between two surveys of a site: the ground, and the ride over it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,183 @@
+"""Job: from the layers of two surveys of a site to what has changed between them.
+
+Open both, find which tiles both have, compare heights and ride costs, decide, connect, write.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.change.compare import CODES, Decision, decide
+from bumpymap.change.ground import GroundChange
+from bumpymap.change.heights import cell_pixels, ground_changes, height_offset
+from bumpymap.change.notes import remarks
+from bumpymap.change.regions import connect, describe_regions
+from bumpymap.change.ride import ride_z
+from bumpymap.change.settings import DiffConfig
+from bumpymap.core import CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
+from bumpymap.layers import ChangeField, RouteMap, SurveyPair, SurveyTiles, check_change_out, open_pair, write_change
+
+__all__ = ["ChangeResult", "find_changes"]
+
+_CLASSES = len(CLASS_NAMES)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeResult:
+    """What a comparison found."""
+
+    field: ChangeField
+    counts: Mapping[str, Any]
+    """Tiles by what became of them."""
+    transitions: NDArray[np.int64]
+    """(5, 5) tiles of each class before (rows) and after (columns), unknown last, of all tiles that both have."""
+    fit: Mapping[str, Any]
+    """How the surveys fit each other: offset, widening, densities, the size of the cells."""
+    files: tuple[Path, ...]
+    """What was written."""
+    notes: tuple[str, ...]
+    """Remarks and warnings."""
+
+
+def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:
+    """Compare two surveys as the settings ask, and write what has changed.
+
+    Raises
+    ------
+    BadInputError
+        The layers cannot be read, cannot be compared, or have no tile in common.
+    UsageError, OutputError
+        The files cannot be written.
+    """
+    progress = progress or SilentProgress()
+    if config.out is not None:
+        check_change_out(config.out, overwrite=config.overwrite)
+    pair = open_pair(config.before, config.after)
+    progress.start("comparing", None)
+    surveys = pair.tiles(pair.window)
+    shared = (surveys[0].barred != NO_TILE) & (surveys[1].barred != NO_TILE)
+    if not shared.any():
+        raise BadInputError(f"{config.before} and {config.after} have no tile in common. Give two surveys of one site")
+    cell = cell_pixels(pair, shared, surveys[0].coverage * surveys[1].coverage)
+    offset = height_offset(pair, cell)
+    taken = offset if config.offset is None else config.offset
+    ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
+    decision = decide(ground, _ride(*surveys), config.fdr)
+    field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
+    fit = _fit(pair, surveys, shared, decision) | {
+        "offset_m": None if np.isnan(offset) else round(offset, 4),
+        "offset_taken_off_m": None if np.isnan(taken) else round(taken, 4),
+        "cell_m": cell * pair.before.grid.tile_size / pair.before.grid.pixels,
+    }
+    counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
+    transitions = _transitions(*surveys, shared)
+    notes = remarks(fit, counts)
+    files: list[Path] = []
+    if config.out is not None:
+        progress.start("writing layers", None)
+        own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
+        files = write_change(field, config.out, manifest=own, overwrite=config.overwrite)
+    return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
+
+
+def _ride(before: SurveyTiles, after: SurveyTiles) -> NDArray[np.float64]:
+    return ride_z(
+        (before.c_r, before.c_r_low, before.c_r_high),
+        (after.c_r, after.c_r_low, after.c_r_high),
+    )
+
+
+def _field(
+    pair: SurveyPair,
+    surveys: tuple[SurveyTiles, SurveyTiles],
+    ground: GroundChange,
+    decision: Decision,
+    least: int,
+) -> tuple[ChangeField, int]:
+    """Return what change.tif holds, and how many tiles belonged to changes that were too small."""
+    before, after = surveys
+    code, area, dropped = connect(decision.code, least)
+    values = {
+        "d_c_r": after.c_r - before.c_r,
+        "z_c_r": decision.z_c_r,
+        "d_height": ground.d_height,
+        "z_height": decision.z_height,
+        "z_shape": decision.z_shape,
+    }
+    site = pair.before
+    regions = describe_regions(area, code, values, surveys, site.grid.tile_size)
+    bands = {name: array.astype(np.float32) for name, array in (values | {"changed": code}).items()}
+    return ChangeField(site.georeference, site.grid, pair.window, **bands, area=area, regions=regions), dropped
+
+
+def _fit(
+    pair: SurveyPair, surveys: tuple[SurveyTiles, SurveyTiles], shared: NDArray[np.bool_], decision: Decision
+) -> dict[str, Any]:
+    before, after = surveys
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = after.c_r[shared] / before.c_r[shared]
+    known = ratio[np.isfinite(ratio)]
+    versions = [_version(site) for site in (pair.before, pair.after)]
+    return {
+        "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
+        "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
+        "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
+        "versions": versions,
+    }
+
+
+def _version(site: RouteMap) -> str | None:
+    found = site.manifests[0].get("versions", {}).get("bumpymap")
+    return None if found is None else str(found)
+
+
+def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared: NDArray[np.bool_]) -> dict[str, Any]:
+    before, after = surveys
+    moved = np.nan_to_num(field.changed) > 0.0
+    free = before.barred == Barred.NO, after.barred == Barred.NO
+    return {
+        "in_both": int(shared.sum()),
+        "compared": int(np.isfinite(field.changed).sum()),
+        "changed": int(moved.sum()),
+        "by_change": {text: int((field.changed == kind).sum()) for kind, text in enumerate(CODES)},
+        "regions": len(field.regions),
+        "passable_lost": int((moved & free[0] & ~free[1]).sum()),
+        "passable_won": int((moved & ~free[0] & free[1]).sum()),
+    }
+
+
+def _transitions(before: SurveyTiles, after: SurveyTiles, shared: NDArray[np.bool_]) -> NDArray[np.int64]:
+    first, second = (np.minimum(side.class_id[shared], _CLASSES).astype(np.int64) for side in (before, after))
+    pairs = np.bincount(first * (_CLASSES + 1) + second, minlength=(_CLASSES + 1) ** 2)
+    return pairs.reshape(_CLASSES + 1, _CLASSES + 1)
+
+
+def _manifest(
+    config: DiffConfig,
+    pair: SurveyPair,
+    fit: Mapping[str, Any],
+    counts: Mapping[str, Any],
+    transitions: NDArray[np.int64],
+) -> dict[str, Any]:
+    sources = {
+        name: {"folders": list(site.folders), "runs": [_run(manifest) for manifest in site.manifests]}
+        for name, site in (("before", pair.before), ("after", pair.after))
+    }
+    return {
+        "settings": asdict(config),
+        "sources": sources,
+        "vehicle": pair.before.vehicle.name,
+        "calibration": pair.before.calibration_id,
+        "fit": fit,
+        "counts": counts,
+        "classes": {"names": [*CLASS_NAMES, "unknown"], "tiles_before_after": transitions},
+    }
+
+
+def _run(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what identifies the layers of a run: its inputs, and the checksums of its files."""
+    return {"inputs": manifest.get("inputs"), "files": manifest.get("files")}

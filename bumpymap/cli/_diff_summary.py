@@ -1,0 +1,61 @@
+"""The summary that ``diff`` prints."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from bumpymap.change import ChangeResult, DiffConfig
+from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import CLASS_NAMES
+
+__all__ = ["show"]
+
+_NAMES = (*(f"{number} {name}" for number, name in enumerate(CLASS_NAMES)), "unknown")
+
+
+def show(result: ChangeResult, config: DiffConfig, *, as_json: bool) -> None:
+    """Print what has changed as tables, or as one JSON object."""
+    if as_json:
+        print_json(_record(result, config))
+        return
+    counts = result.counts
+    print_line(
+        f"{counts['in_both']:,} tiles are in both surveys, {counts['compared']:,} compared, {counts['changed']:,} "
+        f"changed ({_share(counts['changed'], counts['compared'])}) in {counts['regions']:,} places"
+    )
+    print_table(_changes(result), ("change", "tiles", "share"))
+    print_line("Classes before (rows) and after (columns), tiles:")
+    print_table(_classes(result), ("before", *_NAMES))
+    if counts["passable_lost"] or counts["passable_won"]:
+        print_line(
+            f"of the changed tiles, {counts['passable_lost']:,} are no longer passable and "
+            f"{counts['passable_won']:,} are now"
+        )
+    for line in result.notes:
+        print_line(line)
+    if config.out is not None:
+        print_line(f"Files in {config.out}: {', '.join(path.name for path in result.files)}")
+
+
+def _changes(result: ChangeResult) -> Iterator[tuple[str, ...]]:
+    for text, tiles in result.counts["by_change"].items():
+        yield text, f"{tiles:,}", _share(tiles, result.counts["compared"])
+
+
+def _classes(result: ChangeResult) -> Iterator[tuple[str, ...]]:
+    for name, row in zip(_NAMES, result.transitions, strict=True):
+        yield name, *(f"{tiles:,}" for tiles in row)
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / max(whole, 1):.1%}"
+
+
+def _record(result: ChangeResult, config: DiffConfig) -> dict[str, Any]:
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in result.files],
+        "counts": dict(result.counts),
+        "classes": {"names": list(_NAMES), "tiles_before_after": result.transitions.tolist()},
+        "fit": dict(result.fit),
+        "notes": list(result.notes),
+    }

@@ -1,0 +1,240 @@
+"""Two surveys of a made-up site, from folders of layers to the files of a comparison."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from route_maps import RUN, VEHICLE, write_folder
+from survey_pairs import COLS, ROWS, RUT, survey
+
+from bumpymap.change import DiffConfig, find_changes
+from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
+from bumpytiles import Grid
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return tmp_path_factory.mktemp("change")
+
+
+@pytest.fixture(scope="module")
+def may(root):
+    return write_folder(root / "may", survey(1))
+
+
+@pytest.fixture(scope="module")
+def again(root):
+    """Nothing has changed, but the second survey lies 0.4 m higher."""
+    return write_folder(root / "again", survey(2, rise=0.4))
+
+
+@pytest.fixture(scope="module")
+def june(root):
+    """A rut of 10 cm, over which the ride is three times as rough."""
+    return write_folder(root / "june", survey(3, rut=0.1, c_r=3.0))
+
+
+def compare(before, after, **options):
+    return find_changes(DiffConfig(before, after, **options))
+
+
+def planted():
+    mask = np.zeros((ROWS, COLS), bool)
+    mask[tuple(np.array(RUT).T)] = True
+    return mask
+
+
+def test_without_a_change_next_to_nothing_is_found(may, again):
+    result = compare(may, again, min_tiles=1)
+    assert result.counts["compared"] == ROWS * COLS
+    assert result.counts["changed"] <= 0.005 * ROWS * COLS
+    assert result.fit["offset_m"] == pytest.approx(0.4, abs=0.002)
+    assert any("+0.400 m higher" in note and "taken off" in note for note in result.notes)
+    assert all(factor < 1.2 for factor in result.fit["widened"].values())
+    assert abs(np.nanstd(result.field.z_height) - 1.0) < 0.1
+
+
+def test_a_rut_is_found_and_little_else(may, june):
+    result = compare(may, june)
+    found = result.field.changed > 0
+    assert found[planted()].mean() >= 0.9
+    assert found[~planted()].sum() <= 0.05 * found.sum()
+    assert (result.field.changed[planted() & found] == 2).mean() > 0.9
+    assert np.nanmedian(result.field.d_height[planted()]) == pytest.approx(-0.1 * 3 / 15, abs=0.004)
+    assert result.field.d_c_r[planted()].mean() == pytest.approx(0.2, rel=0.05)
+
+
+def test_the_other_way_round_a_rut_is_filled(may, june):
+    there, back = compare(may, june), compare(june, may)
+    assert back.counts["by_change"]["smoother"] == there.counts["by_change"]["rougher"]
+    assert np.array_equal(there.transitions, back.transitions.T)
+    assert np.allclose(there.field.d_height, -back.field.d_height, atol=1e-6)
+
+
+def test_an_offset_that_is_given_is_the_one_taken_off(may, again):
+    result = compare(may, again, offset=0.0)
+    assert result.counts["changed"] == ROWS * COLS
+    assert np.median(result.field.d_height) == pytest.approx(0.4, abs=0.01)
+    assert any("as asked" in note for note in result.notes)
+    assert any("too many" in note for note in result.notes)
+
+
+def test_the_same_layers_have_not_changed(may, root):
+    copy = shutil.copytree(may, root / "copy")
+    result = compare(may, copy, min_tiles=1)
+    assert result.counts["changed"] == 0
+    assert not result.field.d_height.any()
+    assert not result.field.z_c_r.any()
+
+
+def test_thin_surveys_are_compared_in_coarser_cells(may, root):
+    thin = [
+        write_folder(root / f"thin{seed}", survey(seed, seen=0.3, lowered=depth))
+        for seed, depth in ((11, 0.0), (12, 0.3))
+    ]
+    result = compare(*thin)
+    assert result.fit["cell_m"] == pytest.approx(0.6)
+    assert (result.field.changed > 0)[planted()].mean() > 0.9
+    unlike = compare(may, thin[0])
+    assert unlike.fit["cell_m"] == pytest.approx(0.6)
+    assert any("unlike densities, 30 and 100 points" in note for note in unlike.notes)
+
+
+def test_only_tiles_of_both_are_compared(may, root):
+    half = np.arange(COLS)[None, :] < np.where(np.arange(ROWS) < 10, 25, 22)[:, None]
+    part = write_folder(root / "part", survey(5, tiles=half))
+    result = compare(may, part)
+    assert result.counts["in_both"] == half.sum()
+    assert (result.field.window.cols, result.field.window.rows) == (25, ROWS)
+    assert np.array_equal(np.isfinite(result.field.changed), half[:, :25])
+
+
+def test_files_say_what_the_result_says(may, june, tmp_path):
+    result = compare(may, june, out=tmp_path / "out")
+    assert [path.name for path in result.files] == ["change.tif", "change.geojson", "change.json"]
+    with rasterio.open(tmp_path / "out" / "change.tif") as file:
+        assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed")
+        assert file.crs.to_epsg() == 32614
+        assert (file.transform.c, file.transform.f) == (160_000 * 3.0, 712_030 * 3.0)
+        for name, band in zip(file.descriptions, file.read(), strict=True):
+            assert np.array_equal(band, getattr(result.field, name), equal_nan=True)
+    record = json.loads((tmp_path / "out" / "change.json").read_text())
+    assert record["counts"] == json.loads(json.dumps(result.counts))
+    assert np.array_equal(record["classes"]["tiles_before_after"], result.transitions)
+    assert record["settings"]["fdr"] == 0.05
+    assert len(record["sources"]["before"]["runs"][0]["files"]) > 5
+    assert {file["path"] for file in record["files"]} == {"change.tif", "change.geojson"}
+
+
+def test_features_are_the_changes(may, june, tmp_path):
+    result = compare(may, june, out=tmp_path / "out")
+    collection = json.loads((tmp_path / "out" / "change.geojson").read_text())
+    features = collection["features"]
+    assert [feature["id"] for feature in features] == list(range(1, result.counts["regions"] + 1))
+    assert sum(feature["properties"]["tiles"] for feature in features) == result.counts["changed"]
+    largest = max(features, key=lambda feature: feature["properties"]["tiles"])
+    about = largest["properties"]
+    assert shapely.geometry.shape(largest["geometry"]).is_valid
+    assert about["area_m2"] == about["tiles"] * 9.0
+    assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
+    assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
+    assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
+    west, south, east, north = collection["bbox"]
+    assert -180 <= west < east <= 180
+    assert south < north
+
+
+@pytest.mark.parametrize(
+    ("options", "changes", "word"),
+    [
+        ({}, {"vehicle": VEHICLE | {"name": "car"}}, "vehicle is"),
+        ({}, {"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is"),
+        ({}, {"settings": {"rating": "table", "compat": "none"}}, "rating is"),
+        ({}, {"ground_only": True}, "ground points only is"),
+        ({"grid": Grid(3.0, 10)}, {}, "pixels along a tile is 15 and 10"),
+        ({"georeference": Georeference(None)}, {}, "CRS is"),
+    ],
+)
+def test_unlike_surveys_are_refused(may, tmp_path, options, changes, word):
+    other = write_folder(tmp_path / "other", survey(6, tiles=np.indices((ROWS, COLS))[0] < 2, **options), **changes)
+    with pytest.raises(BadInputError, match="cannot be compared") as caught:
+        compare(may, other, out=tmp_path / "out")
+    assert word in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_site_is_refused(may, make_far, tmp_path):
+    with pytest.raises(BadInputError, match="no place in common"):
+        compare(may, make_far)
+
+
+@pytest.fixture
+def make_far(make_field_map, tmp_path):
+    return write_folder(tmp_path / "far", make_field_map)
+
+
+@pytest.fixture
+def make_field_map():
+    made = survey(7, tiles=np.indices((ROWS, COLS))[0] < 2)
+    made.patches.col[:] += 5_000
+    return made
+
+
+def test_damaged_classes_are_refused(may, tmp_path):
+    other = shutil.copytree(may, tmp_path / "other")
+    (other / "class.tif").write_bytes((other / "class.tif").read_bytes()[:-9])
+    with pytest.raises(BadInputError, match=r"class\.tif is damaged"):
+        compare(may, other)
+    (other / "class.tif").unlink()
+    with pytest.raises(BadInputError, match=r"class\.tif"):
+        compare(may, other)
+
+
+def test_files_are_replaced_only_when_asked(may, june, tmp_path):
+    out = tmp_path / "out"
+    compare(may, june, out=out)
+    before = (out / "change.json").read_bytes()
+    with pytest.raises(OutputError, match="overwrite=True"):
+        compare(may, june, out=out)
+    assert (out / "change.json").read_bytes() == before
+    compare(may, june, out=out, overwrite=True, fdr=0.2)
+    assert json.loads((out / "change.json").read_text())["settings"]["fdr"] == 0.2
+    with pytest.raises(UsageError, match="layers of a survey"):
+        compare(may, june, out=may, overwrite=True)
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="it is a file"):
+        compare(may, june, out=tmp_path / "file")
+
+
+def test_nothing_is_left_of_a_run_that_fails(may, june, tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("bumpymap.layers.change.write_manifest", fail)
+    with pytest.raises(OSError, match="no space"):
+        compare(may, june, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_a_crs_coordinates_are_the_surveys_own(tmp_path):
+    run = RUN | {"settings": RUN["settings"]}
+    folders = [
+        write_folder(tmp_path / str(seed), survey(seed, rut=rut, georeference=Georeference(None)), **run)
+        for seed, rut in ((1, 0.0), (2, 0.1))
+    ]
+    compare(*folders, out=tmp_path / "out")
+    collection = json.loads((tmp_path / "out" / "change.geojson").read_text())
+    assert "local_coordinates" in collection
+    assert 480_000 <= collection["bbox"][0] < collection["bbox"][2] <= 480_120
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("fdr", 0.0), ("fdr", 1.0), ("fdr", float("nan")), ("min_tiles", 0), ("offset", float("inf"))],
+)
+def test_settings_are_checked(setting, value, tmp_path):
+    with pytest.raises(UsageError, match=setting):
+        DiffConfig(tmp_path, tmp_path, **{setting: value})
