@@ -14,6 +14,7 @@ from .config import (
     Rating as Rating,
     ZUnit as ZUnit,
     decide_ground as decide_ground,
+    override_settings as override_settings,
     refuse_clashes as refuse_clashes,
 )
 from .crs.reproject import (
@@ -79,6 +80,7 @@ from .lock import (
     locked as locked,
 )
 from .memory import (
+    LEAST_MEMORY as LEAST_MEMORY,
     auto_memory as auto_memory,
     free_memory as free_memory,
     is_auto as is_auto,

@@ -4,6 +4,17 @@ from ._imports import (
 from ._label import (
     label as label,
 )
+from .batch_facts import (
+    map_facts as map_facts,
+)
+from .batch_summary import (
+    BATCH_LOG as BATCH_LOG,
+    BATCH_NAMES as BATCH_NAMES,
+    SurveyRow as SurveyRow,
+    SurveyStatus as SurveyStatus,
+    check_batch_out as check_batch_out,
+    write_batch_summary as write_batch_summary,
+)
 from .completed_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,
