@@ -15,13 +15,13 @@ from bumpymap.cli._wording import as_options
 from bumpymap.core import CLASHES, refuse_clashes
 
 if TYPE_CHECKING:
-    from bumpymap.layers import SurveyRow
+    from bumpymap.layers import SurveyRow, SurveyStatus
     from bumpymap.survey import BatchReport, BatchResult
 
 __all__ = ["command"]
 
 _CONTINUE = "Give the same command again to continue."
-_BAD = ("failed", "incomplete", "not reached")
+_BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
 _MOST_LISTED = 20
 """Surveys with a message that the summary lists at most."""
 

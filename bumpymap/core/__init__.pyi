@@ -128,6 +128,7 @@ from .run_folder import (
     RunFolder as RunFolder,
     check_interrupted as check_interrupted,
     clean_folder as clean_folder,
+    is_interrupted as is_interrupted,
     is_own_folder as is_own_folder,
     read_record as read_record,
     what_to_keep as what_to_keep,

@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
@@ -19,12 +20,16 @@ from bumpymap.core import (
     SilentProgress,
     TooUnknownError,
     UsageError,
+    is_interrupted,
+    locked,
     missing_resource,
 )
-from bumpymap.layers import SurveyRow, SurveyStatus, map_facts
+from bumpymap.layers import SurveyRow, SurveyStatus, is_complete, map_facts
 from bumpymap.survey.result import MapResult
 
 __all__ = ["MapTask", "TaskEnd", "map_one"]
+
+_MOST_WAIT_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,7 @@ def _mapped(task: MapTask) -> SurveyRow:
 
     if task.config.out.is_symlink():
         raise OutputError(f"{task.config.out} is a link, which is not followed. Remove it")
+    _wait_for_killed(task.config.out)
     result = _run(task)
     message = ""
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
@@ -78,17 +84,33 @@ def _mapped(task: MapTask) -> SurveyRow:
 
 
 def _run(task: MapTask) -> MapResult:
-    """Run the map; with ``overwrite``, replace a run that is not the same, but continue one that is."""
+    """Run the map; with ``overwrite``, replace a run that is not the same, but continue one that is.
+
+    An interrupted run of other inputs or settings has left no layers, so it is always replaced.
+    """
     from bumpymap.survey.pipeline import map_surveys
 
-    progress = _Begun()
+    out, progress = task.config.out, _Begun()
+    resume = is_interrupted(out)
     try:
-        return map_surveys(replace(task.config, resume=True), progress)
-    except (OutputError, UsageError):
+        return map_surveys(replace(task.config, resume=resume), progress)
+    except (OutputError, UsageError) as error:
+        no_layers = resume and isinstance(error, UsageError) and not is_complete(out)
         # Before its first stage a run has only compared itself with what is there; after that, the error is another.
-        if not task.overwrite or progress.begun:
+        if progress.begun or not (task.overwrite or no_layers):
             raise
     return map_surveys(replace(task.config, overwrite=True), progress)
+
+
+def _wait_for_killed(out: Path) -> None:
+    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to notice it."""
+    end = time.monotonic() + _MOST_WAIT_S
+    while out.is_dir() and time.monotonic() < end:
+        try:
+            with locked(out):
+                return
+        except OutputError:
+            time.sleep(_MOST_WAIT_S / 50)
 
 
 class _Begun(SilentProgress):
