@@ -30,6 +30,8 @@ from bumpymap.survey.result import MapResult
 __all__ = ["MapTask", "TaskEnd", "map_one"]
 
 _MOST_WAIT_S = 5.0
+_NOT_RESUME = " instead of `resume=True`"
+"""In messages of a map: a batch has no such setting, it always resumes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +128,7 @@ class _Begun(SilentProgress):
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
     what = missing_resource(error)
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
+    message = message.replace(_NOT_RESUME, "")
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
     return SurveyRow(task.name, "failed", message, seconds=seconds, survey=_survey(task))
