@@ -14,6 +14,7 @@ from bumpymap.core import Terminated, interruptible
 __all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json", "say_table"]
 
 _COMMANDS = {
+    "batch": "map many surveys, each to a folder of its own",
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",

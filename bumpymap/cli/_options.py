@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from bumpymap.core import Clash, refuse_clashes
+from bumpymap.core import Clash, override_settings, refuse_clashes
 
 __all__ = [
     "given_options",
@@ -62,8 +62,4 @@ def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Se
     """
     refuse_clashes(from_file, clashes)
     refuse_clashes(given, clashes, option_name)
-    both = from_file | given
-    lost = {
-        name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in given
-    }
-    return {name: value for name, value in both.items() if name not in lost}
+    return override_settings(from_file, given, clashes)

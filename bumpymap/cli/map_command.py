@@ -1,16 +1,17 @@
 """``bumpymap map``: make roughness layers and a cost map from surveys."""
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import click
 
 from bumpymap.cli._ahead import ImportsAhead, start_ahead
 from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._map_options import rating_options, tolerance_options
 from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import LOCATION, PATH, SHARE
-from bumpymap.core import CLASHES, Align, Compat, Ground, MapConfig, Rating, UsageError, ZUnit, read_settings_file
+from bumpymap.cli._terminal import LOCATION, PATH
+from bumpymap.core import CLASHES, MapConfig, UsageError, read_settings_file
 
 __all__ = ["command"]
 
@@ -20,20 +21,7 @@ _PARTLY_DONE = 4
 @click.command("map")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the layers.")
-@click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
-@click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates.")
-@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
-@click.option("--ground", type=click.Choice(get_args(Ground)), help="Points to use [default: auto].")
-@click.option("--align", type=click.Choice(get_args(Align)), help="Height steps of flight lines [default: report].")
-@click.option(
-    "--vehicle", metavar="NAME_OR_FILE", help="Name of an included vehicle, or a TOML file [default: warthog]."
-)
-@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
-@click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own texture network.")
-@click.option("--rating", type=click.Choice(get_args(Rating)), help="How the ride cost is predicted [default: ride].")
-@click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: use the rules of the BumpyPatch paper.")
-@click.option("--tile-size", type=float, metavar="M", help="Tile size in metres [default: 3].")
-@click.option("--pixels", type=int, metavar="N", help="Heightmap pixels along a side of a tile [default: 15].")
+@rating_options
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
 @click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --workers [default: all cores].")
 @click.option(
@@ -45,11 +33,7 @@ _PARTLY_DONE = 4
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
 @click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
 @click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
-@click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header.")
-@click.option("--skip-bad", is_flag=True, help="Skip files that cannot be read (exit code 4).")
-@click.option(
-    "--max-unknown", type=SHARE, metavar="SHARE", help="Fail (exit code 4) if more tiles are unknown: 50% or 0.5."
-)
+@tolerance_options
 @click.option("--resume", is_flag=True, help="Continue an interrupted run.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
 @output_options()

@@ -14,6 +14,7 @@ from .config import (
     Rating as Rating,
     ZUnit as ZUnit,
     decide_ground as decide_ground,
+    override_settings as override_settings,
     refuse_clashes as refuse_clashes,
 )
 from .crs.reproject import (
@@ -79,6 +80,7 @@ from .lock import (
     locked as locked,
 )
 from .memory import (
+    LEAST_MEMORY as LEAST_MEMORY,
     auto_memory as auto_memory,
     free_memory as free_memory,
     is_auto as is_auto,
@@ -126,6 +128,7 @@ from .run_folder import (
     RunFolder as RunFolder,
     check_interrupted as check_interrupted,
     clean_folder as clean_folder,
+    is_interrupted as is_interrupted,
     is_own_folder as is_own_folder,
     read_record as read_record,
     what_to_keep as what_to_keep,

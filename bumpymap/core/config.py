@@ -25,6 +25,7 @@ __all__ = [
     "ZUnit",
     "decide_ground",
     "names_a_file",
+    "override_settings",
     "refuse_clashes",
 ]
 
@@ -222,6 +223,15 @@ def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelle
         if clash.applies(settings):
             first, second = spelled(clash.first), spelled(clash.second)
             raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+
+
+def override_settings(lower: Mapping[str, Any], upper: Mapping[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
+    """Return settings of two sources; ``upper`` also overrides the settings of ``lower`` that contradict it."""
+    both = {**lower, **upper}
+    lost = {
+        name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in upper
+    }
+    return {name: value for name, value in both.items() if name not in lost}
 
 
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:

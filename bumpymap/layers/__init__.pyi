@@ -4,6 +4,17 @@ from ._imports import (
 from ._label import (
     label as label,
 )
+from .batch_facts import (
+    map_facts as map_facts,
+)
+from .batch_summary import (
+    BATCH_LOG as BATCH_LOG,
+    BATCH_NAMES as BATCH_NAMES,
+    SurveyRow as SurveyRow,
+    SurveyStatus as SurveyStatus,
+    check_batch_out as check_batch_out,
+    write_batch_summary as write_batch_summary,
+)
 from .change import (
     CHANGE_MANIFEST_NAME as CHANGE_MANIFEST_NAME,
     CHANGE_NAMES as CHANGE_NAMES,

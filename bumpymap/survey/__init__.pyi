@@ -8,6 +8,16 @@ from .advice import (
 from .api import (
     map_survey as map_survey,
 )
+from .batch.night import (
+    BatchReport as BatchReport,
+    BatchResult as BatchResult,
+    map_batch as map_batch,
+)
+from .batch.settings import (
+    BatchConfig as BatchConfig,
+    SurveyPer as SurveyPer,
+    read_batch_settings as read_batch_settings,
+)
 from .end_of_run import (
     ground_line as ground_line,
     outcome_of_run as outcome_of_run,

@@ -46,6 +46,7 @@ def reached(monkeypatch, tmp_path):
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
+    monkeypatch.setattr("bumpymap.survey.map_batch", ends("batch"))
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
@@ -63,6 +64,7 @@ def reached(monkeypatch, tmp_path):
 
 # The least words that a command works with, and what goes with some options.
 WORDS = {
+    "batch": ["surveys", "--out", "o"],
     "map": ["site.laz", "--out", "o"],
     "scan": ["drive", "--out", "o"],
     "info": ["site.laz"],
@@ -244,5 +246,5 @@ def test_one_word_means_one_thing(word):
 
 def test_rating_takes_the_same_words_everywhere():
     found = [option.type.choices for name in COMMANDS for option in options(name) if "--rating" in option.opts]
-    assert len(found) == 2
-    assert found[0] == found[1]
+    assert len(found) == 3
+    assert found[0] == found[1] == found[2]

@@ -1,0 +1,114 @@
+"""``bumpymap batch``: map many surveys, each to a folder of its own."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._map_options import rating_options, tolerance_options
+from bumpymap.cli._options import given_options, option_name, output_options
+from bumpymap.cli._progress import CommandProgress, show_progress
+from bumpymap.cli._terminal import PATH, interrupt_note
+from bumpymap.cli._text import print_json, print_line
+from bumpymap.cli._wording import as_options
+from bumpymap.core import CLASHES, refuse_clashes
+
+if TYPE_CHECKING:
+    from bumpymap.layers import SurveyRow, SurveyStatus
+    from bumpymap.survey import BatchReport, BatchResult
+
+__all__ = ["command"]
+
+_CONTINUE = "Give the same command again to continue."
+_BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
+_MOST_LISTED = 20
+"""Surveys with a message that the summary lists at most."""
+
+
+@click.command("batch")
+@click.argument("source", type=PATH)
+@click.option("--out", type=PATH, metavar="DIR", required=True, help="Folder for the layers, a folder for each survey.")
+@click.option(
+    "--survey-per",
+    type=click.Choice(["file", "folder"]),
+    default="file",
+    help="What in the folder SOURCE is one survey [default: file].",
+)
+@click.option("--jobs", type=int, metavar="N", default=1, help="Number of surveys mapped at a time [default: 1].")
+@rating_options
+@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings for all surveys.")
+@click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --jobs [default: all cores].")
+@click.option(
+    "--memory", metavar="SIZE", help="Memory limit, shared by --jobs [default: auto, a quarter of what is free]."
+)
+@click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
+@tolerance_options
+@click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")
+@output_options()
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    source: Path,
+    out: Path,
+    config_file: Path | None,
+    *,
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
+) -> None:
+    """Map the surveys of SOURCE, each to a folder of its own. The same command continues an interrupted batch.
+
+    SOURCE is a folder, a .txt file with a path in each line, or a .csv file with the column "survey"; its other columns
+    are options of map. An option of the command line overrides the CSV, and the CSV overrides --config.
+
+    \b
+    bumpymap batch surveys --out night
+    bumpymap batch surveys.csv --out night --jobs 4
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    set_up_logging(as_json=log_json)
+    from bumpymap.survey import BatchConfig, map_batch, read_batch_settings
+
+    own = {"survey_per": given.pop("survey_per"), "jobs": given.pop("jobs")}
+    settings = given_options(given)
+    refuse_clashes(settings, CLASHES, option_name)
+    defaults = read_batch_settings(config_file) if config_file else {}
+    config = BatchConfig(source, out, settings, defaults, **own)
+    with interrupt_note(_CONTINUE), show_progress(quiet=quiet, as_json=log_json) as progress:
+        result = map_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)
+    if not quiet:
+        _show(result, out, as_json=log_json)
+    if result.exit_code:
+        ctx.exit(result.exit_code)
+
+
+def _reporter(progress: CommandProgress) -> "BatchReport":
+    """Return a function that prints what became of a survey; what failed is printed as a warning already."""
+
+    def report(row: "SurveyRow") -> None:
+        progress.advance(1)
+        if row.status not in _BAD:
+            points, seconds = row.points or 0, row.seconds or 0.0
+            text = (
+                f"{row.name} {row.status}: {points:,} points, {row.share_unknown or 0.0:.1%} unknown, {seconds:.1f} s"
+            )
+            progress.note(text, "survey", name=row.name, status=row.status, points=points, seconds=seconds)
+
+    return report
+
+
+def _show(result: "BatchResult", out: Path, *, as_json: bool) -> None:
+    """Print how many surveys are done, and which are not."""
+    counts = {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
+    bad = result.with_status(*_BAD)
+    if as_json:
+        failed = {row.name: row.message for row in bad}
+        print_json({"out": str(out), "surveys": len(result.rows), "counts": counts, "failed": failed})
+        return
+    print_line(f"{len(result.rows)} surveys: {', '.join(f'{count} {status}' for status, count in counts.items())}")
+    for row in bad[:_MOST_LISTED]:
+        print_line(f"  {row.name} {row.status}: {row.message}")
+    if len(bad) > _MOST_LISTED:
+        print_line(f"  and {len(bad) - _MOST_LISTED} more")
+    print_line(f"Summary in {out}: summary.csv, summary.parquet; events in log.jsonl")

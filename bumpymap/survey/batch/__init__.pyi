@@ -1,0 +1,10 @@
+from .night import (
+    BatchReport as BatchReport,
+    BatchResult as BatchResult,
+    map_batch as map_batch,
+)
+from .settings import (
+    BatchConfig as BatchConfig,
+    SurveyPer as SurveyPer,
+    read_batch_settings as read_batch_settings,
+)

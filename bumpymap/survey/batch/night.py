@@ -1,0 +1,148 @@
+"""Map the surveys of a batch: find them, map what is not done, note what fails, and summarise."""
+
+import logging
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+from bumpymap.core import locked, remove_empty_on_error
+from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out, write_batch_summary
+from bumpymap.survey.batch.log import BatchLog
+from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
+from bumpymap.survey.batch.settings import BatchConfig
+from bumpymap.survey.batch.source import ListedSurvey, list_surveys
+from bumpymap.survey.batch.workers import map_tasks
+
+__all__ = ["BatchReport", "BatchResult", "map_batch"]
+
+_log = logging.getLogger(__name__)
+_GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
+_WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
+_ALL, _SOME, _NONE = 0, 4, 3
+
+BatchReport: TypeAlias = Callable[[SurveyRow], None]
+"""Receives the row of each survey that has ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """What became of the surveys of a batch."""
+
+    rows: tuple[SurveyRow, ...]
+    """One for each survey, by name."""
+
+    def with_status(self, *statuses: SurveyStatus) -> list[SurveyRow]:
+        """Return the rows with one of these statuses."""
+        return [row for row in self.rows if row.status in statuses]
+
+    @property
+    def exit_code(self) -> int:
+        """0: all surveys are done. 4: some are. 3: none has layers."""
+        if len(self.with_status(*_GOOD)) == len(self.rows):
+            return _ALL
+        return _SOME if self.with_status(*_WITH_LAYERS) else _NONE
+
+
+def map_batch(
+    config: BatchConfig,
+    report: BatchReport | None = None,
+    begin: Callable[[int], None] | None = None,
+    spell: Callable[[str], str] = str,
+) -> BatchResult:
+    """Map many surveys, each to a folder of its own in ``config.out``.
+
+    A survey that is done, by inputs, settings and versions, is left as it is; one whose run was interrupted is
+    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call.
+
+    Parameters
+    ----------
+    config : BatchConfig
+    report : callable, optional
+        Receives the row of each survey when it has ended.
+    begin : callable, optional
+        Receives the number of surveys before the first begins.
+    spell : callable, optional
+        Changes messages before they are written, as `as_options` of the command line does.
+
+    Raises
+    ------
+    BadInputError
+        The source holds no surveys.
+    UsageError
+        Settings or rows of a CSV that are not allowed; nothing was begun.
+    OutputError
+        ``config.out`` cannot be written, is in use, or holds files of something else.
+    """
+    surveys = list_surveys(config.source, config.survey_per)
+    tasks = _tasks(config, surveys)
+    check_batch_out(config.out)
+    if begin is not None:
+        begin(len(surveys))
+    with remove_empty_on_error(config.out), locked(config.out), BatchLog.opened(config.out / BATCH_LOG) as log:
+        log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
+        _note_renamed(log, surveys)
+        rows = {task.name: SurveyRow(task.name, "not reached", survey=str(task.config.surveys[0])) for task in tasks}
+        ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
+        try:
+            with closing(ends):
+                for end in ends:
+                    rows[end.row.name] = row = replace(end.row, message=spell(end.row.message))
+                    _note(log, replace(end, row=row))
+                    if report is not None:
+                        report(row)
+        finally:
+            result = BatchResult(tuple(rows[survey.name] for survey in surveys))
+            write_batch_summary(result.rows, config.out)
+            counts = {status: len(result.with_status(status)) for status in sorted({row.status for row in result.rows})}
+            log.write("end", counts=counts, exit_code=result.exit_code)
+    return result
+
+
+def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
+    """Return the surveys to map: by name, or the largest first if several run at a time, so that none is left alone."""
+    jobs = min(config.jobs, len(surveys))
+    tasks = [
+        MapTask(
+            survey.name,
+            config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
+            config.overwrite,
+        )
+        for survey in surveys
+    ]
+    return tasks if jobs == 1 else sorted(tasks, key=lambda task: -_size(task.config.surveys[0]))
+
+
+def _size(place: Path | str) -> int:
+    """Return the bytes of a local file or of those in a folder; 0 if that is not known."""
+    if isinstance(place, str):
+        return 0
+    with suppress(OSError):
+        files = place.rglob("*") if place.is_dir() else [place]
+        return sum(file.stat().st_size for file in files if file.is_file())
+    return 0
+
+
+def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
+    renamed = [survey for survey in surveys if survey.renamed]
+    for survey in renamed:
+        log.write("renamed", name=survey.name, survey=str(survey.place))
+    if renamed:
+        first = renamed[0]
+        _log.warning(
+            "%d surveys share their name with another; their folders have longer ones, such as %s for %s",
+            len(renamed),
+            first.name,
+            first.place,
+        )
+
+
+def _note(log: BatchLog, end: TaskEnd) -> None:
+    row = end.row
+    for event in end.events:
+        log.write(**{**event, "name": row.name})
+    facts = {"status": row.status, "seconds": row.seconds, "points": row.points, "message": row.message}
+    log.write("survey ended", name=row.name, **{key: value for key, value in facts.items() if value not in {None, ""}})
+    if row.status in {"failed", "incomplete"}:
+        _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)

@@ -1,0 +1,168 @@
+"""What a worker process of a batch does: map one survey, and say what became of it.
+
+Nothing that a survey can cause ends the worker but a crash of native code or of memory: `bumpymap.survey.batch.workers`
+then starts another.
+"""
+
+import logging
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bumpymap.core import (
+    BumpymapError,
+    MapConfig,
+    OutputError,
+    SilentProgress,
+    TooUnknownError,
+    UsageError,
+    is_interrupted,
+    locked,
+    missing_resource,
+)
+from bumpymap.layers import SurveyRow, SurveyStatus, is_complete, map_facts
+from bumpymap.survey.result import MapResult
+
+__all__ = ["MapTask", "TaskEnd", "map_one"]
+
+_MOST_WAIT_S = 5.0
+_NOT_RESUME = " instead of `resume=True`"
+"""In messages of a map: a batch has no such setting, it always resumes."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapTask:
+    """One survey to map."""
+
+    name: str
+    config: MapConfig
+    overwrite: bool
+    """Replace layers that were made from other inputs or settings."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskEnd:
+    """What became of it."""
+
+    row: SurveyRow
+    events: tuple[dict[str, Any], ...]
+    """Warnings, and the traceback of an unexpected error: arguments of `BatchLog.write`."""
+
+
+def map_one(task: MapTask) -> TaskEnd:
+    """Map a survey, continue its interrupted run, or find that it is done."""
+    begin = time.perf_counter()
+    with _collected_warnings() as events:
+        try:
+            row = _mapped(task)
+        except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
+            row = _failed(task, error, round(time.perf_counter() - begin, 3))
+            if not isinstance(error, BumpymapError):
+                events.append({"event": "traceback", "message": traceback.format_exc()})
+    return TaskEnd(row, tuple(events))
+
+
+def _mapped(task: MapTask) -> SurveyRow:
+    from bumpymap.survey.end_of_run import require_known
+
+    if task.config.out.is_symlink():
+        raise OutputError(f"{task.config.out} is a link, which is not followed. Remove it")
+    _wait_for_killed(task.config.out)
+    result = _run(task)
+    message = ""
+    status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
+    if result.skipped:
+        path, why = next(iter(result.skipped.items()))
+        message = f"{len(result.skipped)} files were skipped, such as {path}: {why}"
+    try:
+        require_known(result, task.config)
+    except TooUnknownError as error:
+        message, status = f"{message} {error}".strip(), "incomplete"
+    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(task.config.out))
+
+
+def _run(task: MapTask) -> MapResult:
+    """Run the map; with ``overwrite``, replace a run that is not the same, but continue one that is.
+
+    An interrupted run of other inputs or settings has left no layers, so it is always replaced.
+    """
+    from bumpymap.survey.pipeline import map_surveys
+
+    out, progress = task.config.out, _Begun()
+    resume = is_interrupted(out)
+    try:
+        return map_surveys(replace(task.config, resume=resume), progress)
+    except (OutputError, UsageError) as error:
+        no_layers = resume and isinstance(error, UsageError) and not is_complete(out)
+        # Before its first stage a run has only compared itself with what is there; after that, the error is another.
+        if progress.begun or not (task.overwrite or no_layers):
+            raise
+    return map_surveys(replace(task.config, overwrite=True), progress)
+
+
+def _wait_for_killed(out: Path) -> None:
+    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to notice it."""
+    end = time.monotonic() + _MOST_WAIT_S
+    while out.is_dir() and time.monotonic() < end:
+        try:
+            with locked(out):
+                return
+        except OutputError:
+            time.sleep(_MOST_WAIT_S / 50)
+
+
+class _Begun(SilentProgress):
+    """Notes whether a run has begun to work."""
+
+    begun = False
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Note it."""
+        self.begun = True
+
+
+def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
+    what = missing_resource(error)
+    message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
+    message = message.replace(_NOT_RESUME, "")
+    if what:
+        message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
+    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=_survey(task))
+
+
+def _survey(task: MapTask) -> str:
+    return " ".join(map(str, task.config.surveys))
+
+
+class _Collector(logging.Handler):
+    """Keeps warnings as events."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.events: list[dict[str, Any]] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record."""
+        try:
+            self.events.append({"event": record.levelname.lower(), "message": record.getMessage()})
+        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
+            self.handleError(record)
+
+
+@contextmanager
+def _collected_warnings() -> Iterator[list[dict[str, Any]]]:
+    """Collect the warnings of bumpymap and its engine during the body, instead of printing them."""
+    collector = _Collector()
+    loggers = [logging.getLogger(name) for name in ("bumpymap", "bumpytiles")]
+    before = [(logger.handlers, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [collector], False
+    try:
+        yield collector.events
+    finally:
+        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate

@@ -1,0 +1,125 @@
+"""Settings of a batch, and those of the map of each survey: command line over CSV over TOML."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args
+
+from bumpymap.core import (
+    CLASHES,
+    LEAST_MEMORY,
+    MapConfig,
+    UsageError,
+    auto_memory,
+    is_auto,
+    memory_bytes,
+    override_settings,
+    read_settings_file,
+    refuse_clashes,
+)
+
+__all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
+
+SurveyPer: TypeAlias = Literal["file", "folder"]
+OWN_SETTINGS = (
+    "surveys",
+    "out",
+    "resume",
+    "overwrite",
+    "threads",
+    "memory",
+    "scratch",
+    "workers",
+    "scheduler",
+    "tls_config",
+)
+"""Settings of a map that a batch decides for each survey, or shares out."""
+_NOT_IN_A_FILE = ("surveys", "out", "resume", "workers", "scheduler", "tls_config")
+
+
+@dataclass(frozen=True, slots=True)
+class BatchConfig:
+    """All settings of a ``batch`` run."""
+
+    source: Path
+    """A folder of surveys, a text file with a path in each line, or a CSV."""
+    out: Path
+    """Folder that gets a folder of layers for each survey."""
+    given: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of `MapConfig` for all surveys; they override those of the CSV."""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    """The same, of a settings file; the CSV overrides them."""
+    survey_per: SurveyPer = "file"
+    """Whether each file of the source folder is a survey, or each folder in it."""
+    jobs: int = 1
+    """Surveys that are mapped at a time."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs < 1:
+            raise UsageError(f"jobs is {self.jobs!r}; it must be a whole number, at least 1")
+        if self.survey_per not in get_args(SurveyPer):
+            raise UsageError(f"survey_per is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
+        refuse_clashes(self.defaults, CLASHES)
+        self.share(self.of_survey({}), self.jobs)
+
+    @property
+    def overwrite(self) -> bool:
+        """Whether layers that were made from other inputs or settings are replaced."""
+        return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
+
+    def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path | str, ...] = (), name: str = "") -> MapConfig:
+        """Return the settings of one survey, before resources are shared out.
+
+        Parameters
+        ----------
+        own : mapping
+            Settings of its row in the CSV.
+        surveys : tuple of Path or str
+            Its files and folders.
+        name : str
+            Folder of its layers, in ``out``.
+
+        Raises
+        ------
+        UsageError
+            A value that is not allowed.
+        """
+        settings = override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
+        settings.pop("overwrite", None)
+        return MapConfig(surveys=surveys, out=self.out / name, **settings)
+
+    def share(self, config: MapConfig, jobs: int) -> MapConfig:
+        """Return settings with the share of threads and memory that one of so many jobs gets.
+
+        Raises
+        ------
+        UsageError
+            ``memory`` is not a size, or too small for so many.
+        """
+        threads = max(1, config.threads // jobs)
+        if is_auto(config.memory):
+            return replace(config, threads=threads, memory=f"{auto_memory(jobs) >> 20}MB")
+        size = memory_bytes(config.memory) // jobs
+        if size < LEAST_MEMORY:
+            raise UsageError(
+                f"memory is {config.memory!r}, which {jobs} jobs share; each needs {LEAST_MEMORY >> 20} MB. Give "
+                f"{LEAST_MEMORY * jobs >> 20}MB or more, or fewer `jobs`"
+            )
+        return replace(config, threads=threads, memory=f"{size >> 20}MB")
+
+
+def read_batch_settings(path: Path) -> dict[str, Any]:
+    """Read the settings of all surveys from a TOML file, which has the form of one for ``map``.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or sets what a batch decides for each survey.
+    """
+    found = read_settings_file(path, MapConfig)
+    if wrong := [name for name in _NOT_IN_A_FILE if name in found]:
+        raise UsageError(
+            f"{path}: a batch has no setting {', '.join(wrong)}: the source names the surveys, and each gets a folder "
+            "in `out`. Remove it from the file"
+        )
+    return found

@@ -1,0 +1,303 @@
+"""Whole batches: broken surveys among good ones, killed and continued, with the layers that `map` alone writes."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from small_surveys import write_broken, write_survey
+
+from bumpymap.cli import main
+from bumpymap.core import OutputError, locked
+from bumpymap.core.config import MapConfig
+from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.survey import BatchConfig, map_batch, map_surveys
+
+pytestmark = pytest.mark.slow
+
+GOOD = ("a", "b", "north_s", "south_s")
+LAYERS = tuple(name for name in PRODUCT_NAMES if name != "run.json")
+
+
+@pytest.fixture(scope="module")
+def surveys(tmp_path_factory):
+    """Four good ones in two CRSs, and four that cannot be mapped."""
+    folder = tmp_path_factory.mktemp("batch") / "flights"
+    write_survey(folder / "a.laz")
+    write_survey(folder / "b.las", epsg=32615, seed=1)
+    write_survey(folder / "north" / "s.laz", seed=2, side=30.0)
+    write_survey(folder / "south" / "s.laz", seed=3)
+    write_survey(folder / "nowhere.laz", epsg=None)
+    write_survey(folder / "empty.las", points=0)
+    write_broken(folder / "broken.laz")
+    (folder / "nothing.laz").touch()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def alone(surveys, tmp_path_factory):
+    """Bytes of the layers of the good ones, each mapped by itself."""
+    folder, places = tmp_path_factory.mktemp("alone"), ("a.laz", "b.las", "north/s.laz", "south/s.laz")
+    for name, place in zip(GOOD, places, strict=True):
+        map_surveys(MapConfig((surveys / place,), folder / name))
+    return layers_in(folder)
+
+
+def layers_in(folder):
+    return {(name, layer): (folder / name / layer).read_bytes() for name in GOOD for layer in LAYERS}
+
+
+def batch(*words):
+    return CliRunner().invoke(main, ["batch", *map(str, words)])
+
+
+def table(folder):
+    with (folder / "summary.csv").open(encoding="utf-8", newline="") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def statuses(folder):
+    return {name: row["status"] for name, row in table(folder).items()}
+
+
+def events(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from bumpymap.survey import BatchConfig, map_batch
+
+def end(row):
+    if row.status == "done":
+        os.kill(os.getpid(), signal.SIGKILL)
+
+map_batch(BatchConfig(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3])), end)
+"""
+
+
+def finished(folder):
+    """When each finished survey was written; one that was killed while it cleared up will be written again."""
+    found = {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/run.json")}
+    return {name: time for name, time in found.items() if not (folder / name / ".bumpymap-run").exists()}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_night_that_is_killed_twice(surveys, alone, tmp_path, jobs):
+    night = tmp_path / "night"
+    done = []
+    for _ in range(2):
+        code = [sys.executable, "-c", KILLED, str(surveys), str(night), str(jobs)]
+        assert subprocess.run(code, check=False, timeout=120).returncode == -signal.SIGKILL
+        done.append(finished(night))
+    assert 0 < len(done[0]) < len(GOOD)
+    assert not (night / "summary.csv").exists()
+
+    last = batch(surveys, "--out", night, "--jobs", jobs)
+    assert last.exit_code == 4, last.output
+    assert layers_in(night) == alone
+    later = finished(night)
+    assert {name: later[name] for name in done[1]} == done[1]
+    assert done[1].items() >= done[0].items()
+    found = statuses(night)
+    assert {name for name, status in found.items() if status == "already done"} >= set(done[1])
+    assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
+    assert {name for name, status in found.items() if status == "failed"} == {"broken", "empty", "nothing", "nowhere"}
+    assert sorted(path.name for path in night.iterdir()) == sorted(
+        [*GOOD, "summary.csv", "summary.parquet", "log.jsonl"]
+    )
+    assert [event["event"] for event in events(night)].count("start") == 3
+    assert events(night)[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
+
+
+@pytest.fixture(scope="module")
+def night(surveys, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("done") / "night"
+    result = batch(surveys, "--out", folder)
+    assert result.exit_code == 4, result.output
+    return folder
+
+
+def test_the_summary_says_what_the_layers_say(night, surveys):
+    rows = table(night)
+    for name in GOOD:
+        run = json.loads((night / name / "run.json").read_text(encoding="utf-8"))
+        row, counts = rows[name], run["counts"]
+        assert (int(row["points"]), int(row["tiles"])) == (20_000, counts["tiles"])
+        assert float(row["density"]) == pytest.approx(20_000 / counts["tiles"] / 9, abs=1e-3)
+        shares = [float(row[f"share_{of}"]) for of in ("smooth", "fair", "rough", "very_rough", "unknown")]
+        assert sum(shares) == pytest.approx(1, abs=1e-5)
+        assert shares[-1] == pytest.approx(counts["unknown"] / counts["tiles"], abs=1e-6)
+        assert row["checksum"] == run["inputs"][0]["checksum"]
+        assert (row["vehicle"], row["calibration"]) == ("warthog", run["calibration"]["id"])
+        side = 30 if name == "north_s" else 20
+        edges = [float(row[edge]) for edge in ("min_x", "min_y", "max_x", "max_y")]
+        assert all(edge % 3 == 0 for edge in edges)
+        assert edges[0] <= 500_001 < 500_001 + side <= edges[2] + 1e-6
+        assert edges[1] <= 4_000_002 < 4_000_002 + side <= edges[3] + 1e-6
+        assert edges[2] - edges[0] < side + 6
+    assert {name: rows[name]["crs"] for name in GOOD} == dict.fromkeys(GOOD, "EPSG:32614") | {"b": "EPSG:32615"}
+    assert "--crs EPSG:CODE" in rows["nowhere"]["message"]
+    assert rows["broken"]["survey"] == str(surveys / "broken.laz")
+    assert rows["broken"]["points"] == ""
+
+
+def test_both_summaries_are_one_table(night):
+    read = pq.read_table(night / "summary.parquet").to_pylist()
+    as_text = {row["name"]: {key: "" if value is None else str(value) for key, value in row.items()} for row in read}
+    assert as_text == table(night)
+    assert pq.read_schema(night / "summary.parquet").field("density").metadata[b"unit"] == b"1/m2"
+
+
+def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
+    write_survey(tmp_path / "in" / "a.laz")
+    write_broken(tmp_path / "in" / "b.laz")
+    assert batch(tmp_path / "in", "--out", tmp_path / "o").exit_code == 4
+    before = (tmp_path / "o" / "a" / "run.json").stat().st_mtime_ns
+    write_survey(tmp_path / "in" / "b.laz", seed=1)
+    assert batch(tmp_path / "in", "--out", tmp_path / "o").exit_code == 0
+    assert statuses(tmp_path / "o") == {"a": "already done", "b": "done"}
+    assert (tmp_path / "o" / "a" / "run.json").stat().st_mtime_ns == before
+
+    other = batch(tmp_path / "in", "--out", tmp_path / "o", "--align", "off")
+    assert other.exit_code == 3
+    assert "align was report, is off" in table(tmp_path / "o")["a"]["message"]
+    (tmp_path / "a.toml").write_text('align = "off"')
+    assert (
+        batch(tmp_path / "in", "--out", tmp_path / "o", "--config", tmp_path / "a.toml", "--overwrite").exit_code == 0
+    )
+    assert statuses(tmp_path / "o") == {"a": "done", "b": "done"}
+    assert batch(tmp_path / "in", "--out", tmp_path / "o", "--align", "off", "--overwrite").exit_code == 0
+    assert statuses(tmp_path / "o") == {"a": "already done", "b": "already done"}
+
+
+def test_rows_of_a_table_have_their_own_settings(tmp_path):
+    write_survey(tmp_path / "a.laz", epsg=None)
+    (tmp_path / "s.csv").write_text("survey,name,crs,local\na.laz,east,EPSG:32615,\n./../x/none.laz,,,\n")
+    result = batch(tmp_path / "s.csv", "--out", tmp_path / "o", "--max-unknown", "0")
+    assert result.exit_code == 4, result.output
+    row = table(tmp_path / "o")["east"]
+    assert (row["crs"], row["status"]) == ("EPSG:32615", "incomplete")
+    assert "more than" in row["message"]
+    assert "does not exist" in table(tmp_path / "o")["none"]["message"]
+
+
+INTERRUPTED = """
+import os, signal, sys
+from pathlib import Path
+from bumpymap.survey.engine import run
+from bumpymap.core import MapConfig
+from bumpymap.survey import map_surveys
+
+add_tiles = run.ResultCollector.add_tiles
+def ending(*arguments):
+    add_tiles(*arguments)
+    os.kill(os.getpid(), signal.SIGKILL)
+run.ResultCollector.add_tiles = ending
+map_surveys(MapConfig((Path(sys.argv[1]),), Path(sys.argv[2]), align=sys.argv[3]))
+"""
+
+
+@pytest.mark.parametrize("align", ["report", "off"])
+def test_an_interrupted_survey_is_continued_or_begun_again_with_other_settings(surveys, alone, tmp_path, align):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
+    code = [sys.executable, "-c", INTERRUPTED, str(surveys / "a.laz"), str(tmp_path / "o" / "a"), align]
+    assert subprocess.run(code, check=False, timeout=120).returncode == -signal.SIGKILL
+    assert (tmp_path / "o" / "a" / ".bumpymap-run").is_dir()
+    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 0
+    assert not (tmp_path / "o" / "a" / ".bumpymap-run").exists()
+    assert {layer: (tmp_path / "o" / "a" / layer).read_bytes() for layer in LAYERS} == {
+        layer: alone["a", layer] for layer in LAYERS
+    }
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_a_summary(surveys, tmp_path, number, code):
+    script = (
+        "import os, sys\nfrom bumpymap.cli import batch_command, main\nreporter = batch_command._reporter\n"
+        f"batch_command._reporter = lambda progress: lambda row: os.kill(os.getpid(), {int(number)})\n"
+        "sys.argv[0] = 'bumpymap'\nmain()"
+    )
+    words = [sys.executable, "-c", script, "batch", str(surveys), "--out", str(tmp_path / "o")]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores it
+    try:
+        done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=120)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.strip().endswith("Give the same command again to continue.")
+    assert statuses(tmp_path / "o")["a"] == "done"
+    assert sorted(statuses(tmp_path / "o").values()).count("not reached") == 7
+    assert not list((tmp_path / "o").glob(".*"))
+
+
+def test_nothing_of_others_is_touched(surveys, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for name in ("summary.csv", "log.jsonl", "run.json"):
+        (mine / name).write_text("my own\n")
+        assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
+        assert [(path.name, path.read_text()) for path in mine.iterdir()] == [(name, "my own\n")]
+        (mine / name).unlink()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (mine / "a").symlink_to(elsewhere)
+    result = batch(tmp_path / "s.txt", "--out", mine)
+    assert result.exit_code == 3
+    assert "is a link" in result.output
+    assert not list(elsewhere.iterdir())
+    (mine / "a").unlink()
+    (mine / "a").mkdir()
+    (mine / "a" / "cost.tif").write_text("my own")
+    assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
+    assert (mine / "a" / "cost.tif").read_text() == "my own"
+    (mine / "log.jsonl").unlink()
+    (mine / "log.jsonl").symlink_to(elsewhere / "log")
+    assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
+    assert not list(elsewhere.iterdir())
+
+
+def test_one_batch_at_a_time(surveys, tmp_path):
+    with locked(tmp_path / "o"), pytest.raises(OutputError, match="another run is writing"):
+        map_batch(BatchConfig(surveys, tmp_path / "o"))
+    assert not list((tmp_path / "o").iterdir())
+
+
+def test_a_source_without_surveys_leaves_nothing(tmp_path):
+    (tmp_path / "in").mkdir()
+    result = batch(tmp_path / "in", "--out", tmp_path / "o")
+    assert result.exit_code == 3
+    assert "holds no point cloud" in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'nothing.laz'}\n")
+    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 3
+    log = tmp_path / "o" / "log.jsonl"
+    whole = log.read_bytes()
+    os.truncate(log, len(whole) - 5)
+    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--quiet").exit_code == 3
+    lines = log.read_text(encoding="utf-8").splitlines()
+    assert lines[: whole.count(b"\n") - 1] == whole.decode().splitlines()[:-1]
+    assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
+
+
+def test_events_and_quiet(surveys, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'broken.laz'}\n")
+    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--log-json")
+    said = json.loads(result.stdout)
+    assert said["counts"] == {"done": 1, "failed": 1}
+    assert list(said["failed"]) == ["broken"]
+    assert [json.loads(line)["event"] for line in result.stderr.splitlines()].count("survey") == 1
+    quiet = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--quiet")
+    assert quiet.stdout == ""
+    assert quiet.stderr.startswith("Warning: broken failed:")

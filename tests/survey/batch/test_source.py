@@ -1,0 +1,127 @@
+"""The surveys that a batch finds: in folders, lists and tables; and whose settings count."""
+
+import pytest
+from small_surveys import write_survey
+
+from bumpymap.core import BadInputError, UsageError
+from bumpymap.survey import BatchConfig, read_batch_settings
+from bumpymap.survey.batch.source import list_surveys
+
+
+def found(source, survey_per="file"):
+    return {survey.name: survey.place for survey in list_surveys(source, survey_per)}
+
+
+@pytest.fixture
+def flights(tmp_path):
+    folder = tmp_path / "flights"
+    for name in ("one/1.laz", "one/deep/2.laz", "two/1.laz"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    (folder / "notes").mkdir()
+    (folder / "notes" / "a.pdf").touch()
+    return folder
+
+
+def test_each_file_of_a_folder(flights):
+    assert found(flights) == {
+        "one_1": flights / "one/1.laz",
+        "2": flights / "one/deep/2.laz",
+        "two_1": flights / "two/1.laz",
+    }
+
+
+def test_each_folder_of_a_folder(flights, caplog):
+    assert found(flights, "folder") == {"one": flights / "one", "two": flights / "two"}
+    assert "notes holds no point cloud" in caplog.text
+    (flights / "loose.laz").touch()
+    with pytest.raises(UsageError, match=r"itself holds loose\.laz"):
+        found(flights, "folder")
+
+
+def test_a_list(flights, tmp_path):
+    (tmp_path / "some.txt").write_text("# tonight\nflights/one\n\nhttps://example.org/a.laz\n")
+    assert found(tmp_path / "some.txt") == {"one": flights / "one", "a": "https://example.org/a.laz"}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error", "said"),
+    [
+        ("none.csv", None, BadInputError, "does not exist"),
+        ("a.laz", "", UsageError, "bumpymap map"),
+        ("a.txt", "# nothing\n", BadInputError, "names no survey"),
+        ("a.txt", "a.laz\n./a.laz\n", UsageError, "listed twice"),
+        ("a.csv", "", UsageError, "no column survey"),
+        ("a.csv", "survey,crss\na.laz,1\n", UsageError, "unknown column crss"),
+        ("a.csv", "survey,out\na.laz,o\n", UsageError, "unknown column out"),
+        ("a.csv", "survey,crs,crs\n", UsageError, "crs is there twice"),
+        ("a.csv", "survey,ground\na.laz,some\n", UsageError, "line 2: ground is 'some'; it must be one of"),
+        ("a.csv", "survey,local\na.laz,maybe\n", UsageError, "local is 'maybe'; it must be true or false"),
+        ("a.csv", "survey,tile_size\na.laz,0\n", UsageError, "line 2: tile_size is 0.0"),
+        ("a.csv", "survey,local,crs\na.laz,yes,EPSG:1\n", UsageError, "contradict each other"),
+        ("a.csv", "survey,crs\n,EPSG:1\n", UsageError, "line 2: the survey is empty"),
+        ("a.csv", "survey\na.laz,b\n", UsageError, "it has 2 cells"),
+        ("a.csv", "survey,name\na.laz,../b\n", UsageError, "the name is '../b'"),
+        ("a.csv", "survey,name\na.laz,x\nb.laz,X\n", UsageError, "the name x is given twice"),
+    ],
+)
+def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(error) as caught:
+        list_surveys(tmp_path / name, "file")
+    assert said in str(caught.value)
+
+
+def test_all_faults_of_a_table_are_said_at_once(tmp_path):
+    (tmp_path / "a.csv").write_text("survey,pixels\na.laz,many\nb.laz,15\nc.laz,1\n")
+    with pytest.raises(UsageError, match=r"2 errors.*line 2: pixels.*line 4: pixels"):
+        list_surveys(tmp_path / "a.csv", "file")
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_the_columns_of_a_table_are_settings(tmp_path, separator):
+    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration\n"
+    text += "a b.laz,n,2.5,11,yes,,own.json\n/x/c.laz,,,,no,own.toml,\n"
+    (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
+    second, first = list_surveys(tmp_path / "a.csv", "file")
+    assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
+    assert first.settings == {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json"}
+    assert (second.name, str(second.place)) == ("c", "/x/c.laz")
+    assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml")}
+
+
+def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
+    config = BatchConfig(
+        tmp_path,
+        tmp_path,
+        given={"ground": "all", "crs": "EPSG:1"},
+        defaults={"ground": "class", "align": "off", "vehicle": "car", "rating": "table"},
+    )
+    made = config.of_survey({"ground": "csf", "align": "on", "calibration": "c.json", "local": True})
+    assert (made.ground, made.align, made.rating) == ("all", "on", "table")
+    assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
+    assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
+
+
+@pytest.mark.parametrize("line", ['out = "o"', 'surveys = ["a.laz"]', "resume = true", "workers = 2"])
+def test_a_file_cannot_set_what_a_batch_decides(tmp_path, line):
+    (tmp_path / "a.toml").write_text(line)
+    with pytest.raises(UsageError, match=f"no setting {line.split()[0]}"):
+        read_batch_settings(tmp_path / "a.toml")
+
+
+def test_memory_and_threads_are_shared_out(tmp_path):
+    config = BatchConfig(tmp_path, tmp_path, given={"memory": "1GB", "threads": 5}, jobs=2)
+    own = config.share(config.of_survey({}), 2)
+    assert (own.memory, own.threads) == ("512MB", 2)
+    assert config.share(config.of_survey({}), 8).threads == 1
+    with pytest.raises(UsageError, match="Give 1152MB or more"):
+        BatchConfig(tmp_path, tmp_path, given={"memory": "1GB"}, jobs=9)
+
+
+def test_settings_are_checked_before_anything_begins(tmp_path):
+    write_survey(tmp_path / "a.las")
+    for wrong in ({"jobs": 0}, {"survey_per": "day"}, {"given": {"pixels": 1}}):
+        with pytest.raises(UsageError):
+            BatchConfig(tmp_path, tmp_path / "o", **wrong)

@@ -1,0 +1,42 @@
+"""Worker processes: one for many surveys; one that dies takes its survey along, no other."""
+
+from pathlib import Path
+
+import pytest
+
+from bumpymap.core import MapConfig
+from bumpymap.survey.batch import workers
+from bumpymap.survey.batch.one_survey import MapTask
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def ended(monkeypatch):
+    monkeypatch.setattr(workers, "_MODULE", "worker_of_a_batch")
+
+    def run(names, jobs):
+        tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o")), overwrite=False) for name in names]
+        begun = []
+        ends = list(workers.map_tasks(tasks, jobs, lambda task: begun.append(task.name)))
+        assert begun == names
+        assert sorted(end.row.name for end in ends) == sorted(names)
+        return {end.row.name: end.row for end in ends}
+
+    return run
+
+
+def test_as_many_processes_as_jobs_map_all_surveys(ended):
+    rows = ended([f"s{number}" for number in range(6)], 1)
+    assert len({row.message for row in rows.values()}) == 1
+    rows = ended([f"s{number}" for number in range(6)], 2)
+    assert len({row.message for row in rows.values()}) <= 2
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_process_that_dies_fails_its_survey_alone(ended, jobs):
+    rows = ended(["a", "dies", "b", "raises", "dies_too", "c"], jobs)
+    assert {name for name, row in rows.items() if row.status == "done"} == {"a", "b", "c"}
+    assert "SIGKILL" in rows["dies"].message
+    assert rows["dies"].survey == "dies.laz"
+    assert "of no kind that is expected" in rows["raises"].message
