@@ -44,7 +44,8 @@ class RouteConfig:
     points: Path | None = None
     """File of points (GeoJSON, GPX, CSV), instead of the three above: start, points to pass, goal."""
     visit: bool = False
-    """Pass the points in the best order instead of the given one; start and goal keep their places."""
+    """Pass the points in the best order instead of the given one; start and goal keep their
+    places (on a round trip, only the start)."""
     round_trip: bool = False
     """Return to the start at the end."""
     alternatives: int = 1
