@@ -8,15 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio.features
-import shapely
 import shapely.geometry
 from numpy.typing import NDArray
-from rasterio.transform import Affine
 
 from bumpymap.core import (
     Georeference,
-    OutputError,
     UsageError,
     atomic,
     locked,
@@ -25,10 +21,12 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
-from bumpymap.layers.lonlat import BoundingBox, polygons_in_wgs84
+from bumpymap.layers._replacing import refuse_present, require_folder
+from bumpymap.layers.lonlat import BoundingBox
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement, RasterWindow, check_extent
 from bumpymap.layers.products import check_folder
+from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
@@ -41,7 +39,6 @@ _VERSION = 1
 _BLOCK = 128
 _WINDOW = 16 * BLOCK_TILES
 """Side of a window, tiles."""
-_LOCAL_DECIMALS = 3
 _CHANGED = "0 not changed, 1 ground changed but not the ride, 2 ride rougher, 3 ride smoother, 4 unknown in one survey"
 _BANDS = (
     BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
@@ -91,18 +88,10 @@ def check_change_out(out: Path, *, overwrite: bool) -> None:
     OutputError
         There are files that must not be replaced, or ``out`` is a file.
     """
-    if lexists(out) and not out.is_dir():
-        raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
+    require_folder(out)
     if lexists(out / MANIFEST_NAME):
         raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
-    present = [name for name in CHANGE_NAMES if lexists(out / name)]
-    blocked = [name for name in present if not (out / name).is_symlink() and not (out / name).is_file()]
-    if blocked:
-        raise OutputError(f"{out / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
-    if present and not overwrite:
-        raise OutputError(
-            f"{out} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace them"
-        )
+    refuse_present(out, CHANGE_NAMES, overwrite=overwrite)
 
 
 def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
@@ -166,7 +155,8 @@ def _write_regions(field: ChangeField, path: Path) -> None:
     box = BoundingBox()
     features: list[dict[str, Any]] = []
     if field.regions:
-        polygons = _in_file(_outlines(field), place)
+        numbers = range(1, len(field.regions) + 1)
+        polygons = place.polygons(trace_labels(field.area, field.window, slice(0, field.window.rows), numbers))
         box.add(polygons)
         features = [
             {"type": "Feature", "id": number, "properties": dict(about), "geometry": shapely.geometry.mapping(polygon)}
@@ -177,23 +167,3 @@ def _write_regions(field: ChangeField, path: Path) -> None:
     text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     with atomic(path) as temporary:
         temporary.write_text(f"{text}\n", encoding="utf-8")
-
-
-def _outlines(field: ChangeField) -> NDArray[np.object_]:
-    """Return the outline of each change, (m,) polygons in grid coordinates, in the order of their numbers."""
-    window = field.window
-    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows)
-    traced = np.empty(len(field.regions), dtype=object)
-    for shape, number in rasterio.features.shapes(field.area, mask=field.area > 0, connectivity=4, transform=grid):
-        traced[int(number) - 1] = shapely.geometry.shape(shape)
-    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))  # right-hand rings, as RFC 7946 asks
-    return outlines
-
-
-def _in_file(polygons: NDArray[np.object_], place: GeoJsonCoordinates) -> NDArray[np.object_]:
-    if place.to_degrees is not None:
-        return polygons_in_wgs84(polygons, place.placement, place.to_degrees)
-    moved: NDArray[np.object_] = shapely.transform(
-        polygons, lambda points: place.placement.to_crs(points).round(_LOCAL_DECIMALS)
-    )
-    return moved

@@ -10,7 +10,7 @@ from bumpymap.core import BadInputError
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
-__all__ = ["BoundingBox", "outlines_in_crs", "outlines_in_wgs84", "polygons_in_wgs84", "wgs84_transformer"]
+__all__ = ["BoundingBox", "outlines_in_crs", "polygons_in_wgs84", "wgs84_transformer"]
 
 _TRIES = 33
 """Points along each side of the raster at which the transformation is tried first."""
@@ -45,13 +45,17 @@ def wgs84_transformer(placement: Placement) -> Transformer:
     return transformer
 
 
-def outlines_in_wgs84(regions: Regions, to_degrees: Transformer, decimals: int = 7) -> NDArray[np.object_]:
-    """Return the outlines in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
+def polygons_in_wgs84(
+    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = 7
+) -> NDArray[np.object_]:
+    """Return polygons in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
 
     Parameters
     ----------
-    regions : Regions
-        Regions of a survey with a CRS.
+    polygons : array (m,) of polygons
+        In grid coordinates (1 = one tile).
+    placement : Placement
+        Of a survey with a CRS.
     to_degrees : Transformer
         From `wgs84_transformer`.
     decimals : int
@@ -67,13 +71,6 @@ def outlines_in_wgs84(regions: Regions, to_degrees: Transformer, decimals: int =
     BadInputError
         A point cannot be transformed to longitude and latitude.
     """
-    return polygons_in_wgs84(regions.outlines, regions.placement, to_degrees, decimals)
-
-
-def polygons_in_wgs84(
-    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = 7
-) -> NDArray[np.object_]:
-    """Convert polygons in grid coordinates (1 = one tile), as `outlines_in_wgs84` does with those of regions."""
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(decimals)

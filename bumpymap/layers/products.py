@@ -8,6 +8,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from bumpymap.core import STAGED, OutputError, remove_path
+from bumpymap.layers._replacing import refuse_blocked
 from bumpymap.layers.manifest import MANIFEST_NAME
 
 __all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "check_folder"]
@@ -64,9 +65,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
             f"cannot write to the folder {folder}: {error.strerror or error}. "
             "Choose one that can be written, with `out`"
         ) from error
-    blocked = [name for name in present if not (folder / name).is_symlink() and not (folder / name).is_file()]
-    if blocked:
-        raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
+    refuse_blocked(folder, present)
     finished = MANIFEST_NAME in present
     if present and not overwrite and (finished or not resume):
         unfinished = "" if finished else " of a run that did not end"

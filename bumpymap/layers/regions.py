@@ -18,7 +18,7 @@ from bumpymap.layers._label import add_up, label
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
 
-__all__ = ["REGION_WINDOW", "Regions", "dissolve"]
+__all__ = ["REGION_WINDOW", "Regions", "dissolve", "trace_labels"]
 
 REGION_WINDOW = 2_048
 """Side of the windows at whose borders regions are cut, tiles: 6 km of 3 m tiles."""
@@ -133,7 +133,7 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -
         free = passable[some]
         yield Regions(
             placement=place,
-            outlines=_outlines(labels, window.tiles, rows, range(start + 1, start + len(first[some]) + 1)),
+            outlines=trace_labels(labels, window.tiles, rows, range(start + 1, start + len(first[some]) + 1)),
             class_id=class_id[some],
             reason=reason[some],
             tiles=tiles[some],
@@ -173,8 +173,23 @@ def _sum_values(table: CostTable, window: RasterWindow, labels: NDArray[np.int32
     return totals
 
 
-def _outlines(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
-    """Trace the outlines of the labels in ``wanted``, which lie in ``rows`` of the window, in grid coordinates."""
+def trace_labels(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
+    """Trace the outlines of 4-connected areas of tiles: right-hand rings, in grid coordinates (1 is one tile).
+
+    Parameters
+    ----------
+    labels : int32 (rows, cols)
+        Number of the area of each tile of the window, north row first.
+    window : TileWindow
+    rows : slice
+        Rows of the window in which the wanted areas lie.
+    wanted : range
+        Their numbers.
+
+    Returns
+    -------
+    array (len(wanted),) of polygons
+    """
     part = labels[rows]
     grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
     mask = (part >= wanted.start) & (part < wanted.stop)

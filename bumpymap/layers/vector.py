@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import NO_CLASS, BadInputError, atomic
-from bumpymap.layers.lonlat import BoundingBox, outlines_in_crs, outlines_in_wgs84, wgs84_transformer
+from bumpymap.layers.lonlat import BoundingBox, outlines_in_crs, polygons_in_wgs84, wgs84_transformer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
@@ -73,11 +73,11 @@ class GeoJsonCoordinates:
             return {}
         return {"local_coordinates": _LOCAL, "metres_per_unit": self.placement.georeference.metres_per_unit}
 
-    def outlines(self, regions: Regions) -> NDArray[np.object_]:
-        """Return the outlines of regions in these coordinates."""
+    def polygons(self, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
+        """Convert polygons (m,) in grid coordinates (1 = one tile) to these; own coordinates are rounded to 1 mm."""
         if self.to_degrees is not None:
-            return outlines_in_wgs84(regions, self.to_degrees)
-        own: NDArray[np.object_] = shapely.transform(outlines_in_crs(regions), lambda points: points.round(3))
+            return polygons_in_wgs84(polygons, self.placement, self.to_degrees)
+        own: NDArray[np.object_] = shapely.transform(polygons, lambda points: self.placement.to_crs(points).round(3))
         return own
 
     def bounds(self, box: BoundingBox) -> list[float]:
@@ -122,7 +122,7 @@ def geojson_writer(
 
         def add(regions: Regions) -> None:
             nonlocal separator
-            outlines, columns = place.outlines(regions), _columns(regions)
+            outlines, columns = place.polygons(regions.outlines), _columns(regions)
             box.add(outlines)
             for number, geometry in enumerate(_geometries(outlines)):
                 properties = {name: values[number] for name, values in columns.items()}

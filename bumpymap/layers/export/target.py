@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import OutputError, atomic, locked, remove_empty_on_error, write_together
+from bumpymap.layers._replacing import refuse_present
 from bumpymap.layers.manifest import MANIFEST_NAME
 
 __all__ = ["DATUM_NAME", "EXPORT_FILES", "check_target", "export_folder", "write_file", "write_json"]
@@ -51,14 +52,7 @@ def check_target(out: Path, to: str, *, overwrite: bool) -> None:
     )
     if foreign:
         raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
-    present = [name for name in own if lexists(out / name)]
-    blocked = [name for name in present if not (out / name).is_symlink() and not (out / name).is_file()]
-    if blocked:
-        raise OutputError(f"{out / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
-    if present and not overwrite:
-        raise OutputError(
-            f"{out} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace them"
-        )
+    refuse_present(out, own, overwrite=overwrite)
 
 
 @contextmanager

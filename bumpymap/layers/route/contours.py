@@ -6,21 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio.features
 import shapely
 import shapely.geometry
 from numpy.typing import NDArray
-from rasterio.transform import Affine
 
 from bumpymap.core import BadInputError, atomic
-from bumpymap.layers.lonlat import BoundingBox, polygons_in_wgs84
+from bumpymap.layers._label import label
+from bumpymap.layers.lonlat import BoundingBox
+from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.route.reach_raster import ReachField
 from bumpymap.layers.vector import GeoJsonCoordinates
 
 __all__ = ["reach_polygons", "write_isochrones"]
 
 _UNITS = {"cost": "m", "minutes": "min"}
-_LOCAL_DECIMALS = 3
 
 
 def write_isochrones(
@@ -86,7 +85,7 @@ def _features(
         inside = values <= level  # NaN is never inside
         geometry = None
         if inside.any():
-            polygons = _in_file(reach_polygons(reach, inside), place)
+            polygons = place.polygons(reach_polygons(reach, inside))
             box.add(polygons)
             geometry = shapely.geometry.mapping(shapely.multipolygons(shapely.get_parts(polygons)))
         tiles = int(inside.sum())
@@ -99,19 +98,5 @@ def reach_polygons(reach: ReachField, inside: NDArray[np.bool_]) -> NDArray[np.o
 
     Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
     """
-    window = reach.window
-    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows)
-    cells = inside.astype(np.uint8)
-    shapes = rasterio.features.shapes(cells, mask=inside, connectivity=4, transform=grid)
-    traced = np.array([shapely.geometry.shape(found) for found, _ in shapes], dtype=object)
-    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))  # right-hand rings, as RFC 7946 asks
-    return outlines
-
-
-def _in_file(polygons: NDArray[np.object_], place: GeoJsonCoordinates) -> NDArray[np.object_]:
-    if place.to_degrees is not None:
-        return polygons_in_wgs84(polygons, place.placement, place.to_degrees)
-    moved: NDArray[np.object_] = shapely.transform(
-        polygons, lambda points: place.placement.to_crs(points).round(_LOCAL_DECIMALS)
-    )
-    return moved
+    labels, first, _ = label(inside.astype(np.uint8))
+    return trace_labels(labels, reach.window, slice(0, reach.window.rows), range(1, len(first) + 1))

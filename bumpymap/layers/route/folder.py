@@ -17,6 +17,7 @@ from bumpymap.core import (
     write_together,
     writing_to,
 )
+from bumpymap.layers._replacing import refuse_present
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
 from bumpymap.layers.products import check_folder
 from bumpymap.layers.route.contours import write_isochrones
@@ -31,7 +32,6 @@ from bumpymap.layers.route.names import (
     ROUTE_NAMES,
     check_out,
     is_one_file,
-    refuse_replacing_routes,
 )
 from bumpymap.layers.route.picture import write_route_picture
 from bumpymap.layers.route.profile_csv import write_profile
@@ -158,7 +158,7 @@ def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
         return [_write_one(output, out)]
     with remove_empty_on_error(out), locked(out):
         check_folder(out, overwrite=True)
-        refuse_replacing_routes(out, overwrite=overwrite)
+        refuse_present(out, ROUTE_NAMES, overwrite=overwrite)
         with write_together(out, ROUTE_MANIFEST_NAME) as staged:
             for name, write in output.writers.items():
                 write(staged / name)

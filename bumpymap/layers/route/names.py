@@ -8,6 +8,7 @@ from os.path import lexists
 from pathlib import Path
 
 from bumpymap.core import OutputError, UsageError
+from bumpymap.layers._replacing import refuse_present, require_folder
 
 __all__ = [
     "REACH_KINDS",
@@ -18,7 +19,6 @@ __all__ = [
     "check_reach_out",
     "check_route_out",
     "is_one_file",
-    "refuse_replacing_routes",
 ]
 
 ROUTE_MANIFEST_NAME = "route.json"
@@ -87,19 +87,5 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> None:
             f"{out} is named like a {suffix} file, which is not written here. Give a folder as `out`, or a file that "
             f"ends in {', '.join(kinds)}"
         )
-    if lexists(out) and not out.is_dir():
-        raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
-    refuse_replacing_routes(out, overwrite=overwrite)
-
-
-def refuse_replacing_routes(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError if a folder holds files that must not be replaced."""
-    present = [name for name in ROUTE_NAMES if lexists(folder / name)]
-    blocked = [name for name in present if not (folder / name).is_symlink() and not (folder / name).is_file()]
-    if blocked:
-        raise OutputError(f"{folder / blocked[0]} is not a file, so it cannot be replaced. Choose another `out`")
-    if present and not overwrite:
-        raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
-            "them"
-        )
+    require_folder(out)
+    refuse_present(out, ROUTE_NAMES, overwrite=overwrite)
