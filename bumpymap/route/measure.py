@@ -16,7 +16,7 @@ from bumpymap.layers import RouteMap
 from bumpymap.route.line import trace
 from bumpytiles import TileWindow
 
-__all__ = ["MeasuredWay", "measure_way"]
+__all__ = ["MeasuredWay", "measure_way", "way_cost"]
 
 Floats = NDArray[np.float64]
 
@@ -77,11 +77,25 @@ def measure_way(
     obstacle_m : float
         Length on which obstacles are too near, m, from `bumpymap.route.obstacles.find_near_obstacles`.
     """
-    parts = [_pieces(site, part, cost_of) for part in _stretches(line, site.grid.tile_size * _STRETCH_TILES)]
-    pieces = _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
+    pieces = _all_pieces(site, line, cost_of)
     profile = _profile(site, line, pieces)
     figures = _figures(pieces, profile, stops, site, obstacle_m)
     return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
+
+
+def way_cost(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> float:
+    """Return the cost of a way alone, m: ``figures.cost_m`` of `measure_way`."""
+    return _cost_m(_all_pieces(site, line, cost_of))
+
+
+def _cost_m(pieces: _Pieces) -> float:
+    return float((pieces.length * pieces.cost).sum())
+
+
+def _all_pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
+    """Cut a way into pieces inside single tiles, stretch by stretch."""
+    parts = [_pieces(site, part, cost_of) for part in _stretches(line, site.grid.tile_size * _STRETCH_TILES)]
+    return _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
 
 
 def _stretches(line: Floats, longest: float) -> Iterator[Floats]:
@@ -155,7 +169,7 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteM
     return RouteFigures(
         length_m=length,
         straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
-        cost_m=float((pieces.length * pieces.cost).sum()),
+        cost_m=_cost_m(pieces),
         c_r_mean=mean(pieces.c_r),
         c_r_mean_low=mean(pieces.c_r_low),
         c_r_mean_high=mean(pieces.c_r_high),

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CostRule, TileField
+from bumpymap.core import TileField
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
 from bumpymap.route.cost_field import TileChoice, cost_of
 from bumpymap.route.growing import plan_way
-from bumpymap.route.measure import MeasuredWay, measure_way
+from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.obstacles import find_near_obstacles
 from bumpymap.route.places import place_in_window
 from bumpymap.route.settings import CostSettings
@@ -88,14 +88,9 @@ class Planner:
     _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def rule(self) -> CostRule:
-        """How ride and risk become cost."""
-        return self.site.rule
-
-    @property
     def risk(self) -> float:
         """Weight of the hazard, m."""
-        return self.rule.fail_weight if self.settings.risk is None else self.settings.risk
+        return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
 
     @property
     def reach_m(self) -> float:
@@ -164,8 +159,8 @@ class Planner:
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
-        way = self.way(np.array([start, goal]))
-        return np.inf if way is None else way.measured.figures.cost_m
+        line = self._leg(start, goal, None, None)
+        return np.inf if line is None else way_cost(self.site, line, self.cost)
 
     def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
         """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
@@ -186,6 +181,8 @@ class Planner:
         closed, and the way is planned again. Obstacles within reach of start and goal are left out.
         """
         first = line = self._steered_line(start, goal, risk, worn, _NO_TILES)
+        if line is None:
+            return None
         ends = [find_near_obstacles(self.site, np.array([end, end]), self.reach_m).tiles for end in (start, goal)]
         own = self.site.grid.index(np.array([start[0], goal[0]])), self.site.grid.index(np.array([start[1], goal[1]]))
         kept = np.concatenate([*ends, np.column_stack(own)])
