@@ -1,11 +1,9 @@
 """Made-up maps for tests of routes: folders as a run leaves them, and maps without files."""
 
 import json
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from shutil import copytree
 
-import numpy as np
 from pyproj import CRS
 
 from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
@@ -54,19 +52,3 @@ def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):
         vehicle=RouteVehicle("warthog", 1.38, 1.0),
     )
     return RouteMap((sheet,), window)
-
-
-def part_of(cost_map, chosen):
-    """The same map with some of its tiles."""
-
-    def cut(record):
-        changes = {}
-        for field in fields(record):
-            value = getattr(record, field.name)
-            if isinstance(value, np.ndarray):
-                changes[field.name] = value[chosen]
-            elif is_dataclass(value) and field.name in {"patches", "textures"}:
-                changes[field.name] = cut(value)
-        return replace(record, **changes)
-
-    return cut(cost_map)

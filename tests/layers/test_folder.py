@@ -2,11 +2,11 @@ import hashlib
 import json
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
@@ -27,19 +27,7 @@ def hashes(folder):
 
 def shuffled(cost_map, seed=0):
     """The same map, its tiles in another order."""
-    order = np.random.default_rng(seed).permutation(len(cost_map.class_id))
-
-    def mix(record):
-        changes = {}
-        for field in fields(record):
-            value = getattr(record, field.name)
-            if isinstance(value, np.ndarray):
-                changes[field.name] = value[order]
-            elif is_dataclass(value) and field.name in {"patches", "textures"}:
-                changes[field.name] = mix(value)
-        return replace(record, **changes)
-
-    return mix(cost_map)
+    return part_of(cost_map, np.random.default_rng(seed).permutation(len(cost_map.class_id)))
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):

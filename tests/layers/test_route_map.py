@@ -3,9 +3,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 import rasterio
+from cost_maps import part_of
 from hypothesis import given, strategies as st
 from pyproj import CRS
-from route_maps import VEHICLE, bare_map, part_of, write_folder
+from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map

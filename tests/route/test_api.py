@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import xarray
-from route_maps import part_of, write_folder
+from cost_maps import part_of
+from route_maps import write_folder
 from route_sites import ROWS, SOUTH, WEST, place, site
 
 import bumpymap
