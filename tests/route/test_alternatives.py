@@ -62,6 +62,8 @@ def test_the_hull_is_found_whole_and_in_order():
     found = find_alternatives(planner([*hull, *inside]), 4, OWN_RISK)
     assert [each for each, _ in found[:1]] == [hull[2]]
     assert {id(each) for each, _ in found} == {id(each) for each in hull}
+    weights = {id(each): weight for each, weight in found}
+    assert weights[id(hull[1])] == pytest.approx((160 - 100) / (0.5 - 0.1))  # where its neighbours cost the same
     costs = [each.measured.figures.cost_m for each, _ in found[1:]]
     assert costs == sorted(costs)
 

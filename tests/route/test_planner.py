@@ -156,3 +156,16 @@ def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
     assert south + plan.reach_m - 1e-6 <= way.line[:, 1].min() < way.line[:, 1].max() <= north - plan.reach_m + 1e-6
     back = plan.way(stops[::-1])
     np.testing.assert_array_equal(back.line, way.line[::-1])
+
+
+def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
+    barred = np.full((24, 20), Barred.SLOPE)
+    barred[2], barred[20] = Barred.NO, Barred.NO
+    barred[:21, 1], barred[:21, 18] = Barred.NO, Barred.NO
+    site = TileMap(np.full((24, 20), 0.1), barred)
+    stops = np.array([site.at(2.5, 1.5), site.at(2.5, 18.5)])
+    assert planner(site).way(stops).measured.figures.detour == pytest.approx(1.0, abs=1e-6)
+    site.stones = [tuple(site.at(2.5, 10.5))]
+    figures = planner(site).way(stops).measured.figures
+    assert figures.obstacle_m == 0.0
+    assert figures.length_m > 2 * 17 * 3.0
