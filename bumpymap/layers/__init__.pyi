@@ -27,6 +27,12 @@ from .change_pair import (
     SurveyTiles as SurveyTiles,
     open_pair as open_pair,
 )
+from .colours import (
+    BARRED_COLOURS as BARRED_COLOURS,
+    CLASS_COLOURS as CLASS_COLOURS,
+    OBJECT_COLOURS as OBJECT_COLOURS,
+    REASON_COLOURS as REASON_COLOURS,
+)
 from .completed_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,
@@ -41,9 +47,6 @@ from .folder import (
     write_products as write_products,
 )
 from .geotiff import (
-    BARRED_COLOURS as BARRED_COLOURS,
-    CLASS_COLOURS as CLASS_COLOURS,
-    OBJECT_COLOURS as OBJECT_COLOURS,
     write_barred as write_barred,
     write_classes as write_classes,
     write_cost as write_cost,
@@ -72,6 +75,7 @@ from .placement import (
 )
 from .products import (
     PRODUCT_NAMES as PRODUCT_NAMES,
+    VIEW_NAMES as VIEW_NAMES,
     check_folder as check_folder,
 )
 from .regions import (

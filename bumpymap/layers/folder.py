@@ -20,7 +20,7 @@ from bumpymap.layers.geotiff import (
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
@@ -29,6 +29,8 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 __all__ = ["write_products"]
 
 _log = logging.getLogger(__name__)
+_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = ()
+"""Write the files of ``VIEW_NAMES`` to a folder, from the layers in it and the record of its run."""
 
 
 def write_products(
@@ -55,7 +57,7 @@ def write_products(
     Returns
     -------
     list of Path
-        The files, in the order of ``PRODUCT_NAMES``.
+        The files, in the order of ``PRODUCT_NAMES`` and ``VIEW_NAMES``.
     MapSummary
         Counts and medians of the map.
 
@@ -80,9 +82,11 @@ def write_products(
             background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, layers)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
+        for view in _VIEWS:
+            view(staged, record)
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    return [folder / name for name in PRODUCT_NAMES], summary
+    return [folder / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)], summary
 
 
 def _layers(

@@ -24,13 +24,11 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
 
 __all__ = [
-    "BARRED_COLOURS",
-    "CLASS_COLOURS",
-    "OBJECT_COLOURS",
     "write_barred",
     "write_classes",
     "write_cost",
@@ -38,34 +36,6 @@ __all__ = [
     "write_obstacles",
     "write_roughness",
 ]
-
-CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    0: (44, 123, 182, 255),
-    1: (171, 217, 233, 255),
-    2: (253, 174, 97, 255),
-    3: (215, 25, 28, 255),
-    NO_CLASS: (0, 0, 0, 0),
-}
-"""Red, green, blue, alpha of each class, from blue (smooth) to red (very rough); safe for colour-blind readers."""
-BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    Barred.NO: (166, 217, 106, 255),
-    Barred.UNKNOWN: (150, 150, 150, 255),
-    Barred.OBSTACLE: (84, 48, 5, 255),
-    Barred.SLOPE: (128, 115, 172, 255),
-    Barred.FAILS: (215, 25, 28, 255),
-    Barred.STEP: (230, 97, 1, 255),
-    NO_CLASS: (0, 0, 0, 0),
-}
-"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
-_UNKNOWN_OBJECT = 3
-OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    FREE: (255, 255, 255, 0),
-    OBSTACLE: (84, 48, 5, 255),
-    CANOPY: (127, 191, 123, 255),
-    _UNKNOWN_OBJECT: (190, 190, 190, 255),
-    NO_CLASS: (0, 0, 0, 0),
-}
-"""Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
 
 _TILE_BLOCK = 128
 _HEIGHT_BLOCK = 512
@@ -239,13 +209,13 @@ def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None =
         colours=OBJECT_COLOURS,
         tags=_tags(table, "obstacles", about),
         level=1,
-        worst=(OBSTACLE, _UNKNOWN_OBJECT, CANOPY, FREE),
+        worst=(OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE),
     )
 
     def states(found: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         objects = found["objects"]
         hidden = (objects == UNSEEN) | ((objects == FREE) & np.isnan(found["obstacle"])[:, None, None])
-        return np.where(hidden, np.uint8(_UNKNOWN_OBJECT), objects)
+        return np.where(hidden, np.uint8(UNKNOWN_OBJECT), objects)
 
     _write_pixels(table, path, spec, ("objects", "obstacle"), states)
 

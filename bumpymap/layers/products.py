@@ -11,7 +11,7 @@ from bumpymap.core import STAGED, OutputError, remove_path
 from bumpymap.layers._replacing import refuse_blocked
 from bumpymap.layers.manifest import MANIFEST_NAME
 
-__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "check_folder"]
+__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "VIEW_NAMES", "check_folder"]
 
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
@@ -25,7 +25,9 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "cost.fgb",
     MANIFEST_NAME,
 )
-"""Files of a run."""
+"""Files of a run, which its manifest lists with their checksums."""
+VIEW_NAMES: tuple[str, ...] = ()
+"""Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 NAMED_RASTERS = ("class.tif", "barred.tif", "obstacle.tif")
 """Rasters beside which GDAL writes the names of their values, to ``class.tif.aux.xml`` and so on."""
 
@@ -59,7 +61,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
             remove_path(left)
-        present = [name for name in PRODUCT_NAMES if lexists(folder / name)]
+        present = [name for name in (*PRODUCT_NAMES, *VIEW_NAMES) if lexists(folder / name)]
     except OSError as error:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. "

@@ -8,6 +8,7 @@ from bumpymap.core import BadInputError, Ground, MapConfig, differences, flat_se
 from bumpymap.layers import (
     MANIFEST_NAME,
     PRODUCT_NAMES,
+    VIEW_NAMES,
     MapSummary,
     refuse_replacing,
     software_versions,
@@ -77,7 +78,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         lines = FlightLines.from_record(record["flight_lines"])
     now = {**run_spec, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
-    files = tuple(config.out / name for name in PRODUCT_NAMES)
+    files = tuple(config.out / name for name in (*PRODUCT_NAMES, *VIEW_NAMES))
     return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, already_done=True)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES
-from bumpymap.layers.geotiff import CLASS_COLOURS
+from bumpymap.layers.colours import CLASS_COLOURS
 
 __all__ = ["RideScale", "nice_limit"]
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, CLASSES, NOT_TRAVERSABLE
-from bumpymap.layers.geotiff import CLASS_COLOURS
+from bumpymap.layers.colours import CLASS_COLOURS
 
 __all__ = ["NO_SECTOR", "SCAN_CLASS_NAMES", "SCAN_COLOURS", "style_index"]
 

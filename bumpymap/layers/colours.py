@@ -1,0 +1,43 @@
+"""The colours of values in every layer, style, picture and page: one table each."""
+
+from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, Barred, Reason
+
+__all__ = ["BARRED_COLOURS", "CLASS_COLOURS", "OBJECT_COLOURS", "REASON_COLOURS", "UNKNOWN_OBJECT"]
+
+CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    0: (44, 123, 182, 255),
+    1: (171, 217, 233, 255),
+    2: (253, 174, 97, 255),
+    3: (215, 25, 28, 255),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of each class, from blue (smooth) to red (very rough); safe for colour-blind readers."""
+BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    Barred.NO: (166, 217, 106, 255),
+    Barred.UNKNOWN: (150, 150, 150, 255),
+    Barred.OBSTACLE: (84, 48, 5, 255),
+    Barred.SLOPE: (128, 115, 172, 255),
+    Barred.FAILS: (215, 25, 28, 255),
+    Barred.STEP: (230, 97, 1, 255),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
+UNKNOWN_OBJECT = 3
+"""Value of obstacle.tif where it is not known what stands on the ground."""
+OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    FREE: (255, 255, 255, 0),
+    OBSTACLE: (84, 48, 5, 255),
+    CANOPY: (127, 191, 123, 255),
+    UNKNOWN_OBJECT: (190, 190, 190, 255),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
+REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    Reason.OK: (217, 240, 211, 255),
+    Reason.NO_POINTS: (0, 0, 0, 0),
+    Reason.TOO_FEW_POINTS: (194, 165, 207, 255),
+    Reason.TOO_MANY_HOLES: (128, 115, 172, 255),
+    Reason.NO_GROUND: (90, 174, 97, 255),
+    Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
+}
+"""Red, green, blue, alpha of each `Reason`: tiles with a class pale green, places without points transparent."""
