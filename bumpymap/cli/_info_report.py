@@ -159,6 +159,7 @@ def as_record(report: Report) -> dict[str, Any]:
         "format": info.format,
         "size_bytes": info.size_bytes,
         "points_promised": info.point_count,
+        "header_date": info.header_date and info.header_date.isoformat(),
         "crs": horizontal.name if horizontal else None,
         "epsg": horizontal.to_epsg() if horizontal else None,
         "vertical_crs": vertical.name if vertical else None,
@@ -206,6 +207,8 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
         ("CRS", describe_crs(place.crs) if place.crs else "none"),
         ("units", units),
     ]
+    if info.header_date is not None:
+        rows.append(("date in header", f"{info.header_date.isoformat()}: of the flight or of processing"))
     if bounds is not None:
         if place.metres_per_unit != 1.0:
             rows.append(("extent, CRS units", _extent(bounds, place.metres_per_unit)))

@@ -58,6 +58,7 @@ from .file_hash import (
     FileHash as FileHash,
     PieceRuns as PieceRuns,
     hash_file as hash_file,
+    join_checksums as join_checksums,
 )
 from .files import (
     STAGED as STAGED,

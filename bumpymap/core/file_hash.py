@@ -20,10 +20,12 @@ from blake3 import blake3
 
 from bumpymap.core.errors import BadInputError
 
-__all__ = ["CHECKSUM_METHOD", "FileHash", "PieceRuns", "hash_file"]
+__all__ = ["CHECKSUM_METHOD", "FileHash", "PieceRuns", "hash_file", "join_checksums"]
 
 CHECKSUM_METHOD = "blake3-1MiB"
 """Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
+_SET_METHOD = "blake3-set"
+"""Stands before the digest in a checksum of several files."""
 PieceRuns = tuple[tuple[int, bytes], ...]
 """Digests of consecutive pieces, joined, each with the number of the first piece."""
 
@@ -204,3 +206,9 @@ def hash_file(path: Path) -> str:
             return file.read(size)
 
     return FileHash(path.stat().st_size).finish(read)
+
+
+def join_checksums(checksums: Iterable[str]) -> str:
+    """Return one checksum for a set of files: the BLAKE3 of their checksums, sorted, one a line."""
+    lines = "".join(f"{checksum}\n" for checksum in sorted(checksums))
+    return f"{_SET_METHOD}:{blake3(lines.encode()).hexdigest()}"

@@ -56,7 +56,7 @@ class LasSurvey(SurveyBase):
         notes += _degrees_note(place, raw)
         sequential, parallel = isinstance(self._source, LazStream), isinstance(self._source, LazChunks)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
-        super().__init__(replace(info, sequential=sequential, parallel=parallel))
+        super().__init__(replace(info, sequential=sequential, parallel=parallel, header_date=raw.created))
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree."""

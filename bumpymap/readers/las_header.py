@@ -9,6 +9,7 @@ import io
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import date, timedelta
 from typing import BinaryIO
 
 from bumpymap.core import BadInputError
@@ -17,9 +18,9 @@ from bumpymap.readers.source import Location
 __all__ = ["LAYERED", "RawHeader", "read_raw_header"]
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
-_FIELDS = struct.Struct("<4xHH16xBB68xHIIBHI")
-"""File source id, encoding; version; header size, offset to the points, number of records; point format, point size,
-point count."""
+_FIELDS = struct.Struct("<4xHH16xBB64xHHHIIBHI")
+"""File source id, encoding; version; creation day and year; header size, offset to the points, number of records; point
+format, point size, point count."""
 _FIELDS_1_4 = struct.Struct("<QIQ")
 """Offset to the extended records, their number; point count."""
 _RECORD, _EXTENDED_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
@@ -30,6 +31,8 @@ _POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Point size of formats 0 to 10, without extra bytes."""
 LAYERED = 6
 """First point format that LAZ compresses in layers."""
+_YEARS = range(1900, 2200)
+"""Years that a creation date may have; writers that know none leave 0, or count from 1900."""
 _AGAIN = "The file is damaged or truncated; copy or download it again"
 
 Numbers = tuple[float, float, float]
@@ -61,6 +64,9 @@ class RawHeader:
     """By user id and record id: those of the projection (extended ones too), of LASzip and of COPC."""
     source_id: int = 0
     """The flight line of the file, if it holds one; 0: none is given."""
+    created: date | None = None
+    """Creation day: that of the flight in LAS 1.0, of the file in later versions; None if none or no valid one is
+    given."""
 
     @property
     def extra_bytes(self) -> int:
@@ -75,7 +81,9 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     head = stream.read(_HEADER_1_4)
     if len(head) < _HEADER_1_0:
         raise BadInputError(f"{path} ends after {len(head)} bytes, inside the LAS header. {_AGAIN}")
-    source_id, encoding, major, minor, header_size, offset, records, kind, point_size, count = _FIELDS.unpack_from(head)
+    source_id, encoding, major, minor, day, year, header_size, offset, records, kind, point_size, count = (
+        _FIELDS.unpack_from(head)
+    )
     if major != 1 or minor > 5 or (minor >= 4 and len(head) < _HEADER_1_4):
         raise BadInputError(
             f"{path} is LAS {major}.{minor} with {len(head)} header bytes; bumpymap reads LAS 1.0 to 1.5. {_AGAIN}"
@@ -102,7 +110,16 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
         {(user, number): data for user, number, data in reversed(plain + far) if user in _NEEDED}, source_id,
+        _date(day, year),
     )  # fmt: skip
+
+
+def _date(day: int, year: int) -> date | None:
+    """Return the date of a day of a year, counted from 1; None if there is no such day."""
+    if year not in _YEARS or day < 1:
+        return None
+    found = date(year, 1, 1) + timedelta(day - 1)
+    return found if found.year == year else None
 
 
 def _refuse_format(path: Location, point_format: int, point_size: int) -> None:

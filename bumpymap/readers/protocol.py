@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from typing import Any, Protocol
 
 from bumpymap.core import Georeference, PieceRuns, PointCloud, ZUnit
@@ -60,6 +61,8 @@ class SurveyInfo:
     """Whether the points can only be decoded sequentially from the start of the file."""
     parallel: bool = False
     """Whether several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
+    header_date: date | None = None
+    """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,12 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import SurveyReader, identity
+from bumpymap.readers import SurveyInfo, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.result import MapResult
+from bumpymap.survey.survey_record import survey_record
 from bumpymap.survey.tile_rating import RatingModels
 
 __all__ = ["describe_run", "earlier_result", "run_manifest", "versions"]
@@ -92,12 +93,17 @@ def run_manifest(
     lines: FlightLines,
 ) -> dict[str, Any]:
     """Return what ``run.json`` says beside the statistics of the tiles."""
-    read = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
+    every = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
+    read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration = models.calibration
     return {
-        "inputs": [
-            _input_record(reader, dropped, checksum) for reader, dropped, checksum in read if dropped is not None
-        ],
+        "survey": survey_record(
+            config.surveys,
+            [info.path for info, _, _ in read],
+            [checksum for _, _, checksum in read],
+            [info.header_date for info, _, _ in read],
+        ),
+        "inputs": [_input_record(*each) for each in read],
         "skipped": inputs.skipped,
         "skipped_inputs": [{"path": path, **_file_version(run_spec["inputs"][path])} for path in inputs.skipped],
         "settings": config,
@@ -136,8 +142,7 @@ def _file_version(known: Mapping[str, Any] | None) -> dict[str, Any]:
     return {key: known[key] for key in ("mtime_ns", "version") if key in known} if known else {}
 
 
-def _input_record(reader: SurveyReader, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
-    info = reader.info
+def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
     record = {
         "path": info.path,
         "format": info.format,

@@ -1,3 +1,7 @@
+import struct
+from datetime import date
+
+import laspy
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
@@ -260,3 +264,25 @@ def test_a_unit_of_height_that_one_of_two_records_states_is_believed(las, wkt_bi
     assert info.georeference.metres_per_unit == 1.0
     assert info.georeference.metres_per_unit_z == pytest.approx(1200 / 3937, rel=1e-9)
     assert any("unit of height" in note for note in info.notes) is not wkt_bit
+
+
+@pytest.mark.parametrize(("day", "year", "expected"), [
+    (1, 2024, date(2024, 1, 1)),
+    (366, 2024, date(2024, 12, 31)),
+    (366, 2023, None),
+    (0, 2024, None),
+    (60, 0, None),
+    (60, 124, None),
+    (65535, 65535, None),
+])  # fmt: skip
+@pytest.mark.parametrize("version", ["1.2", "1.4"])
+def test_the_date_in_the_header_counts_days_of_a_year_and_is_none_if_there_is_no_such_day(
+    las, version, day, year, expected
+):
+    path = las.write(version=version, fmt=1 if version == "1.2" else 6)
+    content = bytearray(path.read_bytes())
+    content[90:94] = struct.pack("<HH", day, year)
+    path.write_bytes(content)
+    assert open_survey(path, ReadOptions(crs="EPSG:32614")).info.header_date == expected
+    if expected is not None:
+        assert laspy.open(path).header.creation_date == expected

@@ -1,0 +1,127 @@
+"""What a survey is called, which data it is, and when: the entry ``survey`` of run.json."""
+
+import json
+import os
+from datetime import date
+from pathlib import Path
+
+import laspy
+import pytest
+from blake3 import blake3
+from click.testing import CliRunner
+from small_surveys import write_survey
+
+from bumpymap.cli import main
+from bumpymap.survey.survey_record import survey_record
+
+
+def named(given, files):
+    return survey_record(given, files, ["a:1"] * len(files), [None] * len(files))["name"]
+
+
+def test_one_file_gives_its_name():
+    assert named([Path("flights/site.laz")], [Path("flights/site.laz")]) == "site"
+    assert named([Path("flights")], [Path("flights/site.1.copc.laz")]) == "site.1"
+    assert named([Path(".copc.laz")], [Path(".copc.laz")]) == ".copc.laz"
+
+
+def test_a_folder_that_was_given_gives_its_name_even_if_files_lie_deeper(tmp_path, monkeypatch):
+    deep = [tmp_path / "hill" / "one" / "a.laz", tmp_path / "hill" / "two" / "b.laz"]
+    assert named([tmp_path / "hill"], deep) == "hill"
+    (tmp_path / "hill").mkdir()
+    monkeypatch.chdir(tmp_path / "hill")
+    assert named([Path()], [Path("one/a.laz"), Path("two/b.laz")]) == "hill"
+
+
+def test_files_of_one_folder_are_called_after_it_and_others_are_counted():
+    assert named([Path("/x/hill/a.laz"), Path("/x/hill/b.laz")], [Path("/x/hill/a.laz"), Path("/x/hill/b.laz")]) == (
+        "hill"
+    )
+    apart = [Path("/home/me/a.laz"), Path("/home/me/more/b.laz")]
+    assert named(apart, apart) == "2 files"
+    assert named([Path("/")], apart) == "2 files"
+
+
+def test_of_a_url_neither_server_nor_query_is_told():
+    signed = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
+    assert named([signed], [signed]) == "my site"
+    assert named(["s3://bucket/hill/"], ["s3://bucket/hill/a.laz", "s3://bucket/hill/b.laz"]) == "hill"
+
+
+def test_what_is_no_text_is_replaced():
+    files = [Path(os.fsdecode(b"caf\xe9\n\x01.laz"))]
+    assert named(files, files) == "caf" + 3 * "\N{REPLACEMENT CHARACTER}"
+
+
+def test_the_checksum_of_one_file_is_kept_and_those_of_several_make_one():
+    def found(*checksums):
+        return survey_record(["x"], ["x"] * len(checksums), checksums, [])["checksum"]
+
+    assert found("blake3-1MiB:12") == "blake3-1MiB:12"
+    joined = blake3(b"m:a\nm:b\n").hexdigest()
+    assert found("m:b", "m:a") == found("m:a", "m:b") == f"blake3-set:{joined}"
+    assert found("m:a", "m:b") != found("m:a", "m:a")
+    assert found("m:a", None) is None
+    assert found(None) is None
+
+
+def test_dates_are_the_first_and_the_last_that_are_known():
+    def found(*dates):
+        return survey_record(["x"], ["x"] * len(dates), [None] * len(dates), dates)["dates"]
+
+    assert found(date(2024, 5, 3)) == ["2024-05-03", "2024-05-03"]
+    assert found(date(2024, 5, 3), None, date(2023, 12, 31)) == ["2023-12-31", "2024-05-03"]
+    assert found(None, None) is None
+
+
+def dated(path, day, **settings):
+    write_survey(path, **settings)
+    las = laspy.read(path)
+    las.header.creation_date = day
+    las.write(path)
+    return path
+
+
+@pytest.mark.slow
+def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(tmp_path, monkeypatch):
+    folder = tmp_path / "hill"
+    dated(folder / "a.laz", date(2024, 5, 3))
+    dated(folder / "b.las", date(2024, 5, 1), seed=1)
+    (folder / "bad.laz").write_bytes(b"LASF")
+
+    def record(out, *options):
+        words = ["map", str(folder), "--out", str(tmp_path / out), "--skip-bad", *options]
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 4, result.output
+        return json.loads((tmp_path / out / "run.json").read_text())
+
+    run = record("plain")
+    assert run["survey"]["name"] == "hill"
+    assert run["survey"]["dates"] == ["2024-05-01", "2024-05-03"]
+    lines = "".join(f"{file['checksum']}\n" for file in sorted(run["inputs"], key=lambda file: file["checksum"]))
+    assert run["survey"]["checksum"] == f"blake3-set:{blake3(lines.encode()).hexdigest()}"
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.layers.write_products", stop)
+        words = ["map", str(folder), "--out", str(tmp_path / "again"), "--skip-bad"]
+        assert CliRunner().invoke(main, words).exit_code == 130
+    assert record("again", "--resume")["survey"] == run["survey"]
+
+
+@pytest.mark.slow
+def test_workers_change_nothing_of_it(tmp_path):
+    pytest.importorskip("distributed")
+    survey = dated(tmp_path / "site.laz", date(2021, 2, 28))
+    records = []
+    for name, options in {"alone": (), "hired": ("--workers", "1")}.items():
+        result = CliRunner().invoke(main, ["map", str(survey), "--out", str(tmp_path / name), *options])
+        assert result.exit_code == 0, result.output
+        records.append(json.loads((tmp_path / name / "run.json").read_text()))
+    first, second = (record["survey"] for record in records)
+    assert first == second
+    assert first == {
+        "name": "site", "checksum": records[0]["inputs"][0]["checksum"], "dates": ["2021-02-28", "2021-02-28"],
+    }  # fmt: skip
