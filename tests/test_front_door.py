@@ -72,12 +72,15 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
             assert variable.attrs["units"] == (band.unit or "1")
     with rasterio.open(layers.folder / "class.tif") as file:
         np.testing.assert_array_equal(dataset["class"].values, file.read(1))
-        np.testing.assert_array_equal(dataset["reason"].values, file.read(2))
+    with rasterio.open(layers.folder / "reason.tif") as file:
+        np.testing.assert_array_equal(dataset["reason"].values, file.read(1))
     with rasterio.open(layers.folder / "cost.tif") as file:
         np.testing.assert_array_equal(dataset["cost"].values, file.read(1))
     np.testing.assert_array_equal(np.isfinite(dataset["cost"].values), dataset["barred"].values == 0)
     assert dataset["class"].dtype == np.uint8
     assert dataset["class"].rio.nodata == 255
+    assert dataset["reason"].rio.nodata == 255
+    np.testing.assert_array_equal(dataset["reason"].values == 0, dataset["class"].values != 255)
     assert dataset["class"].attrs["flag_meanings"] == "smooth fair rough very_rough"
 
 
@@ -148,6 +151,7 @@ def test_a_missing_layer_is_said(layers, tmp_path):
     opened = bumpymap.open(str(folder))
     for name, call in (
         ("heightmap.tif", opened.heights),
+        ("reason.tif", opened.dataset),
         ("class.tif", opened.dataset),
         ("tiles.parquet", opened.tiles),
         ("cost.fgb", opened.regions),
@@ -156,6 +160,19 @@ def test_a_missing_layer_is_said(layers, tmp_path):
         with pytest.raises(bumpymap.BadInputError, match=f"{name} is missing"):
             call()
     assert "warthog" in repr(opened)
+
+
+def test_classes_of_an_earlier_version_are_said(layers, tmp_path):
+    """They had the reasons as a second band, and no reason.tif."""
+    folder = shutil.copytree(layers.folder, tmp_path / "copy")
+    with rasterio.open(folder / "class.tif") as file:
+        profile = file.profile | {"driver": "GTiff", "count": 2}
+        values = file.read(1)
+    with rasterio.open(folder / "class.tif", "w", **profile) as file:
+        file.write(np.stack([values, values]))
+    (folder / "reason.tif").unlink()
+    with pytest.raises(bumpymap.BadInputError, match=r"class\.tif has 2 bands, and .* 1\. Map the survey again"):
+        bumpymap.open(folder).dataset()
 
 
 def test_a_damaged_layer_is_said(layers, tmp_path):

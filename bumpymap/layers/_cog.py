@@ -6,10 +6,8 @@ is mostly empty is written by `write_sparse_cog`.
 """
 
 import os
-import struct
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -30,6 +28,7 @@ from bumpymap.core import atomic
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec, open_raster
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
+from bumpymap.layers._value_table import count_values, write_value_table
 from bumpymap.layers.placement import Placement, RasterWindow
 
 __all__ = ["BandSpec", "RasterSpec", "write_cog"]
@@ -44,8 +43,6 @@ _SPARSE_FROM = 16 << 20
 """Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 _gdal = threading.Lock()
 """Held while GDAL makes a raster, see `_integrity`."""
-_EXTRA_SAMPLES = 338
-"""TIFF tag ExtraSamples, the meaning of further bands: 0 is "unspecified", 2 is "unassociated alpha"."""
 
 
 def write_cog(
@@ -83,50 +80,56 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
+        counts = np.zeros(256, np.int64)
         if size <= SMALL and not sparse:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
-                for _ in _write_scratch(scratch.name, placement, spec, paint, side):
-                    pass  # memory loses nothing
-                _convert(scratch.name, layer.name, temporary, spec)
-                _copy_names(layer.name, temporary, spec)
+                for _, canvas in _write_scratch(scratch.name, placement, spec, paint, side):
+                    _count(canvas, spec, counts)  # no checksum: memory loses nothing
+                _convert(scratch.name, layer.name, spec)
+                _copy_side_file(layer.name, temporary)
                 temporary.write_bytes(layer.getbuffer())
         elif sparse and pieces is not None:
-            with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+            with _gdal, MemoryFile(ext=".tif") as scratch:
                 open_raster(scratch.name, placement, spec, (1, 1)).close()
-                _convert(scratch.name, layer.name, temporary, replace(spec, write_empty=True))
-                _copy_names(layer.name, temporary, spec)
-            write_sparse_cog(temporary, placement, spec, pieces, _gdal)
+                _copy_side_file(scratch.name, temporary)
+            for values in write_sparse_cog(temporary, placement, spec, pieces, _gdal):
+                _count(values, spec, counts)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
             with _gdal:
-                written = _write_scratch(str(waiting), placement, spec, paint, side)
-                painted = [(window, checksum(canvas)) for window, canvas in written]
+                painted = []
+                for window, canvas in _write_scratch(str(waiting), placement, spec, paint, side):
+                    painted.append((window, checksum(canvas)))
+                    _count(canvas, spec, counts)
                 require_disk_space(path.parent, waiting.stat().st_size)
-                _convert(str(waiting), str(temporary), temporary, spec)
+                _convert(str(waiting), str(temporary), spec)
                 waiting.unlink()
                 require_intact(temporary, painted)
-        names = temporary.with_name(f"{temporary.name}.aux.xml")
-        if names.exists():
-            ET.parse(names)  # noqa: S314 (GDAL has just written it; fails if a full disk cut it short)
-        elif any(band.categories for band in spec.bands):  # GDAL reports no error when the disk is full
-            raise OSError("the class names could not be written to its .aux.xml file; the disk may be full")
-        if spec.colours:
-            _extra_band_is_no_alpha(temporary)
+        for band in spec.bands:
+            if band.categories:
+                write_value_table(temporary, band.categories, spec.colours, counts)
 
 
-def _copy_names(layer: str, temporary: Path, spec: RasterSpec) -> None:
-    """Copy a raster in memory and the side file in which GDAL keeps category names, if it has any."""
+def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:
+    """Add pixels that were painted to the counts of each value, if the values have names."""
     if any(band.categories for band in spec.bands):
+        counts += count_values(pixels)
+
+
+def _copy_side_file(layer: str, temporary: Path) -> None:
+    """Copy a raster in memory if GDAL keeps something of it in a side file, such as a CRS without GeoTIFF keys."""
+    with rasterio.open(layer) as file:
+        has_side_file = len(file.files) > 1
+    if has_side_file:
         rasterio.shutil.copyfiles(layer, str(temporary))
 
 
-def _convert(scratch: str, layer: str, temporary: Path, spec: RasterSpec) -> None:
-    """Convert the scratch raster to the COG ``layer``; a virtual raster goes beside ``temporary`` if one is needed."""
+def _convert(scratch: str, layer: str, spec: RasterSpec) -> None:
+    """Convert the scratch raster to the COG ``layer``."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block), "STATISTICS": "YES"}
-    options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "NO" if spec.write_empty else "YES"}
-    named = _name_categories(scratch, temporary.with_name(f"{temporary.stem}.vrt"), spec.bands)
-    rasterio.shutil.copy(named, layer, driver="COG", **options)
+    options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "YES"}
+    rasterio.shutil.copy(scratch, layer, driver="COG", **options)
 
 
 def gdal_threads() -> str:
@@ -172,45 +175,3 @@ def _write_scratch(
                 place = Window(window.column * pixels, window.line * pixels, across, down)
                 file.write(canvas, window=place)
                 yield place, canvas
-
-
-def _name_categories(scratch: str, virtual: Path, bands: Sequence[BandSpec]) -> str:
-    """Return the name of a raster with category names: the scratch raster, or a virtual raster made from it.
-
-    rasterio cannot set category names; GDAL reads them from a virtual raster, and the COG driver copies them.
-    """
-    if not any(band.categories for band in bands):
-        return scratch
-    rasterio.shutil.copy(scratch, virtual, driver="VRT")
-    tree = ET.parse(virtual)  # noqa: S314 (GDAL has just written it)
-    for element, band in zip(tree.getroot().iter("VRTRasterBand"), bands, strict=True):
-        names = ET.SubElement(element, "CategoryNames")
-        for category in band.categories:
-            ET.SubElement(names, "Category").text = category
-    tree.write(virtual, encoding="utf-8")
-    return str(virtual)
-
-
-def _extra_band_is_no_alpha(path: Path) -> None:
-    """Mark the band after the colour-mapped one as "unspecified" instead of alpha, in every directory of the file.
-
-    When GDAL copies a colour-mapped TIFF with a second band, it declares that band alpha, and no option prevents it
-    (seen in 3.6, 3.10); viewers would fade the classes by the reason code. Two bytes are overwritten in place, so the
-    file stays a valid COG. Layout: TIFF 6.0 section 2, BigTIFF with 8-byte offsets.
-    """
-    with path.open("rb+") as file:
-        head = file.read(16)
-        if head[:2] != b"II" or head[2] not in {42, 43}:
-            raise RasterioError(f"{path} is not a little-endian TIFF")
-        count, entry, link = ("<H", 12, "<I") if head[2] == 42 else ("<Q", 20, "<Q")
-        (offset,) = struct.unpack_from(link, head, 4 if head[2] == 42 else 8)
-        while offset:
-            file.seek(offset)
-            (entries,) = struct.unpack(count, file.read(struct.calcsize(count)))
-            start = file.tell()
-            table = file.read(entries * entry + struct.calcsize(link))
-            for at in range(0, entries * entry, entry):
-                if struct.unpack_from("<H", table, at)[0] == _EXTRA_SAMPLES:
-                    file.seek(start + at + entry - struct.calcsize(link))
-                    file.write(struct.pack("<H", 0))
-            (offset,) = struct.unpack_from(link, table, entries * entry)

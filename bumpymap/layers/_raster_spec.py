@@ -24,7 +24,7 @@ class BandSpec:
     text: str = ""
     """Description, written as ``long_name``."""
     categories: tuple[str, ...] = ()
-    """Names of the values 0, 1, 2, ..."""
+    """Names of the values 0, 1, 2, ...; only for the band of a uint8 raster that has one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +42,9 @@ class RasterSpec:
     block: int
     """Side of an internal block of the file, pixels."""
     colours: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
-    """Colour table of band 1."""
+    """Colours of the values of band 1 that pixels can have, nodata included."""
     tags: dict[str, str] = field(default_factory=dict)
     """Metadata of the file."""
-    write_empty: bool = False
-    """Write blocks without tiles too, instead of leaving them out of the file."""
     worst: tuple[int, ...] = ()
     """All values, the worst first: of four pixels, the overviews that `write_sparse_cog` makes keep the worst."""
     level: int = 6

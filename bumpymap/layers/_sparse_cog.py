@@ -108,7 +108,9 @@ class _Statistics:
         return {f"STATISTICS_{name}": f"{value:.14g}" for name, value in named.items()} | share
 
 
-def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces, gdal: Lock) -> None:
+def write_sparse_cog(
+    path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces, gdal: Lock
+) -> Iterator[NDArray[Any]]:
     """Write a COG of one float32 or uint8 band; time and memory do not grow with its empty parts.
 
     Parameters
@@ -120,6 +122,11 @@ def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces:
         Returns line and column, in a window, of its tiles, (n,), and their values, (n, pixels, pixels).
     gdal : lock
         Held while GDAL makes the tags.
+
+    Yields
+    ------
+    array (n,)
+        Values of known pixels, each pixel once. The file is complete when there are no more.
     """
     width, height = (side * spec.pixels for side in (placement.window.cols, placement.window.rows))
     levels = [_Level(width, height)]
@@ -131,6 +138,7 @@ def write_sparse_cog(path: Path, placement: Placement, spec: RasterSpec, pieces:
     with waiting.open("wb+") as side:
         for square in _squares(placement, spec, pieces):
             statistics.add(square.value)
+            yield square.value
             pixels = square
             for level in levels[:_HALVINGS]:
                 _keep(level, pixels, side, spec, pack)

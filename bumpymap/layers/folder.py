@@ -16,9 +16,11 @@ from bumpymap.layers.geotiff import (
     write_cost,
     write_heightmap,
     write_obstacles,
+    write_reasons,
     write_roughness,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
+from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
@@ -39,7 +41,7 @@ def write_products(
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
     Files of an earlier run stay until all new ones are complete. Except for run.json, no file depends on the time, on
-    the order of the tiles or on folder names: the same map has the same bytes.
+    the order of the tiles or on the output folder: the same map of the same survey has the same bytes.
 
     Parameters
     ----------
@@ -72,11 +74,12 @@ def write_products(
     placement = Placement.of(table)
     # Fail early: there may be no transformation from the survey's CRS to longitude and latitude.
     coordinates = GeoJsonCoordinates.of(placement, local=local)
+    metadata = layer_metadata(manifest, table.georeference)
     progress = progress or SilentProgress()
     with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
         counting = background.submit(summarise, table)
         try:
-            layers = _write_layers(_layers(table, coordinates, staged, _provenance(manifest)), staged, progress)
+            layers = _write_layers(_layers(table, coordinates, staged, metadata), staged, progress)
             summary = counting.result()
         finally:
             background.shutdown(wait=False, cancel_futures=True)
@@ -90,13 +93,13 @@ def write_products(
 
 
 def _layers(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, provenance: dict[str, Any]
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
     Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
-    tags = {key: str(value) for key, value in provenance.items()}
+    tags = as_tags(metadata)
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
@@ -105,12 +108,13 @@ def _layers(
         {
             ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
             ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
+            ("reason.tif",): partial(write_reasons, table, folder / "reason.tif", tags),
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
             ("barred.tif",): partial(write_barred, table, folder / "barred.tif", tags),
         },
         {
-            ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, provenance),
-            ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet"),
+            ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
+            ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet", tags),
         },
     ]
 
@@ -142,21 +146,13 @@ def _write_layers(
 
 
 def _write_regions(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, provenance: Mapping[str, Any]
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
 ) -> None:
     placement = coordinates.placement
     with (
-        geojson_writer(folder / "cost.geojson", coordinates, provenance) as write_geojson,
-        flatgeobuf_writer(folder / "cost.fgb", placement) as write_flatgeobuf,
+        geojson_writer(folder / "cost.geojson", coordinates, metadata) as write_geojson,
+        flatgeobuf_writer(folder / "cost.fgb", placement, as_tags(metadata)) as write_flatgeobuf,
     ):
         for regions in dissolve(table, placement):
             write_geojson(regions)
             write_flatgeobuf(regions)
-
-
-def _provenance(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries of a manifest that layers carry as metadata: vehicle, calibration, texture model."""
-    calibration = manifest.get("calibration")
-    known = dict(calibration) if isinstance(calibration, Mapping) else {"id": calibration}
-    entries = {"vehicle": known.get("vehicle"), "calibration": known.get("id"), "texture_model": manifest.get("model")}
-    return {key: value for key, value in entries.items() if isinstance(value, str)}

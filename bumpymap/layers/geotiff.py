@@ -1,4 +1,4 @@
-"""Write the raster layers: roughness.tif, class.tif, cost.tif, barred.tif, heightmap.tif, obstacle.tif."""
+"""Write the raster layers: roughness, class, reason, cost, barred, heightmap and obstacle."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, UNKNOWN_OBJECT
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
 
@@ -34,6 +34,7 @@ __all__ = [
     "write_cost",
     "write_heightmap",
     "write_obstacles",
+    "write_reasons",
     "write_roughness",
 ]
 
@@ -84,29 +85,24 @@ def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None =
 
 
 def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write class.tif: a uint8 COG; band 1 is the class, ``NO_CLASS`` (nodata) if unknown, band 2 the reason.
+    """Write class.tif: a uint8 COG, the class of each tile; ``NO_CLASS`` (nodata) if unknown.
 
-    Category names are in ``class.tif.aux.xml``, where GDAL keeps them; the colour table is in the TIFF itself.
+    The colour table is in the TIFF itself; names, colours and pixel counts of the classes are in ``class.tif.aux.xml``.
     For parameters and errors see `write_roughness`.
     """
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=[
-            BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
-            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason)),
-        ],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        pixels=1,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        block=_TILE_BLOCK,
-        colours=CLASS_COLOURS,
-        tags=_tags(table, "roughness class of each tile", about),
-        write_empty=True,  # tiles without points have a reason too
-    )
-    gaps = {"class_id": NO_CLASS, "reason": Reason.NO_POINTS}
-    write_cog(path, place, spec, _painter(table.tiles, gaps, "uint8", write_empty=True), _TILE_WINDOW)
+    band = BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES)
+    _write_codes(table, path, "class_id", band, CLASS_COLOURS, _tags(table, "roughness class of each tile", about))
+
+
+def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write reason.tif: a uint8 COG, why a tile has no class, a `Reason`; ``NO_CLASS`` (nodata) without points.
+
+    Names, colours and pixel counts are in ``reason.tif.aux.xml``. For parameters and errors see `write_roughness`.
+    """
+    band = BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason))
+    colours = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
+    colours[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
+    _write_codes(table, path, "reason", band, colours, _tags(table, "why tiles have no class", about))
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -147,25 +143,11 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
 def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
     """Write barred.tif: a uint8 COG, why a tile is not passable, a `Barred`; ``NO_CLASS`` (nodata) without points.
 
-    Category names are in ``barred.tif.aux.xml``. For parameters and errors see `write_roughness`.
+    Names, colours and pixel counts are in ``barred.tif.aux.xml``. For parameters and errors see `write_roughness`.
     """
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=[
-            BandSpec(
-                "barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT[code] for code in Barred)
-            )
-        ],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        pixels=1,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        block=_TILE_BLOCK,
-        colours=BARRED_COLOURS,
-        tags=_tags(table, "why tiles are not passable", about),
-    )
-    write_cog(path, place, spec, _painter(table.tiles, {"barred": NO_CLASS}, "uint8"), _TILE_WINDOW)
+    names = tuple(BARRED_TEXT[code] for code in Barred)
+    band = BandSpec("barred", text="why the tile is not passable", categories=names)
+    _write_codes(table, path, "barred", band, BARRED_COLOURS, _tags(table, "why tiles are not passable", about))
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -220,6 +202,30 @@ def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None =
     _write_pixels(table, path, spec, ("objects", "obstacle"), states)
 
 
+def _write_codes(
+    table: CostTable,
+    path: Path,
+    column: str,
+    band: BandSpec,
+    colours: Mapping[int, tuple[int, int, int, int]],
+    tags: dict[str, str],
+) -> None:
+    """Write a uint8 raster with one pixel per tile: a column of codes, ``NO_CLASS`` without a tile."""
+    place = Placement.of(table)
+    spec = RasterSpec(
+        bands=[band],
+        dtype="uint8",
+        nodata=NO_CLASS,
+        pixels=1,
+        crs=place.horizontal_crs,
+        overviews="MODE",
+        block=_TILE_BLOCK,
+        colours=dict(colours),
+        tags=tags,
+    )
+    write_cog(path, place, spec, _painter(table.tiles, {column: NO_CLASS}, "uint8"), _TILE_WINDOW)
+
+
 def _write_pixels(
     table: CostTable,
     path: Path,
@@ -249,12 +255,12 @@ def _write_pixels(
 
 
 def _painter(
-    tiles: TileTable, gaps: Mapping[str, float], dtype: str, *, write_empty: bool = False
+    tiles: TileTable, gaps: Mapping[str, float], dtype: str
 ) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
     """Return a function that paints one value per tile and band; ``gaps`` are the values of pixels without a tile."""
 
     def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not (write_empty or tiles.holds(window.tiles)):
+        if not tiles.holds(window.tiles):
             return None
         canvas = np.empty((len(gaps), window.tiles.rows, window.tiles.cols), dtype=dtype)
         found = tiles.read(tuple(gaps), window.tiles)

@@ -80,16 +80,16 @@ class Layers:
         return self._manifest
 
     def dataset(self) -> "xarray.Dataset":
-        """Open roughness.tif, class.tif, cost.tif and barred.tif as one dataset on the grid of tiles.
+        """Open roughness.tif, class.tif, reason.tif, cost.tif and barred.tif as one dataset on the grid of tiles.
 
         Returns
         -------
         xarray.Dataset
             Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
-            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown), ``reason`` and
-            ``barred`` (0 where passable) are uint8. Each has the attributes ``units`` and ``long_name``; CRS and
-            transform are in ``spatial_ref``. Values are read from the files when they are used; those of a run in
-            memory are loaded already.
+            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown), ``reason`` (0
+            where there is a class) and ``barred`` (0 where passable) are uint8, 255 outside the tiles with points.
+            Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``. Values are
+            read from the files when they are used; those of a run in memory are loaded already.
 
         Raises
         ------
@@ -100,7 +100,8 @@ class Layers:
         """
         found = [
             *self._variables("roughness.tif", BANDS),
-            *self._variables("class.tif", (_CLASSES, _REASONS)),
+            *self._variables("class.tif", (_CLASSES,)),
+            *self._variables("reason.tif", (_REASONS,)),
             *self._variables("cost.tif", (_COST,)),
             *self._variables("barred.tif", (_BARRED,)),
         ]
@@ -262,7 +263,9 @@ class Layers:
             if self._in_memory:
                 raster.load().close()
         if raster.sizes["band"] != len(bands):
-            raise BadInputError(f"{path} has {raster.sizes['band']} bands; those of a run have {len(bands)}")
+            raise BadInputError(
+                f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
+            )
         for number, band in enumerate(bands):
             variable = raster.isel(band=number, drop=True).rename(band.name)
             nodata = variable.rio.nodata

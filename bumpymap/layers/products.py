@@ -16,6 +16,7 @@ __all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "VIEW_NAMES", "check_folder"]
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
+    "reason.tif",
     "cost.tif",
     "barred.tif",
     "heightmap.tif",
@@ -28,8 +29,8 @@ PRODUCT_NAMES: tuple[str, ...] = (
 """Files of a run, which its manifest lists with their checksums."""
 VIEW_NAMES: tuple[str, ...] = ()
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-NAMED_RASTERS = ("class.tif", "barred.tif", "obstacle.tif")
-"""Rasters beside which GDAL writes the names of their values, to ``class.tif.aux.xml`` and so on."""
+NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
+"""Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""
 
 
 def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:

@@ -1,7 +1,7 @@
 """Write tiles.parquet: GeoParquet with one row per tile and all of its values."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,12 @@ _ROW_GROUP = 16_384
 _NUMBERS = ("count", "reason", "z_min", "z_max", "relief", *(f"step_{side}" for side in SIDES))
 
 
-def write_tiles(table: CostTable, path: Path) -> None:
+def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
     """Write tiles.parquet: GeoParquet 1.1, one row per tile.
 
     Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
     first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
+    ``about`` is metadata of the file, such as vehicle and calibration.
 
     Raises
     ------
@@ -48,7 +49,7 @@ def write_tiles(table: CostTable, path: Path) -> None:
         The extent is too large for a raster.
     """
     place = Placement.of(table)
-    schema = _schema(place)
+    schema = _schema(place, about or {})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
         pq.ParquetWriter(
@@ -83,7 +84,7 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def _schema(place: Placement) -> pa.Schema:
+def _schema(place: Placement, about: Mapping[str, str]) -> pa.Schema:
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
     kinds["passable"] = pa.bool_()
     fields = [
@@ -104,7 +105,7 @@ def _schema(place: Placement) -> pa.Schema:
         _field("reason_text", pa.string(), "the reason in words", nullable=False),
         _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
     ]
-    return pa.schema(fields, metadata={"geo": json.dumps(_geo(place))})
+    return pa.schema(fields, metadata={**about, "geo": json.dumps(_geo(place))})
 
 
 def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:

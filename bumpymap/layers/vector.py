@@ -150,7 +150,9 @@ def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:
 
 
 @contextmanager
-def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Regions], None]]:
+def flatgeobuf_writer(
+    path: Path, placement: Placement, about: Mapping[str, str] | None = None
+) -> Iterator[Callable[[Regions], None]]:
     """Write cost.fgb: FlatGeobuf with the regions of cost.geojson, in the survey's CRS if it has one.
 
     FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file.
@@ -161,6 +163,8 @@ def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Re
         The file, which appears when the ``with`` ends without an error.
     placement : Placement
         Placement of the map.
+    about : mapping, optional
+        Metadata of the layer, such as vehicle and calibration.
 
     Yields
     ------
@@ -183,7 +187,7 @@ def flatgeobuf_writer(path: Path, placement: Placement) -> Iterator[Callable[[Re
                 stream.write_batch(_batch(regions, schema))
 
             yield add
-        _convert(waiting, count, temporary, placement)
+        _convert(waiting, count, temporary, placement, about or {})
 
 
 def _schema() -> pa.Schema:
@@ -197,7 +201,7 @@ def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
     return pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
 
-def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement) -> None:
+def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement, about: Mapping[str, str]) -> None:
     """Convert the Arrow file ``waiting``, which holds ``regions`` rows, to FlatGeobuf."""
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
     from pyogrio.raw import read, write_arrow
@@ -218,6 +222,7 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement)
                 geometry_name=_GEOMETRY,
                 geometry_type="Polygon",
                 crs=None if crs is None else crs.to_wkt(),
+                layer_metadata=dict(about),
             )
             if isinstance(target, BytesIO):
                 temporary.write_bytes(target.getbuffer())

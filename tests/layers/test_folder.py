@@ -11,9 +11,10 @@ from cost_maps import part_of
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
 from bumpymap.layers import PRODUCT_NAMES, check_folder, write_products
+from bumpymap.layers.products import NAMED_RASTERS
 from bumpytiles import Grid
 
-SIDES = tuple(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))
+SIDES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
 
 

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -10,32 +11,41 @@ from rio_cogeo import cog_validate
 from bumpymap.core.errors import OutputError
 from bumpymap.core.types import (
     BANDS,
+    BARRED_TEXT,
     CANOPY,
     CLASS_NAMES,
     FREE,
     NO_CLASS,
+    OBJECT_NAMES,
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
     CostTable,
     Georeference,
     ObjectStack,
+    Reason,
 )
 from bumpymap.layers import (
+    BARRED_COLOURS,
     CLASS_COLOURS,
+    OBJECT_COLOURS,
+    REASON_COLOURS,
     write_barred,
     write_classes,
     write_cost,
     write_heightmap,
     write_obstacles,
+    write_reasons,
     write_roughness,
 )
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
+from bumpymap.layers._value_table import write_value_table
 from bumpytiles import Grid
 
 WRITERS = {
     "roughness": lambda cost_map, *rest: write_roughness(CostTable.of(cost_map), *rest),
     "class": lambda cost_map, *rest: write_classes(CostTable.of(cost_map), *rest),
+    "reason": lambda cost_map, *rest: write_reasons(CostTable.of(cost_map), *rest),
     "cost": lambda cost_map, *rest: write_cost(CostTable.of(cost_map), *rest),
     "barred": lambda cost_map, *rest: write_barred(CostTable.of(cost_map), *rest),
     "obstacle": lambda cost_map, *rest: write_obstacles(CostTable.of(cost_map), *rest),
@@ -109,22 +119,24 @@ def test_statistics_are_those_of_the_tiles(rasters, cost_map):
 
 
 def test_classes_and_reasons(rasters, cost_map):
-    with rasterio.open(rasters["class"]) as file:
-        assert file.descriptions == ("class", "reason")
-        assert file.dtypes == ("uint8", "uint8")
-        assert file.nodata == NO_CLASS
-        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
-        class_id, reason = file.read()
-        colours = file.colormap(1)
-        interpretation = [kind.name for kind in file.colorinterp]
-    np.testing.assert_array_equal(sampled[:, 0], cost_map.class_id)
-    np.testing.assert_array_equal(sampled[:, 1], cost_map.patches.reason)
+    found = {}
+    for name in ("class", "reason"):
+        with rasterio.open(rasters[name]) as file:
+            assert (file.descriptions, file.dtypes, file.nodata) == ((name,), ("uint8",), NO_CLASS)
+            sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
+            found[name] = sampled, file.read(1), file.colormap(1)
+            assert [kind.name for kind in file.colorinterp] == ["palette"]
+    np.testing.assert_array_equal(found["class"][0], cost_map.class_id)
+    np.testing.assert_array_equal(found["reason"][0], cost_map.patches.reason)
+    class_id, reason = found["class"][1], found["reason"][1]
     gaps = class_id.size - len(cost_map.class_id)
     assert gaps > 0
-    assert (reason == 1).sum() == gaps
-    assert (class_id[reason == 1] == NO_CLASS).all()
-    assert {value: colours[value] for value in CLASS_COLOURS} == CLASS_COLOURS
-    assert interpretation == ["palette", "undefined"]  # not alpha: viewers would fade the classes by their reason
+    assert (reason == NO_CLASS).sum() == gaps  # what holds no points has no reason: nodata, not "ok"
+    np.testing.assert_array_equal(reason == 0, class_id != NO_CLASS)
+    assert {value: found["class"][2][value] for value in CLASS_COLOURS} == CLASS_COLOURS
+    for code in set(Reason) - {Reason.NO_POINTS}:
+        assert found["reason"][2][code] == REASON_COLOURS[code]
+    assert found["reason"][2][NO_CLASS][3] == 0
 
 
 def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_map):
@@ -174,14 +186,79 @@ def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
         np.testing.assert_array_equal(pixels[line : line + px, column : column + px], expected[tile])
 
 
-def test_category_names_are_beside_the_class_raster(rasters, tmp_path):
-    with rasterio.open(rasters["class"]) as file:
-        assert sorted(path.rsplit("/", 1)[-1] for path in file.files) == ["class.tif", "class.tif.aux.xml"]
-    virtual = tmp_path / "seen.vrt"  # what GDAL itself reads from the pair
-    rasterio.shutil.copy(rasters["class"], virtual, driver="VRT")
-    text = virtual.read_text()
-    for name in (*CLASS_NAMES, *REASON_TEXT.values()):
-        assert f"<Category>{name}</Category>" in text
+VALUES = {
+    "class": (CLASS_NAMES, CLASS_COLOURS),
+    "reason": (tuple(REASON_TEXT.values()), REASON_COLOURS),
+    "barred": (tuple(BARRED_TEXT.values()), BARRED_COLOURS),
+    "obstacle": (OBJECT_NAMES, OBJECT_COLOURS),
+}
+RAT_COLUMNS = {"Value": "5", "Count": "1", "Class": "2", "Red": "6", "Green": "7", "Blue": "8", "Alpha": "9"}
+"""The usages are those of GDAL's GDALRATFieldUsage."""
+
+
+def seen_by_gdal(raster, scratch):
+    """Names and attribute table of band 1 as GDAL itself reads them: columns with their usages, rows."""
+    rasterio.shutil.copy(raster, scratch, driver="VRT")
+    band = ET.parse(scratch).getroot().find("VRTRasterBand")  # noqa: S314 (GDAL has just written it)
+    names = [element.text for element in band.findall("CategoryNames/Category")]
+    table = band.find("GDALRasterAttributeTable")
+    assert table.get("tableType") == "thematic"
+    columns = {field.findtext("Name"): field.findtext("Usage") for field in table.findall("FieldDefn")}
+    return names, columns, [tuple(cell.text for cell in row.findall("F")) for row in table.findall("Row")]
+
+
+def check_value_table(raster, name, scratch):
+    names, columns, rows = seen_by_gdal(raster, scratch)
+    wanted, colours = VALUES[name]
+    assert tuple(names) == wanted
+    assert columns == RAT_COLUMNS
+    with rasterio.open(raster) as file:
+        values, counts = np.unique(file.read(1), return_counts=True)
+        palette = file.colormap(1)
+    counted = dict(zip(values.tolist(), counts.tolist(), strict=True))
+    possible = [code for code in range(len(wanted)) if (name, code) != ("reason", Reason.NO_POINTS)]
+    assert [int(row[0]) for row in rows] == possible
+    for value, count, text, *colour in rows:
+        assert int(count) == counted.pop(int(value), 0)
+        assert text == wanted[int(value)]
+        assert tuple(map(int, colour)) == colours[int(value)]
+        assert tuple(map(int, colour[:3])) == palette[int(value)][:3]
+    assert set(counted) <= {NO_CLASS}
+    return rows
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(rasters, tmp_path, name):
+    with rasterio.open(rasters[name]) as file:
+        assert sorted(path.rsplit("/", 1)[-1] for path in file.files) == [f"{name}.tif", f"{name}.tif.aux.xml"]
+    rows = check_value_table(rasters[name], name, tmp_path / "seen.vrt")
+    assert sum(int(row[1]) for row in rows) > 0
+
+
+@pytest.mark.parametrize("name", sorted(VALUES))
+def test_counts_are_those_of_the_whole_raster_when_it_is_made_in_several_windows(
+    tmp_path, make_field, monkeypatch, name
+):
+    monkeypatch.setattr("bumpymap.layers.geotiff._TILE_WINDOW", 16)
+    monkeypatch.setattr("bumpymap.layers.geotiff._WINDOW_PIXELS", 64)
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
+    WRITERS[name](make_field(70, 50, grid=Grid(3.0, 4)), tmp_path / f"{name}.tif")
+    check_value_table(tmp_path / f"{name}.tif", name, tmp_path / "seen.vrt")
+
+
+def test_counts_beyond_32_bits_are_real_numbers(tmp_path):
+    counts = np.bincount([2], [2**32], minlength=256).astype(np.int64)
+    write_value_table(tmp_path / "a.tif", CLASS_NAMES, CLASS_COLOURS, counts)
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=32614,
+        transform=rasterio.Affine(3, 0, 0, 0, -3, 0),
+    ):  # fmt: skip
+        pass
+    root = ET.parse(tmp_path / "a.tif.aux.xml").getroot()  # noqa: S314 (ours)
+    table = root.find("PAMRasterBand/GDALRasterAttributeTable")
+    assert [field.findtext("Type") for field in table.findall("FieldDefn")] == ["0", "1", "2", "0", "0", "0", "0"]
+    _, _, rows = seen_by_gdal(tmp_path / "a.tif", tmp_path / "seen.vrt")
+    assert float(rows[2][1]) == 2**32
 
 
 def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
@@ -219,7 +296,7 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
         full = file.read(1)
     with rasterio.open(tmp_path / "class.tif", overview_level=0) as file:
         small = file.read(1)
-        assert [kind.name for kind in file.colorinterp] == ["palette", "undefined"]
+        assert [kind.name for kind in file.colorinterp] == ["palette"]
     blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
     counts = np.stack([(blocks == value).sum(axis=2) for value in range(4)])
     decided = (counts.max(axis=0) > 0) & ((counts == counts.max(axis=0)).sum(axis=0) == 1)
@@ -278,9 +355,13 @@ def test_far_corners_without_anything_between(tmp_path, make_map):
         corner = file.read(1, window=rasterio.windows.Window(0, file.height - 15, 15, 15))
         np.testing.assert_array_equal(corner, cost_map.patches.heights[0])
     with rasterio.open(tmp_path / "class.tif") as file:
-        class_id, reason = file.read()
+        class_id = file.read(1)
+    with rasterio.open(tmp_path / "reason.tif") as file:
+        reason = file.read(1)
     assert (class_id[-1, 0], class_id[0, -1], (class_id != NO_CLASS).sum()) == (0, 3, 2)
-    assert (reason == 1).sum() == class_id.size - 2
+    assert (reason == NO_CLASS).sum() == class_id.size - 2
+    for name in VALUES:
+        check_value_table(tmp_path / f"{name}.tif", name, tmp_path / f"{name}.vrt")
 
 
 @pytest.mark.parametrize("n", [1, 6])
@@ -351,10 +432,14 @@ def test_room_is_asked_for(tmp_path):
 
 
 def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monkeypatch):
-    def lose_the_side_file(source, target):
-        Path(target).touch()
+    write = Path.write_bytes
 
-    monkeypatch.setattr("bumpymap.layers._cog.rasterio.shutil.copyfiles", lose_the_side_file)
-    with pytest.raises(OutputError, match="class names could not be written"):
+    def full_disk(path, data):
+        if path.name.endswith(".aux.xml"):
+            raise OSError(28, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    with pytest.raises(OutputError, match="No space left"):
         WRITERS["class"](cost_map, tmp_path / "class.tif")
     assert not list(tmp_path.iterdir())

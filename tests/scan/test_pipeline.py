@@ -94,6 +94,8 @@ def test_a_run_writes_every_product_and_nothing_else(mapped):
         "heightmap.tif",
         "obstacle.tif",
         "obstacle.tif.aux.xml",
+        "reason.tif",
+        "reason.tif.aux.xml",
         "roughness.tif",
         "run.json",
     ]

@@ -15,10 +15,11 @@ import rasterio
 from pyproj import CRS
 
 from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import NAMED_RASTERS
 
 pytestmark = pytest.mark.slow
 
-NAMES = tuple(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))
+NAMES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 NAME = os.fsdecode(b"caf\xe9")
 LOCALES = {
     "UTF-8": {"LANG": "C.UTF-8", "LC_ALL": "C.UTF-8"},
