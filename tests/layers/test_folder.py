@@ -5,12 +5,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
+import pyogrio
 import pytest
+import rasterio
 from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
-from bumpymap.layers import PRODUCT_NAMES, check_folder, write_products
+from bumpymap.layers import PRODUCT_NAMES, check_folder, software_versions, write_products
 from bumpymap.layers.products import NAMED_RASTERS
 from bumpytiles import Grid
 
@@ -46,6 +49,58 @@ def test_all_files_of_a_run(tmp_path, cost_map):
     assert record["counts"]["tiles"] == len(cost_map.class_id)
     newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     assert newest.name == "run.json"
+
+
+def said_by_layers(folder):
+    """Metadata of every layer, as texts."""
+    found = {}
+    for path in folder.glob("*.tif"):
+        with rasterio.open(path) as file:
+            found[path.name] = file.tags()
+    schema = pq.read_schema(folder / "tiles.parquet").metadata
+    found["tiles.parquet"] = {key.decode(): value.decode() for key, value in schema.items()}
+    found["cost.fgb"] = pyogrio.read_info(folder / "cost.fgb")["layer_metadata"]
+    collection = json.loads((folder / "cost.geojson").read_text(encoding="utf-8"))
+    limits = collection.pop("class_limits_rad_per_m", [])
+    found["cost.geojson"] = collection | ({"class_limits_rad_per_m": " ".join(map(str, limits))} if limits else {})
+    return found
+
+
+FULL_RUN = RUN | {
+    "survey": {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]},
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": (0.111, 0.25, 0.4)},
+    "settings": {"rating": "ride", "compat": "none"},
+}
+
+
+def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
+    write(cost_map, tmp_path, manifest=FULL_RUN)
+    found = said_by_layers(tmp_path)
+    assert set(found) == set(PRODUCT_NAMES) - {"run.json"}
+    wanted = {
+        "survey": "Grünfläche <1> & 2",
+        "survey_checksum": "blake3-1MiB:ab",
+        "survey_header_dates": "2024-05-01/2024-05-03",
+        "vehicle": "warthog",
+        "calibration": "c0ffee",
+        "texture_model": "m1",
+        "rating": "ride",
+        "class_limits_rad_per_m": "0.111 0.25 0.4",
+        "bumpymap_version": software_versions()["bumpymap"],
+        "vertical_crs": "none given; heights as in the survey, in metres",
+    }
+    for name, entries in found.items():
+        assert {key: entries.get(key) for key in wanted} == wanted, name
+
+
+def test_what_is_not_known_of_a_run_is_not_said(tmp_path, cost_map):
+    survey = {"name": "site", "checksum": None, "dates": None}
+    settings = {"rating": "ride", "compat": "paper"}  # the paper's classes have no limits of ride cost
+    write(cost_map, tmp_path, manifest=FULL_RUN | {"survey": survey, "settings": settings, "model": None})
+    absent = {"survey_checksum", "survey_header_dates", "texture_model", "class_limits_rad_per_m"}
+    for name, entries in said_by_layers(tmp_path).items():
+        assert not absent & set(entries), name
+        assert (entries["survey"], entries["rating"]) == ("site", "paper"), name
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from pyproj import CRS
 
@@ -46,7 +47,8 @@ def write(path, rows):
 
 
 def mapped(out, *words):
-    result = CliRunner().invoke(main, ["map", "--out", str(out), *map(str, words)])
+    with alike_surveys():
+        result = CliRunner().invoke(main, ["map", "--out", str(out), *map(str, words)])
     assert result.exit_code == 0, result.output
     return result.output
 

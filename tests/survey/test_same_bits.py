@@ -6,6 +6,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
 from pyproj import CRS
@@ -37,6 +38,7 @@ def points():
 
 
 def write(path, points, offset):
+    path.parent.mkdir(exist_ok=True)
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
     header.add_crs(CRS.from_epsg(32614))
@@ -49,7 +51,8 @@ def write(path, points, offset):
 
 def mapped(files, out, *options):
     words = ["map", *map(str, files), "--out", str(out), *map(str, options)]
-    result = CliRunner().invoke(main, words)
+    with alike_surveys():
+        result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [*PRODUCT_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
@@ -122,6 +125,24 @@ def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factor
     assert [name for name in wanted if content[name] != wanted[name]] == []
     assert run == wanted_run
     assert list(Path(folder / "scratch").iterdir()) == []
+
+
+def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
+    """The tests above set name, checksum and dates of the survey alike."""
+    halves = [write(tmp_path / "two" / f"{n}.laz", points[n::2], CORNER) for n in range(2)]
+    one = write(tmp_path / "one.laz", points, CORNER)
+    texts = {}
+    for name, files in {"two": halves, "one": [one]}.items():
+        out = tmp_path / f"{name} layers"
+        assert CliRunner().invoke(main, ["map", *map(str, files), "--out", str(out)]).exit_code == 0
+        survey = json.loads((out / "run.json").read_text())["survey"]
+        assert survey["name"] == name
+        text = (out / "cost.geojson").read_text()
+        for value in (survey["name"], survey["checksum"]):
+            assert f'"{value}"' in text
+            text = text.replace(f'"{value}"', '""', 1)
+        texts[name] = text
+    assert texts["one"] == texts["two"]
 
 
 def test_both_ways_to_choose_points_are_tried(whole):

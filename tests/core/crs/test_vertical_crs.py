@@ -5,13 +5,17 @@ import json
 import geopandas
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import rasterio
+from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.core import Georeference
+from bumpymap.layers.metadata import layer_metadata
 
 COMPOUND = CRS("EPSG:32614+5703")
 GEOKEYS = {1024: 1, 3072: 32614, 4096: 5703}
@@ -42,7 +46,8 @@ def write_las(path, wkt=None, geokeys=None):
 def flat(tmp_path_factory):
     """Layers of the survey without a vertical CRS."""
     folder = tmp_path_factory.mktemp("flat")
-    result = run("map", write_las(folder / "site.las", CRS(32614).to_wkt("WKT1_GDAL")), "--out", folder / "out")
+    with alike_surveys():
+        result = run("map", write_las(folder / "site.las", CRS(32614).to_wkt("WKT1_GDAL")), "--out", folder / "out")
     assert result.exit_code == 0, result.output
     return folder / "out"
 
@@ -58,9 +63,14 @@ def flat(tmp_path_factory):
     ],
     ids=["WKT", "GeoTIFF keys", "both", "--crs without it", "--crs"],
 )
-def test_layers_with_heights_carry_it_and_others_do_not(tmp_path, flat, records, options):
+def test_layers_with_heights_carry_it_and_others_do_not(tmp_path, monkeypatch, flat, records, options):
     out = tmp_path / "out"
-    result = run("map", write_las(tmp_path / "site.las", **records), "--out", out, *options)
+    # The metadata name the vertical CRS in every layer, see below; here they are those of the survey without one.
+    monkeypatch.setattr(
+        "bumpymap.layers.folder.layer_metadata", lambda manifest, _: layer_metadata(manifest, Georeference(None))
+    )
+    with alike_surveys():
+        result = run("map", write_las(tmp_path / "site.las", **records), "--out", out, *options)
     assert result.exit_code == 0, result.output
     with rasterio.open(out / "heightmap.tif") as raster:
         assert CRS.from_wkt(raster.crs.to_wkt()) == COMPOUND
@@ -79,6 +89,26 @@ def test_layers_with_heights_carry_it_and_others_do_not(tmp_path, flat, records,
     assert pyogrio.read_info(out / "cost.fgb")["crs"] == "EPSG:32614"
     for name in ("roughness.tif", "class.tif", "cost.geojson"):
         assert (out / name).read_bytes() == (flat / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("wkt", "text"),
+    [
+        (COMPOUND.to_wkt("WKT1_GDAL"), "NAVD88 height (EPSG:5703); heights in metres"),
+        (CRS(32614).to_wkt("WKT1_GDAL"), "none given; heights as in the survey, in metres"),
+        (CRS("EPSG:2271+6360").to_wkt("WKT1_GDAL"), "NAVD88 height (ftUS) (EPSG:6360); heights in metres"),
+    ],
+)
+def test_every_layer_names_it_in_its_metadata(tmp_path, wkt, text):
+    out = tmp_path / "out"
+    result = run("map", write_las(tmp_path / "site.las", wkt), "--out", out)
+    assert result.exit_code == 0, result.output
+    for raster in out.glob("*.tif"):
+        with rasterio.open(raster) as file:
+            assert file.tags()["vertical_crs"] == text
+    assert pq.read_schema(out / "tiles.parquet").metadata[b"vertical_crs"].decode() == text
+    assert json.loads((out / "cost.geojson").read_text(encoding="utf-8"))["vertical_crs"] == text
+    assert pyogrio.read_info(out / "cost.fgb")["layer_metadata"]["vertical_crs"] == text
 
 
 def test_info_names_both_parts(tmp_path):
