@@ -337,6 +337,19 @@ def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z,
             assert CRS.from_wkt(file.crs.to_wkt()).to_2d().equals(crs.to_2d(), ignore_axis_order=True)
 
 
+ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs")
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, make_field, name):
+    path = tmp_path / f"{name}.tif"
+    WRITERS[name](make_field(8, 6, georeference=Georeference(ODD)), path)
+    with rasterio.open(path) as file:
+        assert "+proj=ob_tran" in file.crs.to_wkt()
+    if name in VALUES:
+        check_value_table(path, name, tmp_path / "seen.vrt")
+
+
 def test_survey_without_crs_makes_rasters_without_crs(tmp_path, make_field):
     for name, write in WRITERS.items():
         write(make_field(5, 5, georeference=Georeference(None)), tmp_path / f"{name}.tif")

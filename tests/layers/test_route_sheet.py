@@ -1,9 +1,12 @@
 """Folders that are refused: no complete run, damaged files, sheets that do not belong together."""
 
 import json
+import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import rasterio
 from pyproj import CRS
 from route_maps import VEHICLE, copy_folder, write_folder
 
@@ -51,6 +54,21 @@ def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
     old = copy_folder(small, tmp_path / "old", vehicle=None)
     with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again, with `overwrite=True`"):
         open_map([old])
+
+
+def test_classes_of_an_earlier_version_are_read(small, tmp_path):
+    """They had the reasons as a second band."""
+    folder = shutil.copytree(small, tmp_path / "copy")
+    (sheet,) = open_map([folder]).sheets
+    (wanted,) = sheet.read("class.tif", sheet.window)
+    with rasterio.open(folder / "class.tif") as file:
+        profile = file.profile | {"driver": "GTiff", "count": 2}
+    with rasterio.open(folder / "class.tif", "w", **profile) as file:
+        file.write(np.stack([wanted, np.zeros_like(wanted)]))
+    (folder / "reason.tif").unlink()
+    (sheet,) = open_map([folder]).sheets
+    (found,) = sheet.read("class.tif", sheet.window)
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_what_is_no_complete_run_is_refused(small, tmp_path):
