@@ -105,6 +105,9 @@ def write_cog(
                 _convert(str(waiting), str(temporary), spec)
                 waiting.unlink()
                 require_intact(temporary, painted)
+        side_file = temporary.with_name(f"{temporary.name}.aux.xml")
+        if side_file.exists():  # GDAL reports no error when the disk is full
+            ET.parse(side_file)  # noqa: S314 (GDAL has just written it; fails if it was cut short)
         for band in spec.bands:
             if band.categories:
                 write_value_table(temporary, band.categories, spec.colours, counts)
