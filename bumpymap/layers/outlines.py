@@ -73,8 +73,8 @@ def trace_labels(
         holes.append(len(shape["coordinates"]))
         rings += shape["coordinates"]
     # In one call: one call per ring takes three times as long.
-    points = np.array(list(itertools.chain.from_iterable(rings))).astype(np.int32)
-    points, sizes = _follow(points, np.array([len(ring) for ring in rings]), held)
+    turns = np.array(list(itertools.chain.from_iterable(rings))).astype(np.int64)
+    points, sizes = _follow(turns, np.array([len(ring) for ring in rings]), held)
     placed = np.array([window.col, window.row + window.rows - rows.start]) + points * np.array([1.0, -1.0])
     lines = shapely.linearrings(placed, indices=np.repeat(np.arange(len(rings)), sizes))
     traced = np.empty(len(wanted), dtype=object)
@@ -85,13 +85,13 @@ def trace_labels(
 
 
 def _follow(
-    points: NDArray[np.int32], sizes: NDArray[np.int64], corners: NDArray[np.bool_]
+    points: NDArray[np.int64], sizes: NDArray[np.int64], corners: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Follow closed rings along the sides of tiles and stop at each corner that is marked.
 
     Parameters
     ----------
-    points : int32 (n, 2)
+    points : int64 (n, 2)
         Column and line of the vertices of all rings.
     sizes : int64 (m,)
         How many are in each ring.
@@ -114,13 +114,10 @@ def _follow(
         np.where(upright, corners.size + at[:, 0] * lines + at[:, 1], at[:, 1] * columns + at[:, 0]).astype(np.int32)
         for at in (start, stop)
     )
-    forward = last > first
-    first, last = (
-        np.where(forward, np.searchsorted(marked, at), np.searchsorted(marked, at, "right") - 1) for at in (first, last)
-    )
+    first, last = (np.searchsorted(marked, at) for at in (first, last))
     count = np.abs(last - first)
     before = np.cumsum(count) - count
-    step = np.where(forward, 1, -1)
+    step = np.sign(last - first)
     found = marked[np.repeat(first - step * before, count) + np.repeat(step, count) * np.arange(count.sum())]
     upright = np.repeat(upright, count)
     found = found - corners.size * upright
