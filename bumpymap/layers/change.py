@@ -24,9 +24,9 @@ from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers._replacing import refuse_present, require_folder
 from bumpymap.layers.lonlat import BoundingBox
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
+from bumpymap.layers.outlines import trace_labels
 from bumpymap.layers.placement import Placement, RasterWindow, check_extent
 from bumpymap.layers.products import check_folder
-from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 

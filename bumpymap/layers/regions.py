@@ -3,22 +3,19 @@
 A region is either passable as a whole or not at all.
 """
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import rasterio.features
-import shapely
 from numpy.typing import NDArray
-from rasterio.transform import Affine
 
 from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers._label import add_up, label
+from bumpymap.layers.outlines import shared_corners, trace_labels
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
 
-__all__ = ["REGION_WINDOW", "Regions", "dissolve", "trace_labels"]
+__all__ = ["REGION_WINDOW", "Regions", "dissolve"]
 
 REGION_WINDOW = 2_048
 """Side of the windows at whose borders regions are cut, tiles: 6 km of 3 m tiles."""
@@ -32,6 +29,8 @@ _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 # _UNKNOWN + reason: no class.
 _IMPASSABLE = 10
 _UNKNOWN = 100
+_OTHER_WINDOW = 128
+"""Added to the keys of tiles outside a window, so that the cut is a border."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +38,11 @@ class Regions:
     """Regions of a map, one row each."""
 
     placement: Placement
+    number: NDArray[np.int64]
+    """(m,) number of the region in the map, from 1, without gaps."""
     outlines: NDArray[np.object_]
-    """(m,) polygons in grid coordinates: 1 is one tile, 0 the origin of the CRS."""
+    """(m,) polygons in grid coordinates: 1 is one tile, 0 the origin of the CRS. A corner of a region is a vertex of
+    all regions that it touches."""
     class_id: NDArray[np.uint8]
     """(m,) class; ``NO_CLASS`` where unknown."""
     reason: NDArray[np.uint8]
@@ -89,7 +91,8 @@ class Regions:
 def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:
     """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
-    Outlines run along tile sides; vertices are whole numbers of tiles. A large map is dissolved in windows of
+    Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
+    regions have the same vertices along their border. A large map is dissolved in windows of
     `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
     memory does not depend on the size of the map.
 
@@ -104,7 +107,7 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
     ------
     Regions
         Up to some thousand regions: windows north-west first, regions of a window in the order of their first tile,
-        northmost (then westmost) first.
+        northmost (then westmost) first. They are numbered in that order.
 
     Raises
     ------
@@ -112,13 +115,19 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
         The extent is too large for a raster.
     """
     place = placement or Placement.of(table)
+    found = 0
     for window in place.windows(REGION_WINDOW, aligned=False):
         if table.tiles.holds(window.tiles):
-            yield from _dissolve_window(table, place, window)
+            for regions in _dissolve_window(table, place, window, found):
+                found += len(regions.number)
+                yield regions
 
 
-def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -> Iterator[Regions]:
+def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, before: int) -> Iterator[Regions]:
+    """Yield the regions of a window; ``before`` are those of the windows before it."""
     keys = _region_keys(table, window)
+    corners = shared_corners(keys)
+    keys = np.ascontiguousarray(keys[1:-1, 1:-1])
     labels, first, last = label(keys)
     key = keys.ravel()[first]
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
@@ -131,9 +140,11 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -
         rows = slice(int(first[start]) // window.tiles.cols, int(last[some].max()) // window.tiles.cols + 1)
         c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
         free = passable[some]
+        numbers = range(start + 1, start + len(first[some]) + 1)
         yield Regions(
             placement=place,
-            outlines=trace_labels(labels, window.tiles, rows, range(start + 1, start + len(first[some]) + 1)),
+            number=np.arange(before + numbers.start, before + numbers.stop),
+            outlines=trace_labels(labels, window.tiles, rows, numbers, corners),
             class_id=class_id[some],
             reason=reason[some],
             tiles=tiles[some],
@@ -148,13 +159,17 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow) -
 
 
 def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
-    """Return the keys (rows, cols) of a window, north row first; 0 where there is no tile."""
-    keys = np.zeros((window.tiles.rows, window.tiles.cols), dtype=np.uint8)
-    for strip in table.tiles.strips(_STRIP, window.tiles):
+    """Return the keys (rows + 2, cols + 2) of a window and of the tiles around it, north row first; 0: no tile."""
+    inside = window.tiles
+    around = TileWindow(inside.col - 1, inside.row - 1, inside.cols + 2, inside.rows + 2)
+    keys = np.zeros((around.rows, around.cols), dtype=np.uint8)
+    for strip in table.tiles.strips(_STRIP, around):
         found = table.tiles.read(("class_id", "barred", "reason"), strip)
         known = found["class_id"] + 1 + np.where(found["barred"] == 0, 0, _IMPASSABLE)
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
-        keys[window.pixel_indices(found)] = key
+        keys[RasterWindow(around, window.line - 1, window.column - 1).pixel_indices(found)] = key
+    for edge in (keys[0], keys[-1], keys[1:-1, 0], keys[1:-1, -1]):
+        edge[edge > 0] += _OTHER_WINDOW
     return keys
 
 
@@ -171,38 +186,3 @@ def _sum_values(table: CostTable, window: RasterWindow, labels: NDArray[np.int32
             add_up(area, found[name], total)
         add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
     return totals
-
-
-def trace_labels(labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range) -> NDArray[np.object_]:
-    """Trace the outlines of 4-connected areas of tiles: right-hand rings, in grid coordinates (1 is one tile).
-
-    Parameters
-    ----------
-    labels : int32 (rows, cols)
-        Number of the area of each tile of the window, north row first.
-    window : TileWindow
-    rows : slice
-        Rows of the window in which the wanted areas lie.
-    wanted : range
-        Their numbers.
-
-    Returns
-    -------
-    array (len(wanted),) of polygons
-    """
-    part = labels[rows]
-    grid = Affine(1.0, 0.0, window.col, 0.0, -1.0, window.row + window.rows - rows.start)
-    mask = (part >= wanted.start) & (part < wanted.stop)
-    order, sizes, rings = [], [], []
-    for shape, number in rasterio.features.shapes(part, mask=mask, connectivity=4, transform=grid):
-        order.append(int(number) - wanted.start)
-        sizes.append(len(shape["coordinates"]))
-        rings += shape["coordinates"]
-    # In one call: one call per ring takes three times as long.
-    points = np.array(list(itertools.chain.from_iterable(rings)))
-    lines = shapely.linearrings(points, indices=np.repeat(np.arange(len(rings)), [len(ring) for ring in rings]))
-    traced = np.empty(len(wanted), dtype=object)
-    traced[order] = shapely.polygons(lines, indices=np.repeat(np.arange(len(sizes)), sizes))
-    # GEOS normalises exterior rings to clockwise order with a fixed first vertex; reversed, they follow RFC 7946.
-    outlines: NDArray[np.object_] = shapely.reverse(shapely.normalize(traced))
-    return outlines

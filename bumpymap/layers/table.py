@@ -31,11 +31,13 @@ __all__ = ["write_tiles"]
 
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
+_SIDES_OF_BOX = ("xmin", "ymin", "xmax", "ymax")
+_BOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES_OF_BOX])
 _NUMBERS = ("count", "reason", "z_min", "z_max", "relief", *(f"step_{side}" for side in SIDES))
 
 
 def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write tiles.parquet: GeoParquet 1.1, one row per tile.
+    """Write tiles.parquet: GeoParquet 1.1, one row per tile, with a bounding box column as covering of the geometry.
 
     Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
     first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
@@ -57,8 +59,10 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
             schema,
             compression="zstd",
             use_dictionary=["texture", "reason_text", "barred"],
-            # Measured 17 % smaller than the default encoding, and faster to compress.
-            column_encoding={"heights.list.element": "BYTE_STREAM_SPLIT"},
+            # Measured 17 % smaller than the default encoding, and faster to compress; for the boxes, a tenth of it.
+            column_encoding=dict.fromkeys(
+                ("heights.list.element", *(f"bbox.{side}" for side in _SIDES_OF_BOX)), "BYTE_STREAM_SPLIT"
+            ),
         ) as writer,
     ):
         for found in _groups(table.tiles):
@@ -91,6 +95,7 @@ def _schema(place: Placement, about: Mapping[str, str]) -> pa.Schema:
         _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
         _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
         _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
+        _field("bbox", _BOX, "bounds of the tile, in the survey's CRS", nullable=False),
         *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
         *(_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
         _field("barred", pa.string(), "why it is not passable"),
@@ -125,6 +130,7 @@ def _geo(place: Placement) -> dict[str, Any]:
         "orientation": "counterclockwise",
         "edges": "planar",
         "bbox": place.to_crs(corners).tolist(),
+        "covering": {"bbox": {side: ["bbox", side] for side in _SIDES_OF_BOX}},
     }
     return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
 
@@ -139,6 +145,7 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
         "col": col,
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
+        "bbox": pa.StructArray.from_arrays([west, south, east, north], fields=list(_BOX)),
         "texture": _texture(chance),
         "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
         "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],

@@ -30,11 +30,15 @@ _LOCAL = (
     "x and y are the survey's own coordinates, not longitude and latitude: its place on Earth is not "
     "known. This file is therefore not RFC 7946 GeoJSON"
 )
-_KINDS = {"class": pa.int32(), "tiles": pa.int64(), "passable": pa.bool_()}
+_NO_CRS = (
+    'ENGCRS["survey without a CRS",EDATUM["unknown"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],'
+    'LENGTHUNIT["unit of the survey",{}]]'
+)
+_KINDS = {"region": pa.int64(), "class": pa.int32(), "tiles": pa.int64(), "passable": pa.bool_()}
 _KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), pa.string())
 """Types of columns of cost.fgb; the others are float64."""
 _PROPERTIES = (
-    *("class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
+    *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
     *("p_fail", "hazard", "cost", "area_m2", "tiles"),
 )
 _GEOMETRY = "geometry"
@@ -68,10 +72,17 @@ class GeoJsonCoordinates:
 
     @property
     def members(self) -> dict[str, Any]:
-        """Members of the feature collection that declare local coordinates; none for longitude and latitude."""
+        """Members of the feature collection that declare local coordinates; none for longitude and latitude.
+
+        Without the member ``crs`` of GeoJSON before RFC 7946, GDAL takes every GeoJSON file for WGS 84, one whose
+        ``crs`` is null too, and QGIS shows a survey off the coast of Africa, at 0, 0.
+        """
         if self.to_degrees is not None:
             return {}
-        return {"local_coordinates": _LOCAL, "metres_per_unit": self.placement.georeference.metres_per_unit}
+        crs, scale = self.placement.horizontal_crs, self.placement.georeference.metres_per_unit
+        name = _NO_CRS.format(scale) if crs is None else crs.to_wkt()
+        declared = {"crs": {"type": "name", "properties": {"name": name}}}
+        return {"local_coordinates": _LOCAL, "metres_per_unit": scale, **declared}
 
     def polygons(self, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
         """Convert polygons (m,) in grid coordinates (1 = one tile) to these; own coordinates are rounded to 1 mm."""
@@ -126,7 +137,8 @@ def geojson_writer(
             box.add(outlines)
             for number, geometry in enumerate(_geometries(outlines)):
                 properties = {name: values[number] for name, values in columns.items()}
-                file.write(separator + encode({"type": "Feature", "properties": properties, "geometry": geometry}))
+                head = {"type": "Feature", "id": properties["region"], "properties": properties}
+                file.write(separator + encode({**head, "geometry": geometry}))
                 separator = ",\n"
 
         yield add
@@ -236,6 +248,7 @@ def _columns(regions: Regions) -> dict[str, list[Any]]:
     """Return the properties of the regions as Python values; None becomes null."""
     known = regions.class_id != NO_CLASS
     return {
+        "region": regions.number.tolist(),
         "class": [int(value) if is_known else None for value, is_known in zip(regions.class_id, known, strict=True)],
         "class_name": list(regions.class_name),
         "reason": [None if is_known else text for text, is_known in zip(regions.reason_text, known, strict=True)],

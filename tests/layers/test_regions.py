@@ -3,6 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import shapely
+from coverages import check_coverage, holes_of_tiles
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
@@ -151,8 +152,24 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
         part = dissolve(CostTable.of(only(cost_map, chosen)))
         expected += list(part)
     assert len(expected) == 6
-    for name, values in joined(expected).items():
+    expected = joined(expected)
+    # A region has vertices at the corners of those beyond the cut, which a map of its window alone does not know.
+    own, alone = (shapely.from_wkt(columns.pop("outlines")) for columns in (found, expected))
+    assert shapely.equals(own, alone).all()
+    assert (shapely.get_num_coordinates(own) >= shapely.get_num_coordinates(alone)).all()
+    check_coverage(own, holes_of_tiles(patches.col, patches.row))
+    for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values)
+
+
+def test_regions_are_numbered_in_their_order(make_field, monkeypatch):
+    table = CostTable.of(make_field(45, 30))
+    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
+    monkeypatch.setattr("bumpymap.layers.regions.BATCH", 7)
+    batches = list(dissolve(table))
+    numbers = np.concatenate([batch.number for batch in batches])
+    assert len(batches) > 6
+    assert numbers.tolist() == list(range(1, sum(len(batch.tiles) for batch in batches) + 1))
 
 
 def only(cost_map, chosen):

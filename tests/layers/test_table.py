@@ -3,9 +3,11 @@ import json
 import geopandas
 import numpy as np
 import pyarrow as pa
+import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 import pytest
 import shapely
+from geopandas.testing import assert_geodataframe_equal
 from pyproj import CRS
 
 from bumpymap.core.types import (
@@ -23,7 +25,7 @@ from bumpymap.layers import write_tiles
 from bumpytiles import Grid, TileTable
 
 COLUMNS = [
-    "col", "row", "geometry", *(band.name for band in BANDS),
+    "col", "row", "geometry", "bbox", *(band.name for band in BANDS),
     *(f"step_{side}" for side in SIDES), "barred", "count", "z_min", "z_max", "relief", "texture",
     *(f"p_{texture}" for texture in TEXTURES), "class", "reason", "reason_text", "heights",
 ]  # fmt: skip
@@ -113,6 +115,37 @@ def test_geo_metadata(written, cost_map):
     assert column["crs"]["type"] == "ProjectedCRS"
     shapes = shapely.from_wkb(pq.read_table(written)["geometry"].to_numpy())
     assert column["bbox"] == shapely.total_bounds(shapes).tolist()
+
+
+def test_boxes_are_the_bounds_of_the_tiles(written):
+    table = pq.read_table(written)
+    bounds = shapely.bounds(shapely.from_wkb(table["geometry"].to_numpy()))
+    boxes = table["bbox"].combine_chunks().flatten()
+    for number, (side, values) in enumerate(zip(("xmin", "ymin", "xmax", "ymax"), boxes, strict=True)):
+        assert table.schema.field("bbox").type[number] == pa.field(side, pa.float64(), nullable=False)
+        np.testing.assert_array_equal(values, bounds[:, number])
+    column = json.loads(table.schema.metadata[b"geo"])["columns"]["geometry"]
+    assert column["covering"] == {"bbox": {side: ["bbox", side] for side in ("xmin", "ymin", "xmax", "ymax")}}
+
+
+def test_a_reader_with_a_box_skips_row_groups(tmp_path, make_field):
+    path = tmp_path / "t.parquet"
+    write_tiles(CostTable.of(make_field(400, 200, grid=Grid(3.0, 2))), path)
+    whole = geopandas.read_parquet(path)
+    west, south, _, _ = whole.total_bounds
+    box = (west + 100.5, south + 50.5, west + 130.5, south + 80.5)
+    found = geopandas.read_parquet(path, bbox=box)
+    assert len(found) > 50
+    inside = whole[whole.intersects(shapely.box(*box))]
+    assert_geodataframe_equal(found.reset_index(drop=True), inside.reset_index(drop=True))
+    low, high = (pads.field("bbox", "xmin") <= box[2]), (pads.field("bbox", "xmax") >= box[0])
+    meets = low & high & (pads.field("bbox", "ymin") <= box[3]) & (pads.field("bbox", "ymax") >= box[1])
+    (fragment,) = pads.dataset(path).get_fragments()
+    stored = pq.ParquetFile(path).metadata
+    ends = np.cumsum([stored.row_group(number).num_rows for number in range(stored.num_row_groups)])
+    needed = np.unique(np.searchsorted(ends, inside.index, side="right")).tolist()
+    assert len(needed) < len(ends) == 5
+    assert [part.row_groups[0].id for part in fragment.split_by_row_group(meets)] == needed
 
 
 def test_feet_and_no_crs(tmp_path, make_field):

@@ -4,7 +4,9 @@ import geopandas
 import numpy as np
 import pytest
 import shapely
+from coverages import check_coverage, holes_of_tiles
 from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
@@ -99,6 +101,9 @@ def test_geojson_holds_the_standard_and_the_place(tmp_path, site):
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
     assert collection["vehicle"] == "warthog"
     assert len(collection["features"]) == len(regions.tiles)
+    numbers = list(range(1, len(regions.tiles) + 1))
+    assert [feature["id"] for feature in collection["features"]] == numbers
+    assert [feature["properties"]["region"] for feature in collection["features"]] == numbers
     found = back_to_tiles(site, [shapely.geometry.shape(feature["geometry"]) for feature in collection["features"]])
     assert (shapely.hausdorff_distance(found, regions.outlines) * 3.0 < 0.02).all()  # m
     areas = [feature["properties"]["area_m2"] for feature in collection["features"]]
@@ -109,7 +114,7 @@ def test_properties(tmp_path, cost_map):
     regions = regions_of(cost_map)
     write_geojson(regions, tmp_path / "cost.geojson", local=False)
     collection = check_rfc7946((tmp_path / "cost.geojson").read_text())
-    names = ["class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"]
+    names = ["region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"]
     names += ["p_fail", "hazard", "cost", "area_m2", "tiles"]
     rule, seen = cost_map.rule, set()
     for feature in collection["features"]:
@@ -147,19 +152,34 @@ def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path,
     assert flat.geometry.geom_type.unique().tolist() == ["Polygon"]
     unit = site.georeference.metres_per_unit
     assert flat.area.sum() * unit**2 == pytest.approx(9.0 * len(site.class_id), rel=1e-9)
-    # FlatGeobuf stores features along a Hilbert curve: bring both into one order.
-    order = np.lexsort(np.round(flat.bounds[["minx", "maxy", "miny", "maxx"]].to_numpy() * unit).T)
-    boxes = shapely.bounds(regions.outlines)[:, [0, 3, 1, 2]] * 3.0
-    other = np.lexsort(np.round(boxes).T)
+    assert len(globe) == len(regions.tiles)
+    flat = flat.sort_values("region")  # FlatGeobuf stores features along a Hilbert curve
+    boxes = flat.bounds[["minx", "miny", "maxx", "maxy"]].to_numpy() * unit
+    np.testing.assert_allclose(boxes, shapely.bounds(regions.outlines) * 3.0, rtol=1e-12)
     columns = [name for name in globe.columns if name != "geometry"]
     geopandas.pd.testing.assert_frame_equal(
-        flat.iloc[order][columns].reset_index(drop=True),
-        globe.iloc[other][columns].reset_index(drop=True),
+        flat[columns].reset_index(drop=True),
+        globe[columns].reset_index(drop=True),
         check_dtype=False,
     )
     assert globe["passable"].dtype == flat["passable"].dtype == bool
     assert (globe["class"].isna() == (globe["class_name"] == "unknown")).all()
     assert (globe["cost"].notna() == globe["passable"]).all()
+    for outlines in (globe.geometry.to_numpy(), flat.geometry.to_numpy()):
+        check_coverage(outlines, holes_of_tiles(site.patches.col, site.patches.row))
+
+
+def test_a_gis_numbers_the_features_as_the_files_do(tmp_path, cost_map):
+    regions = regions_of(cost_map)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    globe, flat = (
+        geopandas.read_file(tmp_path / name, fid_as_index=True, engine="pyogrio")
+        for name in ("cost.geojson", "cost.fgb")
+    )
+    assert globe.index.tolist() == globe["region"].tolist() == list(range(1, len(regions.tiles) + 1))
+    assert flat.index.tolist() == list(range(len(regions.tiles)))
+    assert sorted(flat["region"]) == globe["region"].tolist()
 
 
 def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
@@ -214,6 +234,12 @@ def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     flat = geopandas.read_file(tmp_path / "cost.fgb")
     assert flat.crs is None
     assert flat.area.sum() == 9.0 * len(cost_map.class_id)
+    globe = geopandas.read_file(path)
+    assert (globe.crs.type_name, globe.crs.name) == ("Engineering CRS", "survey without a CRS")
+    assert globe.crs.axis_info[0].unit_conversion_factor == 1.0
+    with pytest.raises(ProjError):
+        globe.to_crs(4326)
+    assert globe.total_bounds.tolist() == flat.total_bounds.tolist()
 
 
 def test_crs_without_a_place_on_earth(tmp_path, make_field):
@@ -224,6 +250,15 @@ def test_crs_without_a_place_on_earth(tmp_path, make_field):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
     write_geojson(regions, tmp_path / "cost.geojson", local=True)
     assert "local_coordinates" in json.loads((tmp_path / "cost.geojson").read_text())
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    assert [geopandas.read_file(tmp_path / name).crs.name for name in ("cost.geojson", "cost.fgb")] == ["mine grid"] * 2
+
+
+def test_local_coordinates_in_feet_say_so(tmp_path, make_field):
+    regions = regions_of(make_field(5, 5, georeference=Georeference(None, US_FOOT, US_FOOT)))
+    write_geojson(regions, tmp_path / "cost.geojson", local=True)
+    crs = geopandas.read_file(tmp_path / "cost.geojson").crs
+    assert crs.axis_info[0].unit_conversion_factor == pytest.approx(US_FOOT, rel=1e-12)
 
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):

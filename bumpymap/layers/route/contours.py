@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, atomic
 from bumpymap.layers._label import label
 from bumpymap.layers.lonlat import BoundingBox
-from bumpymap.layers.regions import trace_labels
+from bumpymap.layers.outlines import trace_labels
 from bumpymap.layers.route.reach_raster import ReachField
 from bumpymap.layers.vector import GeoJsonCoordinates
 

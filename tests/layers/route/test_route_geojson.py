@@ -33,7 +33,7 @@ def written(routes, path):
     text = path.read_text(encoding="utf-8")
     collection = json.loads(text, parse_constant=no_such_number)
     assert collection["type"] == "FeatureCollection"
-    assert "crs" not in collection  # RFC 7946, 4
+    assert ("crs" in collection) == ("local_coordinates" in collection)  # RFC 7946, 4, knows no other than WGS 84
     return collection
 
 

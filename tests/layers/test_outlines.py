@@ -1,0 +1,176 @@
+"""Outlines of adjacent areas have the same vertices along their borders."""
+
+from pathlib import Path
+
+import geopandas
+import numpy as np
+import pytest
+import shapely
+from coverages import check_coverage, holes_of_tiles
+from hypothesis import example, given, settings, strategies as st
+from hypothesis.extra.numpy import arrays
+from pyproj import CRS, Transformer
+
+import bumpymap
+from bumpymap.core.types import CostTable, Georeference
+from bumpymap.layers import GeoJsonCoordinates, Placement, dissolve, label
+from bumpymap.layers.outlines import insert_vertices, shared_corners, trace_labels
+from bumpytiles import Grid, TileWindow
+
+SURVEYS = Path(__file__).resolve().parents[3] / "shared/data/surveys"
+US_FOOT = 1200 / 3937
+SITES = {
+    # name: (georeference, west tile, south tile)
+    "mexico": (Georeference(CRS.from_epsg(32614)), 110_000, 680_000),
+    "feet": (Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT), 130_000, 60_000),
+    "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
+    "no_crs": (Georeference(None), -7, -5),
+}
+KEYS = arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, 3))
+CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1
+DIAGONALS = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2], [0, 2, 0]], np.uint8)
+RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
+BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
+
+
+def turns_or_meets(four):
+    """Whether the corner between four tiles ((nw, ne), (sw, se)) is more than a point of a straight border."""
+    (nw, ne), (sw, se) = four
+    borders = (nw != ne, ne != se, sw != se, nw != sw)  # north, east, south, west of the corner
+    return any(borders) and borders not in {(True, False, True, False), (False, True, False, True)}
+
+
+@settings(max_examples=100, deadline=None)
+@given(keys=KEYS)
+@example(keys=CHECKERS)
+@example(keys=DIAGONALS)
+def test_shared_corners_are_those_at_which_borders_turn_or_meet(keys):
+    around = np.pad(keys, 1)
+    expected = [[turns_or_meets(around[i : i + 2, j : j + 2]) for j in range(keys.shape[1] + 1)]
+                for i in range(keys.shape[0] + 1)]  # fmt: skip
+    assert shared_corners(around).tolist() == expected
+
+
+@settings(max_examples=100, deadline=None)
+@given(keys=KEYS.filter(np.any))
+@example(keys=CHECKERS)
+@example(keys=DIAGONALS)
+@example(keys=RING_BY_CORNERS)
+@example(keys=BESIDE_A_LONG_SIDE)
+def test_outlines_of_areas_are_a_coverage_with_no_vertex_too_many(keys):
+    rows, cols = keys.shape
+    labels, first, _ = label(keys)
+    outlines = trace_labels(labels, TileWindow(-3, 5, cols, rows), slice(0, rows), range(1, len(first) + 1))
+    line, col = np.nonzero(keys)
+    check_coverage(outlines, holes_of_tiles(col, -line))
+    np.testing.assert_array_equal(shapely.area(outlines), np.bincount(labels[labels > 0])[1:])
+    marked = {(int(x) - 3, 5 + rows - int(y)) for y, x in np.argwhere(shared_corners(np.pad(keys, 1)))}
+    assert {(int(x), int(y)) for x, y in shapely.get_coordinates(outlines)} == marked
+
+
+@settings(max_examples=60, deadline=None)
+@given(keys=KEYS)
+@example(keys=CHECKERS)
+def test_some_of_the_areas_have_the_outlines_that_they_have_among_all(keys):
+    rows, cols = keys.shape
+    labels, first, last = label(keys)
+    window, corners = TileWindow(0, 0, cols, rows), shared_corners(np.pad(keys, 1))
+    for number in range(1, len(first) + 1):
+        part = slice(int(first[number - 1]) // cols, int(last[number - 1]) // cols + 1)
+        (alone,) = trace_labels(labels, window, part, range(number, number + 1), corners)
+        among = trace_labels(labels, window, slice(0, rows), range(1, len(first) + 1))[number - 1]
+        assert shapely.to_wkt(alone) == shapely.to_wkt(among)
+
+
+def test_vertices_are_inserted_into_every_ring():
+    square, hole = shapely.box(0, 0, 9, 9), shapely.box(2, 2, 5, 4)
+    shapes = np.array([square - hole, shapely.box(20, 0, 21, 4), shapely.box(0, 20, 50, 21)])
+
+    def middles(start, stop):
+        long = np.abs(stop - start).sum(axis=1) > 3
+        return long.astype(int) * 2, np.repeat((start[long] + stop[long]) / 2, 2, axis=0)
+
+    dense = insert_vertices(shapes, middles)
+    assert shapely.equals(dense, shapes).all()
+    assert (shapely.get_num_coordinates(dense) - shapely.get_num_coordinates(shapes)).tolist() == [8, 4, 4]
+    assert insert_vertices(shapes, lambda start, _: (np.zeros(len(start), int), np.empty((0, 2)))) is shapes
+
+
+def map_of_keys(make_map, keys, site="mexico", stretch=1, shift=(0, 0), **options):
+    """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
+    georeference, west, south = SITES[site] if isinstance(site, str) else site
+    wide = np.repeat(keys, stretch, axis=1)
+    line, col = np.nonzero(wide)
+    place = (col + west + shift[0], south + shift[1] - line)
+    return make_map(*place, wide[line, col] - 1, np.zeros(len(col)), georeference=georeference, easy=True, **options)
+
+
+def vectors_of(cost_map):
+    """Outlines of all regions in both files: in the survey's CRS, and in those of cost.geojson."""
+    table = CostTable.of(cost_map)
+    place = GeoJsonCoordinates.of(Placement.of(table), local=True)
+    outlines = np.concatenate([regions.outlines for regions in dissolve(table)])
+    return shapely.transform(outlines, place.placement.to_crs), place.polygons(outlines)
+
+
+@pytest.mark.parametrize("site", SITES)
+@settings(max_examples=25, deadline=None)
+@given(keys=KEYS.filter(np.any), stretch=st.sampled_from([1, 20, 45]), shift=st.tuples(*[st.integers(0, 40)] * 2))
+@example(keys=CHECKERS, stretch=1, shift=(0, 0))
+@example(keys=BESIDE_A_LONG_SIDE, stretch=45, shift=(17, 3))
+def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, stretch, shift):
+    made = map_of_keys(make_map, keys, site, stretch, shift, grid=Grid(3.0, 1))
+    for outlines in vectors_of(made):
+        check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5])
+@settings(max_examples=20, deadline=None)
+@given(keys=KEYS.filter(np.any))
+@example(keys=np.ones((7, 8), np.uint8))
+@example(keys=BESIDE_A_LONG_SIDE)
+def test_regions_cut_at_windows_are_a_coverage_too(make_map, size, keys):
+    made = map_of_keys(make_map, keys, grid=Grid(3.0, 1))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bumpymap.layers.regions.REGION_WINDOW", size)
+        for outlines in vectors_of(made):
+            check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
+
+
+def at_antimeridian(latitude, east):
+    """Georeference and a tile at 180 degrees; UTM zone 1 south, or 60 if it is to be to the west of its zone."""
+    code = 32760 if east else 32701
+    x, y = Transformer.from_crs(4326, code, always_xy=True).transform(180.0, latitude)
+    return Georeference(CRS.from_epsg(code)), int(x // 3), int(y // 3)
+
+
+@pytest.mark.parametrize("place", [(-17.0, False), (-17.0, True), (-77.0, True), (-0.01, False)])
+@settings(max_examples=30, deadline=None)
+@given(keys=KEYS.filter(np.any), stretch=st.sampled_from([1, 3, 45]), shift=st.tuples(*[st.integers(-9, 5)] * 2))
+@example(keys=CHECKERS, stretch=1, shift=(-4, 0))
+@example(keys=BESIDE_A_LONG_SIDE, stretch=45, shift=(-80, 0))
+def test_both_sides_of_the_antimeridian_are_a_coverage(make_map, place, keys, stretch, shift):
+    made = map_of_keys(make_map, keys, at_antimeridian(*place), stretch, shift, grid=Grid(3.0, 1))
+    _, degrees = vectors_of(made)
+    assert shapely.is_valid(degrees).all()
+    parts = shapely.get_parts(degrees)
+    assert set(shapely.get_type_id(parts)) == {shapely.GeometryType.POLYGON}
+    bounds = shapely.bounds(parts)
+    assert (bounds[:, 2] - bounds[:, 0] < 1.0).all()
+    for side in (bounds[:, 0] > 0, bounds[:, 0] < 0):
+        if side.any():
+            check_coverage(parts[side])
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.parametrize(("survey", "crs"), [("godie_espacio.laz", "EPSG:32614"), ("bcts_adjoining", None)])
+def test_vectors_of_real_surveys_are_coverages_with_the_holes_of_the_tiles(survey, crs, tmp_path):
+    if not (SURVEYS / survey).exists():
+        pytest.skip(f"needs {SURVEYS / survey}")
+    layers = bumpymap.map_survey(SURVEYS / survey, out=tmp_path / "out", crs=crs)
+    tiles, flat = layers.tiles(), layers.regions()
+    globe = geopandas.read_file(layers.folder / "cost.geojson")
+    assert sorted(flat["region"]) == globe["region"].tolist()
+    for regions in (flat, globe):
+        check_coverage(regions.geometry.to_numpy(), holes_of_tiles(tiles["col"].to_numpy(), tiles["row"].to_numpy()))
