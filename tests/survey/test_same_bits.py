@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow
@@ -51,7 +51,7 @@ def mapped(files, out, *options):
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*PRODUCT_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
+        [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
     )
     content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
     run = json.loads((out / "run.json").read_text())
