@@ -52,7 +52,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers, at least class.tif. The project lists those that are there.
+        The folder of the layers. The project lists those that are there.
     record : mapping
         The record of the run, as in run.json.
 
@@ -72,9 +72,11 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     if crs is not None:
         add(root, "projectCrs").append(reference(crs))
     root.append(tree(group for group in groups if group.layers))
-    root.append(canvas(_bounds(folder / "class.tif"), crs))
+    present = [layer for group in groups for layer in group.layers]
+    for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
+        root.append(canvas(_bounds(folder / layer.file), crs))
     layers = add(root, "projectlayers")
-    for layer in (layer for group in groups for layer in group.layers):
+    for layer in present:
         layers.append(layer_element(layer, layer_style(layer.file, facts, layer.blend, layered=True), crs))
     properties = add(root, "properties")
     add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")

@@ -142,7 +142,7 @@ def describe_project(path, picture):
 
 
 def main(folder, report, pictures=None):
-    application = QgsApplication([], True)  # noqa: FBT003 (with widgets, for the canvas)
+    application = QgsApplication([], True)
     application.initQgis()
     if pictures:
         pictures.mkdir(exist_ok=True)
