@@ -57,8 +57,8 @@ class StyleFacts:
         """(4,) what a legend says for each class: its name and, where it decides, its interval of c_r."""
         if self.intervals is None or not self.by_c_r:
             return CLASS_NAMES
-        named = [f"{name} (c_r {text})" for name, text in zip(CLASS_NAMES, self.intervals, strict=True)]
-        return (*named[:-1], named[-1].replace(")", ", or drives fail)"))
+        named = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, self.intervals, strict=True)]
+        return (*named[:-1], f"{named[-1]}, or drives fail")
 
     @property
     def ride_labels(self) -> tuple[str, ...]:
@@ -71,7 +71,7 @@ class StyleFacts:
 def _intervals(limits: list[float]) -> tuple[str, ...]:
     texts = [f"{limit:.3g}" for limit in limits]
     between = [f"{low} to {high} rad/m" for low, high in pairwise(["0", *texts])]
-    return (*between, f"{texts[-1]} rad/m and more")
+    return (*between, f"from {texts[-1]} rad/m")
 
 
 def _compat(record: Mapping[str, Any]) -> object:

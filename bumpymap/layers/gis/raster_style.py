@@ -40,7 +40,7 @@ class RasterStyle:
 def paletted(
     names: Iterable[tuple[int, str]], colours: Mapping[int, Colour], *, clear: Sequence[int] = ()
 ) -> RasterStyle:
-    """Return the style of a band of codes.
+    """Return the style of a band of codes; what is transparent has no entry, as a legend would show it in black.
 
     Parameters
     ----------
@@ -49,14 +49,13 @@ def paletted(
     colours : mapping
         The colour of each code.
     clear : sequence of int
-        Codes that are drawn transparent, whatever their colour.
+        Codes that are left transparent, whatever their colour.
     """
     renderer = _renderer("paletted", 1)
     palette = add(renderer, "colorPalette")
     for value, label in names:
-        colour = colours[value]
-        alpha = 0 if value in clear else colour[3]
-        add(palette, "paletteEntry", _entry(value, label, (*colour[:3], alpha)))
+        if value not in clear and colours[value][3]:
+            add(palette, "paletteEntry", _entry(value, label, colours[value]))
     return RasterStyle(renderer)
 
 

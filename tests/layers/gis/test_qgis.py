@@ -71,7 +71,7 @@ def test_colours_and_names_are_those_of_the_table(seen):
     layers = seen["layers"]
     legend = layers["class.tif"]["legend"]
     assert [colour for _, colour, _ in legend] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
-    assert [label.split(" (")[0] for label, _, _ in legend] == list(CLASS_NAMES)
+    assert [label.split(": ")[0] for label, _, _ in legend] == list(CLASS_NAMES)
     assert layers["class.tif"]["values"] == [0, 1, 2, 3]
     assert [label for label, _, _ in layers["cost.fgb"]["legend"]] == [
         *(label for label, _, _ in legend),

@@ -23,7 +23,7 @@ from bumpymap.layers import (
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
-INTERVALS = ("0 to 0.1 rad/m", "0.1 to 0.2 rad/m", "0.2 to 0.4 rad/m", "0.4 rad/m and more")
+INTERVALS = ("0 to 0.1 rad/m", "0.1 to 0.2 rad/m", "0.2 to 0.4 rad/m", "from 0.4 rad/m")
 GIS_FILES = tuple(name for name in VIEW_NAMES if name.endswith((".qml", ".qgs")))
 
 
@@ -54,7 +54,8 @@ def palette(style):
 
 
 def expected(names, colours):
-    return {value: (name, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3]) for value, name in names}
+    visible = ((value, name) for value, name in names if colours[value][3])
+    return {value: (name, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3]) for value, name in visible}
 
 
 def styled(folder, **record):
@@ -67,10 +68,10 @@ def test_a_map_has_all_styles_and_a_project(folder):
     assert {path.name for path in (*folder.glob("*.qml"), *folder.glob("*.qgs"))} == set(GIS_FILES)
 
 
-def test_every_value_has_the_colour_of_the_table_and_its_name(alone):
+def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
-    classes = [f"{name} (c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
-    labels = [*(f"{text})" for text in classes[:3]), f"{classes[3]}, or drives fail)"]
+    labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
+    labels[3] += ", or drives fail"
     assert palette(styles["class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
     assert palette(styles["reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
     assert palette(styles["barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)
@@ -124,7 +125,7 @@ def test_without_limits_the_ride_cost_of_the_map_sets_the_scale(tmp_path, cost_m
 def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
     styles = styled(alone, settings=settings)
     assert [label for label, _, _ in palette(styles["class.qml"]).values()] == list(CLASS_NAMES)
-    assert "0.4 rad/m and more (very rough)" in {item.get("label") for item in styles["roughness.qml"].iter("item")}
+    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["roughness.qml"].iter("item")}
 
 
 def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
@@ -168,8 +169,8 @@ def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     assert order.index("./class.tif") < order.index("./heightmap.tif")
     assert layers["./class.tif"].find("blendMode").text == "6"
     assert layers["./heightmap.tif"].find("blendMode").text == "0"
-    passable = palette(layers["./barred.tif"])[0]
-    assert passable[2] == 0  # what bars tiles is drawn over the classes, and the others stay clear
+    bars = palette(layers["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
+    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
 
 
 def test_a_project_has_the_crs_of_the_survey_and_shows_all_of_it(folder, cost_map):
@@ -212,7 +213,7 @@ def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
     assert root.find("title").text == "Pit \ufffd <7> \ufffd &: ride cost"
     assert "warthog" in root.find("projectMetadata/abstract").text
     assert "c0ffee" in root.find("projectMetadata/abstract").text
-    assert "smooth (c_r 0 to 0.1 rad/m)" in root.find("projectMetadata/abstract").text
+    assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
     assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
 
 
