@@ -33,7 +33,7 @@ RUN = {
 def seen_by_qgis(folder, cost_map, *, local=False):
     """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
     write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN)
-    tiles = geopandas.read_parquet(folder / "tiles.parquet").drop(columns="heights")
+    tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
     report = folder.parent / f"{folder.name}.json"
     command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
