@@ -1,4 +1,5 @@
 import os
+import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -29,17 +30,30 @@ def _why_without_open3d():
     return None
 
 
+@cache
+def _why_without_qgis():
+    """QGIS has a Python of its own: that of the system."""
+    command = ["/usr/bin/python3", "-c", "import qgis.core, qgis.gui"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"QGIS is missing: {error}"
+    return f"QGIS is missing: {done.stderr.strip().splitlines()[-1]}" if done.returncode else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that need real data or open3d as slow too."""
+    """Mark tests that need real data, open3d or QGIS as slow too."""
     for item in items:
-        if item.get_closest_marker("realdata") or item.get_closest_marker("open3d"):
+        if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis"))):
             item.add_marker(pytest.mark.slow)
 
 
 def pytest_runtest_setup(item):
-    """Skip a test that is marked with ``open3d`` where it cannot be loaded, and say why."""
+    """Skip a test that is marked with ``open3d`` or ``qgis`` where it cannot be loaded, and say why."""
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):
+        pytest.skip(reason)
+    if item.get_closest_marker("qgis") and (reason := _why_without_qgis()):
         pytest.skip(reason)
 
 

@@ -39,7 +39,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         print_line(steps)
     if result.skipped:
         print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
-    print_line(f"Layers in {config.out}: {', '.join(path.name for path in result.files)}")
+    names = [path.name for path in result.files if path.suffix != ".qml"]  # a style belongs to a layer
+    print_line(f"Layers in {config.out}: {', '.join(names)}")
 
 
 def _passable_line(summary: MapSummary) -> str:

@@ -50,4 +50,4 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
         return
     print_line(f"Mapped {survey}")
     show(result, config, as_json=False)
-    print_line(f"Open {config.out / 'class.tif'} or {config.out / 'cost.geojson'} in QGIS or any other GIS.")
+    print_line(f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS.")

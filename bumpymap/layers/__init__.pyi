@@ -55,6 +55,12 @@ from .geotiff import (
     write_reasons as write_reasons,
     write_roughness as write_roughness,
 )
+from .gis.project import (
+    write_project as write_project,
+)
+from .gis.styles import (
+    write_styles as write_styles,
+)
 from .manifest import (
     MANIFEST_NAME as MANIFEST_NAME,
     complete_manifest as complete_manifest,

@@ -2,7 +2,14 @@
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, Barred, Reason
 
-__all__ = ["BARRED_COLOURS", "CLASS_COLOURS", "OBJECT_COLOURS", "REASON_COLOURS", "UNKNOWN_OBJECT"]
+__all__ = [
+    "BARRED_COLOURS",
+    "CLASS_COLOURS",
+    "COST_COLOURS",
+    "OBJECT_COLOURS",
+    "REASON_COLOURS",
+    "UNKNOWN_OBJECT",
+]
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (44, 123, 182, 255),
@@ -41,3 +48,12 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class pale green, places without points transparent."""
+COST_COLOURS: dict[float, tuple[int, int, int, int]] = {
+    1.0: (252, 253, 191, 255),
+    1.5: (254, 211, 149, 255),
+    2.0: (254, 159, 109, 255),
+    4.0: (222, 73, 104, 255),
+    8.0: (140, 41, 129, 255),
+    16.0: (59, 15, 112, 255),
+}
+"""Red, green, blue, alpha of costs (factor on distance), from pale (as good as level road) to dark."""

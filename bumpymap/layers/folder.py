@@ -19,6 +19,7 @@ from bumpymap.layers.geotiff import (
     write_reasons,
     write_roughness,
 )
+from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
@@ -31,7 +32,7 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 __all__ = ["write_products"]
 
 _log = logging.getLogger(__name__)
-_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = ()
+_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project)
 """Write the files of ``VIEW_NAMES`` to a folder, from the layers in it and the record of its run."""
 
 

@@ -27,7 +27,10 @@ PRODUCT_NAMES: tuple[str, ...] = (
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""
-VIEW_NAMES: tuple[str, ...] = ()
+VIEW_NAMES: tuple[str, ...] = (
+    *(f"{Path(name).stem}.qml" for name in PRODUCT_NAMES if name.endswith((".tif", ".parquet"))),
+    "map.qgs",
+)
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
 """Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""

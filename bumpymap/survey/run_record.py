@@ -79,7 +79,8 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         lines = FlightLines.from_record(record["flight_lines"])
     now = {**run_spec, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
-    files = tuple(config.out / name for name in (*PRODUCT_NAMES, *VIEW_NAMES))
+    views = [name for name in VIEW_NAMES if (config.out / name).exists()]  # they may be deleted, or rewritten
+    files = tuple(config.out / name for name in (*PRODUCT_NAMES, *views))
     return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, already_done=True)
 
 

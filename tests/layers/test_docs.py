@@ -1,26 +1,23 @@
-"""The pages about files and styles: snippets run, tables and styles say what the code does."""
+"""The pages about files: snippets run, tables say what the code does."""
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import pytest
 
 from bumpymap.core.types import BANDS, BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Reason
 from bumpymap.layers import (
-    BARRED_COLOURS,
     CLASS_COLOURS,
     MAX_PIXELS,
     MAX_TILES,
-    OBJECT_COLOURS,
     PRODUCT_NAMES,
+    VIEW_NAMES,
     write_products,
 )
 
 pytestmark = pytest.mark.slow
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "pages"
-STYLES = PAGES / "styles"
 WITH_PYTHON = ("files.md", "gis.md")
 
 
@@ -74,41 +71,9 @@ def test_tables_say_what_the_code_writes(page):
     assert f"{MAX_PIXELS:,} heightmap pixels" in page
 
 
-def read_style(name):
-    return ET.parse(STYLES / name).getroot()  # noqa: S314 (our own file)
-
-
-def entries(style):
-    found = read_style(style).iter("paletteEntry")
-    return {
-        int(entry.get("value")): (entry.get("label"), entry.get("color"), int(entry.get("alpha"))) for entry in found
-    }
-
-
-def test_styles_have_the_colours_and_names_of_the_classes():
-    colours = {value: "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[value]) for value in range(4)}
-    assert entries("class.qml") == {value: (CLASS_NAMES[value], colours[value], 255) for value in range(4)}
-    assert {value: label for value, (label, _, _) in entries("reason.qml").items()} == {
-        reason.value: text for reason, text in REASON_TEXT.items()
-    }
-    for name, names, colours in (
-        ("barred.qml", tuple(BARRED_TEXT.values()), BARRED_COLOURS),
-        ("obstacle.qml", OBJECT_NAMES, OBJECT_COLOURS),
-    ):
-        expected = {
-            value: (text, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3])
-            for value, text in enumerate(names)
-        }
-        assert entries(name) == expected
-    root = read_style("cost.qml")
-    assert {"class_name", "passable"} <= set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr")))
-    assert [category.get("value") for category in root.iter("category")] == [*CLASS_NAMES, "unknown", "not passable"]
-    assert root.find("pipe/rasterrenderer").get("band") == "1"  # cost.tif takes its style from the same file
-    for value in range(4):
-        symbol = root.find(f".//symbol[@name='{value}']")
-        assert symbol.find(".//prop[@k='color']").get("v") == ",".join(map(str, CLASS_COLOURS[value]))
-
-
-def test_page_about_styles_names_each_of_them():
-    text = (PAGES / "gis.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"\(styles/(\w+\.qml)\)", text)) == {path.name for path in STYLES.iterdir()}
+def test_the_page_about_gis_names_each_style_and_layer():
+    rows = re.findall(r"^\| `(\w+\.qml)` \| (.+?) \|", (PAGES / "gis.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {style for style, _ in rows} >= {name for name in VIEW_NAMES if name.endswith(".qml")}
+    assert all(
+        Path(layer).stem == Path(style).stem for style, layers in rows for layer in re.findall("`(.+?)`", layers)
+    )

@@ -13,7 +13,7 @@ from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
-from bumpymap.layers import PRODUCT_NAMES, check_folder, software_versions, write_products
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, check_folder, software_versions, write_products
 from bumpymap.layers.products import NAMED_RASTERS
 from bumpytiles import Grid
 
@@ -37,8 +37,8 @@ def shuffled(cost_map, seed=0):
 def test_all_files_of_a_run(tmp_path, cost_map):
     paths, summary = write(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
-    assert [path.name for path in paths] == list(PRODUCT_NAMES)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *SIDES])
+    assert [path.name for path in paths] == [*PRODUCT_NAMES, *VIEW_NAMES]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *VIEW_NAMES, *SIDES])
     record = json.loads((tmp_path / "run.json").read_text())
     found = hashes(tmp_path)
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
@@ -157,7 +157,7 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted(mine)
 
 
-@pytest.mark.parametrize("name", PRODUCT_NAMES)
+@pytest.mark.parametrize("name", [*PRODUCT_NAMES, "map.qgs", "class.qml"])
 def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     (tmp_path / "notes.txt").write_text("not ours")
     check_folder(tmp_path, overwrite=False)
@@ -201,7 +201,7 @@ def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     with pytest.raises(BadInputError, match="`local=True`"):
         write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
-    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES)
+    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES) + len(VIEW_NAMES)
 
 
 def test_single_tile_and_nothing_known(tmp_path, make_map):

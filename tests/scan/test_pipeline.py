@@ -178,6 +178,7 @@ def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_pose
     off = heights[rows, columns][smooth] - (50.0 + 0.1 * np.sin(x[smooth] / 3.0))
     assert smooth.sum() > 3000
     assert np.abs(off).max() < 0.03
+    assert {path.name for path in (mapped[0] / "map").iterdir()} >= {"class.qml", "roughness.qml", "map.qgs"}
     with rasterio.open(mapped[0] / "map" / "class.tif") as file:
         class_id, transform = file.read(1), file.transform
     row, col = np.nonzero(class_id != 255)

@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.products import NAMED_RASTERS
 from bumpymap.survey import Budget
 
@@ -55,7 +55,7 @@ def mapped(files, out, *options):
         result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*PRODUCT_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
+        [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
     )
     content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
     run = json.loads((out / "run.json").read_text())

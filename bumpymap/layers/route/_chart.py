@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import RouteProfile
+from bumpymap.layers.ride_scale import RideScale
 from bumpymap.layers.route._pen import Pen, ticks
 from bumpymap.layers.route._relief import UNKNOWN_SHADE, Pixels
-from bumpymap.layers.route._ride_scale import RideScale
 
 __all__ = ["FAINT", "INK", "draw_profile"]
 

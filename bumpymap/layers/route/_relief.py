@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, Barred
-from bumpymap.layers.route._ride_scale import RideScale
+from bumpymap.layers.ride_scale import RideScale
 from bumpymap.layers.route.source import MapSource
 from bumpytiles import Grid, TileWindow
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import Route, RouteFigures, atomic
+from bumpymap.layers.ride_scale import RideScale
 from bumpymap.layers.route._chart import FAINT, INK, draw_profile
 from bumpymap.layers.route._pen import Colour, Pen, bar_length, ticks
 from bumpymap.layers.route._relief import (
@@ -20,7 +21,6 @@ from bumpymap.layers.route._relief import (
     hatched,
     paint_ground,
 )
-from bumpymap.layers.route._ride_scale import RideScale
 from bumpymap.layers.route.geojson import stop_roles
 from bumpymap.layers.route.source import MapSource
 

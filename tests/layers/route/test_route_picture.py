@@ -12,6 +12,7 @@ from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
+from bumpymap.layers.ride_scale import RideScale, nice_limit
 from bumpymap.layers.route import _relief, picture as picture_module
 from bumpymap.layers.route._pen import Pen, bar_length, tick_step, ticks
 from bumpymap.layers.route._relief import (
@@ -23,7 +24,6 @@ from bumpymap.layers.route._relief import (
     hatched,
     paint_ground,
 )
-from bumpymap.layers.route._ride_scale import RideScale, nice_limit
 from bumpytiles import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -1,4 +1,4 @@
-"""The colours of the ride cost in pictures: those of the classes, running into one another."""
+"""The colours of the ride cost in pictures and styles: those of the classes, running into one another."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASS_NAMES
 from bumpymap.layers.colours import CLASS_COLOURS
 
-__all__ = ["RideScale", "nice_limit"]
+__all__ = ["RideScale", "class_limits", "nice_limit"]
 
 _CLASSES = len(CLASS_NAMES)
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(_CLASSES)], np.float64)
@@ -33,7 +33,7 @@ class RideScale:
         A class has its own colour in the middle of its interval. If the manifest of the map has no limits, the scale
         ends at a round number that few values of ``c_r`` exceed.
         """
-        limits = _class_limits(manifest)
+        limits = class_limits(manifest)
         if limits is None:
             return cls(tuple(np.linspace(0.0, nice_limit(c_r), _CLASSES).tolist()))
         edges = [0.0, *limits, 2 * limits[-1] - limits[-2]]
@@ -61,11 +61,11 @@ def nice_limit(c_r: NDArray[np.floating]) -> float:
     return float(next(step * power for step in (1, 2, 3, 5, 10) if step * power >= most))
 
 
-def _class_limits(manifest: Mapping[str, Any]) -> list[float] | None:
+def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:
     """Return the three limits of the classes, rad/m, if a manifest has them."""
     calibration = manifest.get("calibration")
     found = calibration.get("class_limits") if isinstance(calibration, Mapping) else None
-    if not isinstance(found, list) or len(found) != _CLASSES - 1:
+    if not isinstance(found, list | tuple) or len(found) != _CLASSES - 1:
         return None
     if not all(isinstance(limit, int | float) for limit in found):
         return None

@@ -1,0 +1,78 @@
+"""How QGIS draws regions and tiles: filled by class; what is unknown or not passable is hatched."""
+
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET
+
+from bumpymap.core import CLASS_NAMES, Barred
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.gis.raster_style import NORMAL, Colour
+from bumpymap.layers.gis.xml_file import add
+
+__all__ = ["REGION_KIND", "TILE_KIND", "class_areas"]
+
+_UNKNOWN, _CLOSED = "unknown", "not passable"
+REGION_KIND = (
+    f'CASE WHEN "class_name" = \'{_UNKNOWN}\' THEN \'{_UNKNOWN}\' WHEN "passable" THEN "class_name" '
+    f"ELSE '{_CLOSED}' END"
+)
+"""Expression of QGIS: the category of a region of cost.geojson or cost.fgb."""
+_NAMED = " ".join(f"WHEN \"class\" = {number} THEN '{name}'" for number, name in enumerate(CLASS_NAMES))
+TILE_KIND = (
+    f"CASE WHEN \"class\" IS NULL THEN '{_UNKNOWN}' WHEN \"passable\" IS NOT TRUE THEN '{_CLOSED}' "
+    f"{_NAMED} ELSE '{_UNKNOWN}' END"
+)
+"""Expression of QGIS: the category of a tile of tiles.parquet."""
+
+
+def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[ET.Element]:
+    """Return what stands for areas by class in a style file or in the layer of a project.
+
+    Parameters
+    ----------
+    kind : str
+        Expression that gives the name of the class, or "unknown" or "not passable".
+    labels : sequence of str
+        What the legend says for each class.
+    blend : int
+        Blending mode.
+    """
+    renderer = ET.Element("renderer-v2", {"type": "categorizedSymbol", "attr": kind, "symbollevels": "0"})
+    categories, symbols = add(renderer, "categories"), add(renderer, "symbols")
+    looks: list[tuple[str, str, Colour, str]] = [
+        (name, label, CLASS_COLOURS[number], "solid")
+        for number, (name, label) in enumerate(zip(CLASS_NAMES, labels, strict=True))
+    ]
+    looks += [
+        (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal"),
+        (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x"),
+    ]
+    for number, (value, label, colour, pattern) in enumerate(looks):
+        entry = {"value": value, "label": label, "symbol": str(number), "render": "true"}
+        add(categories, "category", entry)
+        symbols.append(_fill(number, colour, pattern))
+    found = [renderer]
+    for tag, text in (("blendMode", str(blend)), ("featureBlendMode", str(NORMAL)), ("layerOpacity", "1")):
+        element = ET.Element(tag)
+        element.text = text
+        found.append(element)
+    return found
+
+
+def _fill(number: int, colour: Colour, pattern: str) -> ET.Element:
+    """Return a filled symbol. Its outline has its colour: without one, hairlines shine through between areas."""
+    symbol = ET.Element("symbol", {"type": "fill", "name": str(number), "alpha": "1", "clip_to_extent": "1"})
+    layer = add(symbol, "layer", {"class": "SimpleFill", "enabled": "1", "pass": "0", "locked": "0"})
+    options = add(layer, "Option", {"type": "Map"})
+    text = ",".join(map(str, colour))
+    properties = {
+        "color": text,
+        "style": pattern,
+        "outline_color": text,
+        "outline_style": "solid",
+        "outline_width": "0.1",
+        "outline_width_unit": "MM",
+        "joinstyle": "miter",
+    }
+    for name, value in properties.items():
+        add(options, "Option", {"type": "QString", "name": name, "value": value})
+    return symbol

@@ -1,0 +1,85 @@
+"""Layers that were opened in a GIS: it saves its own styles and statistics, and the run is still a complete one."""
+
+import json
+import shutil
+
+import pytest
+import rasterio
+from click.testing import CliRunner
+from small_surveys import write_survey
+
+from bumpymap.cli import main
+from bumpymap.layers import VIEW_NAMES
+
+pytestmark = pytest.mark.slow
+
+STATISTICS = (
+    "<PAMDataset><PAMRasterBand band='1'><Metadata><MDI key='STATISTICS_MAXIMUM'>1</MDI></Metadata></PAMRasterBand>"
+    "</PAMDataset>"
+)
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    return write_survey(tmp_path_factory.mktemp("survey") / "site.laz")
+
+
+@pytest.fixture(scope="module")
+def mapped(survey):
+    out = survey.parent / "layers"
+    result = run("map", survey, "--out", out)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+@pytest.fixture
+def viewed(mapped, tmp_path):
+    """A copy of the layers as QGIS leaves them."""
+    out = shutil.copytree(mapped, tmp_path / "viewed")
+    for name in VIEW_NAMES:
+        if (out / name).suffix in {".qml", ".qgs"}:
+            (out / name).write_text("<qgis/>", encoding="utf-8")
+    (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
+    for raster in out.glob("*.tif"):
+        side = raster.with_name(f"{raster.name}.aux.xml")
+        if not side.exists():
+            side.write_text(STATISTICS, encoding="utf-8")
+    return out
+
+
+def test_the_same_run_again_has_nothing_to_do(survey, viewed):
+    before = {path.name: path.read_bytes() for path in viewed.iterdir()}
+    result = run("map", survey, "--out", viewed, "--log-json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout.splitlines()[-1])["already_done"]
+    assert {path.name: path.read_bytes() for path in viewed.iterdir()} == before
+
+
+def test_views_that_were_deleted_are_not_missed(survey, viewed):
+    for name in VIEW_NAMES:
+        (viewed / name).unlink(missing_ok=True)
+    result = run("map", survey, "--out", viewed, "--log-json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout.splitlines()[-1])["already_done"]
+
+
+def test_ways_are_planned_over_them(viewed, tmp_path):
+    with rasterio.open(viewed / "barred.tif") as raster:
+        rows, cols = (raster.read(1) == 0).nonzero()
+        start, goal = (raster.xy(rows[at], cols[at]) for at in (0, -1))
+    ends = ["--from", f"{start[0]},{start[1]}", "--to", f"{goal[0]},{goal[1]}"]
+    result = run("route", viewed, *ends, "--out", tmp_path / "way")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "way" / "route.geojson").exists()
+
+
+def test_overwriting_brings_the_styles_back(survey, mapped, viewed):
+    result = run("map", survey, "--out", viewed, "--overwrite")
+    assert result.exit_code == 0, result.output
+    for name in ("class.qml", "map.qgs"):
+        assert (viewed / name).read_bytes() == (mapped / name).read_bytes()
+    assert not (viewed / "roughness.tif.aux.xml").exists()
