@@ -44,7 +44,7 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.NO_POINTS: (0, 0, 0, 0),
     Reason.TOO_FEW_POINTS: (194, 165, 207, 255),
     Reason.TOO_MANY_HOLES: (128, 115, 172, 255),
-    Reason.NO_GROUND: (90, 174, 97, 255),
+    Reason.NO_GROUND: (221, 119, 170, 255),
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class pale green, places without points transparent."""
