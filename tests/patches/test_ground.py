@@ -7,6 +7,7 @@ import laspy
 import numpy as np
 import pytest
 import rasterio
+from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from pyproj import CRS
 
@@ -63,7 +64,8 @@ def write(path, points):
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+    with alike_surveys():
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def layers(folder):
