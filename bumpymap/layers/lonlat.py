@@ -7,7 +7,6 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import BadInputError
-from bumpymap.layers.outlines import insert_vertices
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
@@ -16,9 +15,11 @@ __all__ = ["BoundingBox", "outlines_in_crs", "polygons_in_wgs84", "wgs84_transfo
 _TRIES = 33
 """Points along each side of the raster at which the transformation is tried first."""
 
-_SIDE = 32
+_SEGMENT = 32
 """Longest straight segment of an outline, tiles. In longitude and latitude, the middle of a 96 m segment is off by at
 most 1.2 mm (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
+
+_GRID_DECIMALS = 9
 
 
 def outlines_in_crs(regions: Regions) -> NDArray[np.object_]:
@@ -78,7 +79,9 @@ def polygons_in_wgs84(
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(decimals)
 
-    placed = shapely.transform(insert_vertices(polygons, _split_long_sides), placement.to_crs)
+    # The points in between are rounded because those of a side in one direction and the other differ in the last bit.
+    split = shapely.segmentize(polygons, _SEGMENT)
+    placed = shapely.transform(split, lambda points: placement.to_crs(points.round(_GRID_DECIMALS)))
     outlines: NDArray[np.object_] = shapely.transform(placed, move)
     if not np.isfinite(shapely.bounds(outlines)).all():
         raise _outside(placement)
@@ -131,26 +134,6 @@ def _transformer(crs: CRS | None) -> Transformer:
         ) from error
 
 
-def _split_long_sides(
-    start: NDArray[np.float64], stop: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Split sides longer than ``_SIDE`` at its multiples: at the same places for the regions on both sides."""
-    way = stop - start
-    long = np.flatnonzero(np.abs(way).sum(axis=1) > _SIDE)
-    axis = (way[long, 1] != 0).astype(np.int64)
-    first, last = start[long, axis] / _SIDE, stop[long, axis] / _SIDE
-    step = np.sign(last - first)
-    number = (np.ceil(np.maximum(first, last)) - np.floor(np.minimum(first, last)) - 1).astype(np.int64)
-    nearest = np.where(step > 0, np.floor(first) + 1, np.ceil(first) - 1)
-    added = np.repeat(start[long], number, axis=0)
-    place = np.arange(len(added)) - np.repeat(np.cumsum(number) - number, number)
-    along = np.repeat(nearest, number) + np.repeat(step, number) * place
-    added[np.arange(len(added)), np.repeat(axis, number)] = along * _SIDE
-    count = np.zeros(len(start), dtype=np.int64)
-    count[long] = number
-    return count, added
-
-
 def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArray[np.object_]:
     bounds = shapely.bounds(outlines)
     crossing = bounds[:, 2] - bounds[:, 0] > 180.0
@@ -160,16 +143,7 @@ def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArra
     def unwrap(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.column_stack([np.where(points[:, 0] < 0, points[:, 0] + 360.0, points[:, 0]), points[:, 1]])
 
-    def meet(start: NDArray[np.float64], stop: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        # From west to east on both sides of a border, so that both meet the antimeridian in the same point.
-        eastward = (start[:, 0] < stop[:, 0])[:, np.newaxis]
-        west, east = np.where(eastward, start, stop), np.where(eastward, stop, start)
-        crosses = (west[:, 0] < 180.0) & (east[:, 0] > 180.0)
-        (x, y), (right, top) = west[crosses].T, east[crosses].T
-        latitude = (y + (180.0 - x) * (top - y) / (right - x)).round(decimals)
-        return crosses.astype(np.int64), np.column_stack([np.full(len(latitude), 180.0), latitude])
-
-    whole = insert_vertices(shapely.transform(outlines[crossing], unwrap), meet)
+    whole = shapely.transform(outlines[crossing], unwrap)
     west_side = shapely.intersection(whole, shapely.box(0.0, -90.0, 180.0, 90.0))
     east_side = shapely.intersection(whole, shapely.box(180.0, -90.0, 360.0, 90.0))
     west_side = shapely.transform(west_side, lambda points: points.round(decimals))

@@ -5,7 +5,6 @@ however they are bent or rounded on the way.
 """
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import rasterio.features
@@ -15,7 +14,7 @@ from rasterio.transform import Affine
 
 from bumpytiles import TileWindow
 
-__all__ = ["insert_vertices", "shared_corners", "trace_labels"]
+__all__ = ["shared_corners", "trace_labels"]
 
 
 def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -125,35 +124,3 @@ def _follow(
     held = np.add.reduceat(count, ends - sizes - np.arange(len(sizes)))
     ends = np.cumsum(held)
     return np.insert(met, ends, met[ends - held], axis=0), held + 1
-
-
-def insert_vertices(
-    polygons: NDArray[np.object_],
-    between: Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[NDArray[np.int64], NDArray[np.float64]]],
-) -> NDArray[np.object_]:
-    """Insert vertices into the segments of polygons.
-
-    Parameters
-    ----------
-    polygons : array (m,) of polygons
-    between : callable
-        Takes the start and stop of every segment, (n, 2) each. Returns how many vertices each segment gets, (n,), and
-        these vertices, (k, 2), in order.
-
-    Returns
-    -------
-    array (m,) of polygons
-        The polygons themselves if nothing is to be inserted.
-    """
-    kind, points, (rings, parts) = shapely.to_ragged_array(polygons)
-    closing = rings[1:] - 1
-    start, stop = np.delete(points, closing, axis=0), np.delete(points, rings[:-1], axis=0)
-    count, added = between(start, stop)
-    if not len(added):
-        return polygons
-    where = np.delete(np.arange(len(points)), closing) + 1
-    points = np.insert(points, np.repeat(where, count), added, axis=0)
-    total = np.concatenate([[0], np.cumsum(count)])
-    rings = rings + total[rings - np.arange(len(rings))]
-    denser: NDArray[np.object_] = shapely.from_ragged_array(kind, points, (rings, parts))
-    return denser

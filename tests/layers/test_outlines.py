@@ -1,7 +1,5 @@
 """Outlines of adjacent areas have the same vertices along their borders."""
 
-from pathlib import Path
-
 import geopandas
 import numpy as np
 import pytest
@@ -14,10 +12,10 @@ from pyproj import CRS, Transformer
 import bumpymap
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import GeoJsonCoordinates, Placement, dissolve, label
-from bumpymap.layers.outlines import insert_vertices, shared_corners, trace_labels
+from bumpymap.layers.lonlat import polygons_in_wgs84, wgs84_transformer
+from bumpymap.layers.outlines import shared_corners, trace_labels
 from bumpytiles import Grid, TileWindow
 
-SURVEYS = Path(__file__).resolve().parents[3] / "shared/data/surveys"
 US_FOOT = 1200 / 3937
 SITES = {
     # name: (georeference, west tile, south tile)
@@ -82,20 +80,6 @@ def test_some_of_the_areas_have_the_outlines_that_they_have_among_all(keys):
         assert shapely.to_wkt(alone) == shapely.to_wkt(among)
 
 
-def test_vertices_are_inserted_into_every_ring():
-    square, hole = shapely.box(0, 0, 9, 9), shapely.box(2, 2, 5, 4)
-    shapes = np.array([square - hole, shapely.box(20, 0, 21, 4), shapely.box(0, 20, 50, 21)])
-
-    def middles(start, stop):
-        long = np.abs(stop - start).sum(axis=1) > 3
-        return long.astype(int) * 2, np.repeat((start[long] + stop[long]) / 2, 2, axis=0)
-
-    dense = insert_vertices(shapes, middles)
-    assert shapely.equals(dense, shapes).all()
-    assert (shapely.get_num_coordinates(dense) - shapely.get_num_coordinates(shapes)).tolist() == [8, 4, 4]
-    assert insert_vertices(shapes, lambda start, _: (np.zeros(len(start), int), np.empty((0, 2)))) is shapes
-
-
 def map_of_keys(make_map, keys, site="mexico", stretch=1, shift=(0, 0), **options):
     """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
     georeference, west, south = SITES[site] if isinstance(site, str) else site
@@ -124,6 +108,16 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site,
         check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
 
 
+def test_points_along_a_side_are_the_same_in_both_directions():
+    # Around 0, where GEOS splits a side at other last bits when it is turned.
+    place = Placement(Georeference(CRS.from_epsg(3857)), Grid(), TileWindow(-300, 0, 600, 2))
+    to_degrees = wgs84_transformer(place)
+    for west in range(-200, 0, 3):
+        for length in range(100, 400, 7):
+            both = np.array([shapely.box(west, line, west + length, line + 1) for line in (0, 1)])
+            check_coverage(polygons_in_wgs84(both, place, to_degrees, decimals=15))
+
+
 @pytest.mark.parametrize("size", [1, 2, 3, 5])
 @settings(max_examples=20, deadline=None)
 @given(keys=KEYS.filter(np.any))
@@ -137,14 +131,18 @@ def test_regions_cut_at_windows_are_a_coverage_too(make_map, size, keys):
             check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
 
 
-def at_antimeridian(latitude, east):
-    """Georeference and a tile at 180 degrees; UTM zone 1 south, or 60 if it is to be to the west of its zone."""
-    code = 32760 if east else 32701
-    x, y = Transformer.from_crs(4326, code, always_xy=True).transform(180.0, latitude)
-    return Georeference(CRS.from_epsg(code)), int(x // 3), int(y // 3)
+ALONG_ANTIMERIDIAN = "+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m"
+"""Sides of tiles lie on the antimeridian."""
 
 
-@pytest.mark.parametrize("place", [(-17.0, False), (-17.0, True), (-77.0, True), (-0.01, False)])
+def at_antimeridian(crs, latitude):
+    """Georeference and a tile at 180 degrees."""
+    georeference = Georeference(CRS.from_user_input(crs))
+    x, y = Transformer.from_crs(4326, georeference.crs, always_xy=True).transform(180.0, latitude)
+    return georeference, round(x / 3), round(y / 3)
+
+
+@pytest.mark.parametrize("place", [(32701, -17.0), (32760, -17.0), (32760, -77.0), (ALONG_ANTIMERIDIAN, -17.0)])
 @settings(max_examples=30, deadline=None)
 @given(keys=KEYS.filter(np.any), stretch=st.sampled_from([1, 3, 45]), shift=st.tuples(*[st.integers(-9, 5)] * 2))
 @example(keys=CHECKERS, stretch=1, shift=(-4, 0))
@@ -165,10 +163,8 @@ def test_both_sides_of_the_antimeridian_are_a_coverage(make_map, place, keys, st
 @pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize(("survey", "crs"), [("godie_espacio.laz", "EPSG:32614"), ("bcts_adjoining", None)])
-def test_vectors_of_real_surveys_are_coverages_with_the_holes_of_the_tiles(survey, crs, tmp_path):
-    if not (SURVEYS / survey).exists():
-        pytest.skip(f"needs {SURVEYS / survey}")
-    layers = bumpymap.map_survey(SURVEYS / survey, out=tmp_path / "out", crs=crs)
+def test_vectors_of_real_surveys_are_coverages_with_the_holes_of_the_tiles(survey, crs, shared_data, tmp_path):
+    layers = bumpymap.map_survey(shared_data / "surveys" / survey, out=tmp_path / "out", crs=crs)
     tiles, flat = layers.tiles(), layers.regions()
     globe = geopandas.read_file(layers.folder / "cost.geojson")
     assert sorted(flat["region"]) == globe["region"].tolist()
