@@ -41,9 +41,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
     names = ", ".join(path.name for path in result.files)
     if result.sheets:
-        print_line(
-            f"Layers of {result.sheets:,} sheets in {config.out / SHEET_FOLDER}, as one map in {config.out}: {names}"
-        )
+        sheets = f"{result.sheets:,} sheets in {config.out / SHEET_FOLDER}"
+        print_line(f"Layers of {sheets}; over all of them, in {config.out}: {names}")
     else:
         print_line(f"Layers in {config.out}: {names}")
 

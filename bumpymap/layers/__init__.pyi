@@ -200,6 +200,7 @@ from .sheets.folders import (
 )
 from .sheets.layout import (
     SheetLayout as SheetLayout,
+    suggested_sheets as suggested_sheets,
 )
 from .sheets.write import (
     SheetRun as SheetRun,

@@ -217,12 +217,12 @@ class RouteMap:
     def _shared(self) -> list[TileWindow]:
         """The windows that two sheets have in common; none in a map that was written in sheets."""
         sides = np.array([(w.col, w.row, w.col + w.cols, w.row + w.rows) for w in (s.window for s in self.sheets)])
-        shared = []
+        shared: list[TileWindow | None] = []
         for number, (west, south, east, north) in enumerate(sides[:-1].tolist()):
             later = sides[number + 1 :]
             meets = (later[:, 0] < east) & (later[:, 2] > west) & (later[:, 1] < north) & (later[:, 3] > south)
-            for other in (np.flatnonzero(meets) + number + 1).tolist():
-                shared.append(common_window(self.sheets[number].window, self.sheets[other].window))
+            others = [self.sheets[other].window for other in (np.flatnonzero(meets) + number + 1).tolist()]
+            shared += [common_window(self.sheets[number].window, other) for other in others]
         return [window for window in shared if window is not None]
 
 

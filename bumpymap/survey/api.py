@@ -76,8 +76,8 @@ def map_survey(
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
-        ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``, ``workers``,
-        ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``,
+        ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
 
     Returns
     -------

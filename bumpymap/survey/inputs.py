@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference, memory_bytes
-from bumpymap.layers import SheetLayout, check_extent
+from bumpymap.layers import SheetLayout, check_extent, suggested_sheets
 from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import Grid, TileWindow
 
@@ -15,7 +15,6 @@ _log = logging.getLogger(__name__)
 
 _NAMED = 5
 """Number of files that a message names."""
-_IN_SHEETS = "Write a large site in sheets of some kilometres with `sheets=5`. "
 
 
 def read_options(config: MapConfig) -> ReadOptions:
@@ -79,7 +78,7 @@ class SurveyInputs:
         """Raise BadInputError, naming the files, if their tiles span more than a raster, or all sheets, may."""
         try:
             if self.sheets is None:
-                check_extent(grid, window, _IN_SHEETS)
+                check_extent(grid, window, f"Write a large site in sheets with `sheets={suggested_sheets(grid):g}`. ")
             else:
                 self.sheets.check_whole(window)
         except BadInputError as error:

@@ -9,6 +9,7 @@ from .folders import (
 )
 from .layout import (
     SheetLayout as SheetLayout,
+    suggested_sheets as suggested_sheets,
 )
 from .write import (
     SheetRun as SheetRun,

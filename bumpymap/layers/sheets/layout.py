@@ -9,7 +9,7 @@ from bumpymap.core import BadInputError, UsageError
 from bumpymap.layers.placement import MAX_PIXELS, MAX_SIDE, MAX_TILES
 from bumpytiles import BLOCK_TILES, Grid, TileTable, TileWindow
 
-__all__ = ["SheetLayout", "SheetPlace"]
+__all__ = ["SheetLayout", "SheetPlace", "suggested_sheets"]
 
 MAX_SHEETS = 10_000
 """Most sheets in the bounding window of a survey: a virtual raster lists every sheet in each of its bands."""
@@ -19,6 +19,17 @@ _LEAST_DIGITS = 4
 
 SheetPlace = tuple[int, int]
 """Column and row of a sheet; rows grow to the north, and the CRS origin is the south-west corner of sheet (0, 0)."""
+
+
+def suggested_sheets(grid: Grid) -> float:
+    """Return a usual side of sheets, km: 5, or less where tiles or pixels are small."""
+    most = _most_blocks(grid) * BLOCK_TILES * grid.tile_size / 1000.0
+    digit = 10.0 ** math.floor(math.log10(most))
+    return min(5.0, math.floor(most / digit) * digit)
+
+
+def _most_blocks(grid: Grid) -> int:
+    return min(MAX_SIDE, math.isqrt(MAX_TILES), math.isqrt(MAX_PIXELS) // grid.pixels) // BLOCK_TILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +49,14 @@ class SheetLayout:
         UsageError
             Sheets are smaller than a block, or larger than the largest map.
         """
-        block = BLOCK_TILES * grid.tile_size / 1000.0
+        block, most = BLOCK_TILES * grid.tile_size / 1000.0, _most_blocks(grid)
         blocks = round(kilometres / block)
-        most = min(MAX_SIDE, math.isqrt(MAX_TILES), math.isqrt(MAX_PIXELS) // grid.pixels) // BLOCK_TILES
         if not 1 <= blocks <= most:
             raise UsageError(
                 f"sheets is {kilometres:g} km; with tiles of {grid.tile_size:g} m and {grid.pixels} pixels a sheet has "
                 f"a side of at least {block:g} km (one block of {BLOCK_TILES} x {BLOCK_TILES} tiles) and at most "
-                f"{most * block:g} km, the largest map. Give `sheets=5` or another number between them"
+                f"{most * block:g} km, the largest map. Give `sheets={suggested_sheets(grid):g}` or another number "
+                "between them"
             )
         return cls(grid, blocks * BLOCK_TILES)
 
@@ -54,12 +65,15 @@ class SheetLayout:
         """Side of a sheet, km."""
         return self.side * self.grid.tile_size / 1000.0
 
+    def count(self, window: TileWindow) -> tuple[int, int]:
+        """Return the columns and rows of sheets that a window of tiles overlaps."""
+        spans = ((window.col, window.cols), (window.row, window.rows))
+        cols, rows = ((start + length - 1) // self.side - start // self.side + 1 for start, length in spans)
+        return cols, rows
+
     def check_whole(self, window: TileWindow) -> None:
         """Raise BadInputError if a survey with these tiles would have too many sheets."""
-        cols, rows = (
-            (start + length - 1) // self.side - start // self.side + 1
-            for start, length in ((window.col, window.cols), (window.row, window.rows))
-        )
+        cols, rows = self.count(window)
         if cols * rows <= MAX_SHEETS:
             return
         width, height = (side * self.grid.tile_size / 1000 for side in (window.cols, window.rows))
