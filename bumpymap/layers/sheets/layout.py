@@ -22,10 +22,10 @@ SheetPlace = tuple[int, int]
 
 
 def suggested_sheets(grid: Grid) -> float:
-    """Return a usual side of sheets, km: 5, or less where tiles or pixels are small."""
+    """Return a usual side of sheets, km: 5, less where tiles or pixels are small, more where a block is larger."""
     most = _most_blocks(grid) * BLOCK_TILES * grid.tile_size / 1000.0
     digit = 10.0 ** math.floor(math.log10(most))
-    return min(5.0, math.floor(most / digit) * digit)
+    return max(min(5.0, math.floor(most / digit) * digit), BLOCK_TILES * grid.tile_size / 1000.0)
 
 
 def _most_blocks(grid: Grid) -> int:

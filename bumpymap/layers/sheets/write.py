@@ -101,7 +101,7 @@ def write_sheets(
     progress = progress or SilentProgress()
     whole = Placement(table.georeference, table.tiles.grid, table.tiles.window)
     GeoJsonCoordinates.of(whole, local=local)  # fails early, as in `write_products`
-    places = {run.layout.name(place): place for place in run.layout.places(table.tiles)}
+    places = dict(sorted((run.layout.name(place), place) for place in run.layout.places(table.tiles)))
     remove_manifest(folder)
     progress.start("writing sheets", len(places))
     windows: dict[str, TileWindow] = {}
