@@ -17,7 +17,16 @@ from route_sites import place, site
 import bumpymap
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import SheetLayout, SheetRun, check_folder, open_map, sheet_folders, write_products, write_sheets
+from bumpymap.layers import (
+    SheetLayout,
+    SheetRun,
+    check_folder,
+    open_map,
+    open_pair,
+    sheet_folders,
+    write_products,
+    write_sheets,
+)
 from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES, Grid
 
@@ -210,6 +219,16 @@ def test_a_way_crosses_borders_of_sheets_at_the_same_cost(tmp_path):
         bumpymap.open(tmp_path / name).export(tmp_path / f"{name}.nav2", to="nav2") for name in ("whole", "sheets")
     ]
     assert len({(done.files[0].parent / "map.pgm").read_bytes() for done in exported}) == 1
+
+
+def test_sites_too_wide_to_compare_at_once_are_refused_before_they_are_read(tmp_path):
+    far = make_map([0, 333_333], [0, 333_333], [0, 1], [0, 0], grid=SMALL)
+    for name in ("before", "after"):
+        write(far, tmp_path / name, blocks=100)
+    with pytest.raises(BadInputError, match="Compare one sheet of both at a time"):
+        open_pair(tmp_path / "before", tmp_path / "after")
+    sheet = sheet_folders(tmp_path / "before")[0]
+    assert open_pair(sheet, tmp_path / "after" / "sheets" / sheet.name).window.cols == 1
 
 
 class TestUnfinished:
