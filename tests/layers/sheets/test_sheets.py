@@ -227,6 +227,8 @@ def test_sites_too_wide_to_compare_at_once_are_refused_before_they_are_read(tmp_
         write(far, tmp_path / name, blocks=100)
     with pytest.raises(BadInputError, match="Compare one sheet of both at a time"):
         open_pair(tmp_path / "before", tmp_path / "after")
+    with pytest.raises(BadInputError, match=r"Export a part of it with `around"):
+        bumpymap.open(tmp_path / "before").export(tmp_path / "nav2", to="nav2")
     sheet = sheet_folders(tmp_path / "before")[0]
     assert open_pair(sheet, tmp_path / "after" / "sheets" / sheet.name).window.cols == 1
 
