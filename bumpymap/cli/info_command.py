@@ -58,7 +58,7 @@ def command(
     bumpymap info site.laz
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
-    from bumpymap.cli._info_report import as_record, estimated, run_record
+    from bumpymap.cli._info_report import as_record, estimated, run_record, sheets_for
     from bumpymap.core import FeatureSettings, memory_bytes
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
     from bumpymap.survey import Budget, with_memory
@@ -83,7 +83,8 @@ def command(
     forecast = None if why_not_together else estimated(reports, budget)
     if as_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(why_not_together)}
-        print_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
+        sheets = {"sheets_km": sheets_for(grid, [report.bounds for report in reports])}
+        print_json(record | sheets | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
         _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
