@@ -19,6 +19,7 @@ from bumpymap.core import (
     unit_name,
     vertical_of,
 )
+from bumpymap.layers import fits_one_map, suggested_sheets
 from bumpymap.readers import PointSummary, SurveyInfo
 from bumpymap.survey import (
     Budget,
@@ -32,9 +33,19 @@ from bumpymap.survey import (
     models_for,
     size_options,
 )
-from bumpytiles import Bounds, Grid
+from bumpytiles import Bounds, Grid, TileWindow
 
-__all__ = ["Report", "as_record", "as_rows", "estimated", "outcome_of", "run_record", "run_rows"]
+__all__ = [
+    "Report",
+    "as_record",
+    "as_rows",
+    "estimated",
+    "outcome_of",
+    "run_record",
+    "run_rows",
+    "sheet_options",
+    "sheets_for",
+]
 
 _ON_THE_GROUND = "all points will be measured, so what stands on the ground is part of its relief"
 _FAR_APART = 100_000.0
@@ -81,6 +92,11 @@ class Report:
         """Forecast of the tiles that ``bumpymap map`` will make; None if the points were not read."""
         return outcome_of(self.summary, self.ground) if self.summary is not None else None
 
+    @property
+    def sheets(self) -> float | None:
+        """Side of the sheets that ``map`` should write, km; None if one map can hold all tiles."""
+        return sheets_for(self.grid, [self.bounds])
+
     def needs(self) -> list[str]:
         """Return what ``bumpymap map`` needs for this file, or the command to map it; one sentence each."""
         if self.info is None:
@@ -102,7 +118,7 @@ class Report:
         return lines or [self._ready()]
 
     def _ready(self) -> str:
-        words = ["bumpymap", "map", str(self.path), *self.options, "--out", "DIR"]
+        words = ["bumpymap", "map", str(self.path), *self.options, *sheet_options(self.sheets), "--out", "DIR"]
         few = f", about {self.outcome.share:.0%} of the tiles will be unknown" if self.outcome else ""
         return f"ready{few}: {shlex.join(words)}"
 
@@ -131,6 +147,23 @@ class Report:
         return [
             f"its points are spread over {side / 1000:,.0f} km: there may be stray coordinates, or the CRS may be wrong"
         ]
+
+
+def sheets_for(grid: Grid, boxes: Sequence[Bounds | None]) -> float | None:
+    """Return the side of sheets, km, for points in these boxes; None if one map can hold them, or no box is known."""
+    known = [box for box in boxes if box is not None]
+    if not known:
+        return None
+    size = grid.tile_size
+    west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
+    east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
+    window = TileWindow(west, south, east - west + 1, north - south + 1)
+    return None if fits_one_map(grid, window) else suggested_sheets(grid)
+
+
+def sheet_options(sheets: float | None) -> tuple[str, ...]:
+    """Return the options of ``map`` for sheets of this side."""
+    return () if sheets is None else ("--sheets", f"{sheets:g}")
 
 
 def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
@@ -169,6 +202,7 @@ def as_record(report: Report) -> dict[str, Any]:
         "bounds_crs_units": _sides(report.bounds, place.metres_per_unit),
         "density_per_m2": report.density,
         "has_classes": _has_classes(report),
+        "sheets_km": report.sheets,
         "notes": list(info.notes),
         "needs": report.needs(),
     }

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.cli._wording import as_options
 from bumpymap.core import CLASS_NAMES, MapConfig
-from bumpymap.layers import MapSummary
+from bumpymap.layers import SHEET_FOLDER, MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 
 __all__ = ["ALREADY_DONE", "show"]
@@ -39,8 +39,12 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         print_line(steps)
     if result.skipped:
         print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
-    names = [path.name for path in result.files if path.suffix != ".qml"]  # a style belongs to a layer
-    print_line(f"Layers in {config.out}: {', '.join(names)}")
+    names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
+    if result.sheets:
+        sheets = f"{result.sheets:,} sheets in {config.out / SHEET_FOLDER}"
+        print_line(f"Layers of {sheets}; over all of them, in {config.out}: {names}")
+    else:
+        print_line(f"Layers in {config.out}: {names}")
 
 
 def _passable_line(summary: MapSummary) -> str:
@@ -71,6 +75,7 @@ def _steps(result: MapResult, config: MapConfig) -> str:
 def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
     return {
         "out": str(config.out),
+        "sheets": result.sheets,
         "files": [path.name for path in result.files],
         "points": result.points,
         "tiles": result.summary.tiles,

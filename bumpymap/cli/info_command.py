@@ -58,7 +58,7 @@ def command(
     bumpymap info site.laz
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
-    from bumpymap.cli._info_report import as_record, estimated, run_record
+    from bumpymap.cli._info_report import as_record, estimated, run_record, sheets_for
     from bumpymap.core import FeatureSettings, memory_bytes
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
     from bumpymap.survey import Budget, with_memory
@@ -83,12 +83,14 @@ def command(
     forecast = None if why_not_together else estimated(reports, budget)
     if as_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(why_not_together)}
-        print_json(record | {"run": forecast and run_record(forecast, budget)}, indent=1)
+        sheets = {"sheets_km": sheets_for(grid, [report.bounds for report in reports])}
+        print_json(record | sheets | {"run": forecast and run_record(forecast, budget)}, indent=1)
     else:
         _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
             memory = run.memory if run.memory == given["memory"] else f"{given['memory']} ({run.memory} now)"
             _show_run(forecast, grid, memory, budget.threads)
+            _show_sheets(grid, reports)
     if any(report.error for report in reports):
         ctx.exit(_BAD_INPUT)
 
@@ -152,7 +154,7 @@ def _advise_one_map(
     surveys: tuple[Path | str, ...], reports: "list[Report]", whole: "PointSummaryBuilder | None"
 ) -> list[str]:
     """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
-    from bumpymap.cli._info_report import outcome_of
+    from bumpymap.cli._info_report import outcome_of, sheet_options, sheets_for
     from bumpymap.core import FeatureSettings
     from bumpymap.survey import advise, compare_lines, describe_lines
 
@@ -160,7 +162,8 @@ def _advise_one_map(
     if len(reports) == 1 or len(infos) < len(reports):
         return []
     points = sum(info.point_count for info in infos)
-    command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, "--out", "DIR"])
+    sheets = sheet_options(sheets_for(reports[0].grid, [report.bounds for report in reports]))
+    command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, *sheets, "--out", "DIR"])
     text = f"{len(reports)} files, {points:,} points, one map: {command}"
     summary = whole.summary() if whole is not None else None
     if summary is None:
@@ -184,6 +187,19 @@ def _show(reports: "list[Report]", why_not_together: list[str]) -> None:
         print_line()
     for number, line in enumerate(why_not_together):
         print_line(line if number else f"together: {line}", "bold")
+
+
+def _show_sheets(grid: "Grid", reports: "list[Report]") -> None:
+    """Say that the survey is too large for one map, if it is."""
+    from bumpymap.cli._info_report import sheets_for
+    from bumpymap.layers import MAX_TILES
+
+    sheets = sheets_for(grid, [report.bounds for report in reports])
+    if sheets is not None:
+        text = (
+            f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {sheets:g} writes it in several folders"
+        )
+        print_labelled("  sheets: ", text, "yellow")
 
 
 def _show_run(forecast: "Estimate", grid: "Grid", memory: str, threads: int) -> None:

@@ -34,6 +34,7 @@ _PARTLY_DONE = 4
 @click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
 @click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
 @tolerance_options
+@click.option("--sheets", type=float, metavar="KM", help="Write a large site in square sheets of this side, in km.")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
 @output_options()

@@ -157,6 +157,9 @@ class MapConfig:
     max_unknown: float | None = None
     """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
     anyway."""
+    sheets: float | None = None
+    """Side of the sheets that the layers are written in, km, each sheet to a folder of its own; None: one map. It is
+    rounded to whole blocks of 16 x 16 tiles."""
     overwrite: bool = False
     """Replace the layers of an earlier run."""
     resume: bool = False
@@ -190,6 +193,8 @@ class MapConfig:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
         if self.max_unknown is not None:
             _within("max_unknown", self.max_unknown, 0.0, 1.0)
+        if self.sheets is not None:
+            _within("sheets", self.sheets, 0.001, 10_000.0)
         if self.workers is not None:
             _at_least("workers", self.workers, 1)
         if self.resume and self.overwrite:

@@ -79,9 +79,11 @@ from .placement import (
     MAX_TILES as MAX_TILES,
     Placement as Placement,
     check_extent as check_extent,
+    fits_one_map as fits_one_map,
 )
 from .products import (
     PRODUCT_NAMES as PRODUCT_NAMES,
+    SHEET_FOLDER as SHEET_FOLDER,
     VIEW_NAMES as VIEW_NAMES,
     check_folder as check_folder,
 )
@@ -193,6 +195,23 @@ from .scan.table import (
     SectorTable as SectorTable,
     open_table as open_table,
     sector_rows as sector_rows,
+)
+from .sheets.finished import (
+    made_names as made_names,
+    require_whole as require_whole,
+)
+from .sheets.folders import (
+    in_sheets as in_sheets,
+    remove_sheets as remove_sheets,
+    sheet_folders as sheet_folders,
+)
+from .sheets.layout import (
+    SheetLayout as SheetLayout,
+    suggested_sheets as suggested_sheets,
+)
+from .sheets.write import (
+    SheetRun as SheetRun,
+    write_sheets as write_sheets,
 )
 from .summary import (
     MapSummary as MapSummary,

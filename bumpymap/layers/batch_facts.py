@@ -5,6 +5,7 @@ from typing import Any
 
 from bumpymap.core import CLASS_NAMES, BadInputError, utf8_path
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.sheets.folders import in_sheets, virtual_name
 
 __all__ = ["map_facts"]
 
@@ -55,11 +56,15 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _raster(folder: Path) -> str:
+    return virtual_name(_RASTER) if in_sheets(folder) else _RASTER
+
+
 def _bounds(folder: Path) -> dict[str, float]:
     import rasterio
 
     try:
-        with utf8_path(folder) as path, rasterio.open(path / _RASTER) as raster:
+        with utf8_path(folder) as path, rasterio.open(path / _raster(folder)) as raster:
             return dict(zip(_BOUNDS, map(float, raster.bounds), strict=True))
     except rasterio.errors.RasterioIOError as error:
-        raise BadInputError(f"{folder / _RASTER} cannot be read: {error}") from error
+        raise BadInputError(f"{folder / _raster(folder)} cannot be read: {error}") from error

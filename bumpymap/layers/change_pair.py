@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import NO_CLASS, NO_TILE, BadInputError
 from bumpymap.layers.manifest import describe_file
+from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap, open_map
 from bumpymap.layers.route_overlap import SheetChoice, window_slices
 from bumpymap.layers.route_sheet import common_window
@@ -62,7 +63,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     ------
     BadInputError
         A folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating or in which points
-        are ground; or they have no place in common.
+        are ground; or they have no place in common, or more than one map may span.
     """
     first, second = open_map([before]), open_map([after])
     _require_alike(first, second)
@@ -73,6 +74,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
         raise BadInputError(
             f"{before} and {after} have no place in common: they are surveys of two sites. Give two surveys of one site"
         )
+    check_extent(first.grid, window, "Compare one sheet of both at a time, by its folder in OUT/sheets. ")
     return SurveyPair(first, second, window)
 
 

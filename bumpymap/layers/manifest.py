@@ -22,6 +22,7 @@ from bumpymap.layers.summary import MapSummary
 __all__ = [
     "MANIFEST_FORMAT",
     "MANIFEST_NAME",
+    "SHEETS_FORMAT",
     "complete_manifest",
     "describe_file",
     "describe_input",
@@ -32,6 +33,8 @@ __all__ = [
 
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
+SHEETS_FORMAT = "bumpymap-sheets"
+"""Format of the run.json of a map in sheets, which each have one of their own."""
 _VERSION = 1
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
@@ -81,7 +84,7 @@ def complete_manifest(
         Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``.
     """
     place, grid = table.georeference, table.tiles.grid
-    crs = Placement.of(table).height_crs
+    crs = Placement(place, grid, table.tiles.window).height_crs
     return {
         "format": MANIFEST_FORMAT,
         "version": _VERSION,
@@ -213,13 +216,17 @@ def _plain(value: Any) -> Any:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of a complete map. Raises BadInputError if the folder does not hold one."""
+    """Read the manifest of a complete map, in one folder or in sheets. Raises BadInputError if there is none."""
     remedy = "Give the folder that `bumpymap map` wrote"
     if not folder.is_dir():
         what = f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
         raise BadInputError(f"{what}. {remedy}")
     record = read_record(folder / MANIFEST_NAME)
-    if record is None or record.get("format") != MANIFEST_FORMAT:
-        hint = f"The map of this drive is in {folder / 'map'}" if (folder / "scan.json").exists() else remedy
+    if record is None or record.get("format") not in {MANIFEST_FORMAT, SHEETS_FORMAT}:
+        hint = remedy
+        if (folder / "scan.json").exists():
+            hint = f"The map of this drive is in {folder / 'map'}"
+        elif record is None and (folder / "sheets").is_dir():
+            hint = "Its sheets are not complete: map the survey again with `resume=True`"
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     return record

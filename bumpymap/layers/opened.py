@@ -22,6 +22,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
     import geopandas
@@ -57,7 +58,7 @@ class Layers:
     Parameters
     ----------
     folder : path
-        The output folder of a complete run.
+        The output folder of a complete run; if its layers are in sheets, they are read as one map.
     in_memory : bool
         Delete the folder together with this object. Datasets are then loaded at once instead of lazily.
     """
@@ -66,6 +67,7 @@ class Layers:
         self._folder = Path(folder)
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
+        self._sheets = sheet_folders(self._folder)
         if in_memory:
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
@@ -73,6 +75,11 @@ class Layers:
     def folder(self) -> Path:
         """The folder that holds the files."""
         return self._folder
+
+    @property
+    def sheets(self) -> list[Path]:
+        """The folders of the sheets, each a map that can be opened by itself; without sheets, the one folder."""
+        return list(self._sheets)
 
     @property
     def manifest(self) -> dict[str, Any]:
@@ -159,8 +166,7 @@ class Layers:
         BadInputError
             The file is missing or damaged.
         """
-        with self._file("tiles.parquet") as path:
-            return import_notebook("geopandas").read_parquet(path)
+        return self._table("tiles.parquet")
 
     def regions(self) -> "geopandas.GeoDataFrame":
         """Read cost.fgb.
@@ -168,8 +174,8 @@ class Layers:
         Returns
         -------
         geopandas.GeoDataFrame
-            One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
-            survey's CRS.
+            One row for each region, a group of adjacent tiles of one class in one sheet; the geometry is its outline,
+            in the survey's CRS.
 
         Raises
         ------
@@ -178,8 +184,7 @@ class Layers:
         BadInputError
             The file is missing or damaged.
         """
-        with self._file("cost.fgb") as path:
-            return import_notebook("geopandas").read_file(path)
+        return self._table("cost.fgb")
 
     def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
@@ -251,14 +256,14 @@ class Layers:
         from rasterio.errors import RasterioError
 
         try:
-            with rasterio.open(self._folder / "class.tif") as file:
+            with rasterio.open(self._folder / self._raster("class.tif")) as file:
                 return tuple(file.bounds)
         except RasterioError:
             return None
 
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
-        with self._file(name) as path:
+        with self._file(self._folder / self._raster(name)) as path:
             raster = import_notebook("rioxarray").open_rasterio(path)
             if self._in_memory:
                 raster.load().close()
@@ -278,10 +283,23 @@ class Layers:
                 }
             yield variable.rio.write_nodata(nodata)
 
+    def _raster(self, name: str) -> str:
+        """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
+        return name if self._sheets == [self._folder] else virtual_name(name)
+
+    def _table(self, name: str) -> "geopandas.GeoDataFrame":
+        """Read a table of every sheet, joined in the order of the sheets."""
+        geopandas = import_notebook("geopandas")
+        read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
+        parts = []
+        for sheet in self._sheets:
+            with self._file(sheet / name) as path:
+                parts.append(read(path))
+        return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
+
     @contextmanager
-    def _file(self, name: str) -> Iterator[Path]:
+    def _file(self, path: Path) -> Iterator[Path]:
         """Yield the path of a file; errors while the body of the ``with`` reads it become BadInputErrors."""
-        path = self._folder / name
         if not path.exists():
             raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:

@@ -3,6 +3,7 @@
 Nothing here needs GDAL or Arrow, whose import takes a fifth of a second: a run checks its folder before it reads.
 """
 
+import re
 from os.path import lexists
 from pathlib import Path
 from uuid import uuid4
@@ -11,7 +12,16 @@ from bumpymap.core import STAGED, OutputError, remove_path
 from bumpymap.layers._replacing import refuse_blocked
 from bumpymap.layers.manifest import MANIFEST_NAME
 
-__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "VIEW_NAMES", "check_folder"]
+__all__ = [
+    "NAMED_RASTERS",
+    "PRODUCT_NAMES",
+    "SHEET_FOLDER",
+    "SHEET_TABLE_NAME",
+    "VIEW_NAMES",
+    "VIRTUAL_NAMES",
+    "check_folder",
+    "sheets_in",
+]
 
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
@@ -34,6 +44,28 @@ VIEW_NAMES: tuple[str, ...] = (
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
 """Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""
+SHEET_FOLDER = "sheets"
+"""Folder of the sheets of a map that is written in sheets, each a folder with the files above."""
+SHEET_TABLE_NAME = "sheets.csv"
+"""One row a sheet."""
+VIRTUAL_NAMES = tuple(name.replace(".tif", ".vrt") for name in PRODUCT_NAMES if name.endswith(".tif"))
+"""Virtual rasters over the rasters of all sheets."""
+_SHEET_NAME = re.compile(r"[ew]\d{4,}_[ns]\d{4,}")
+
+
+def sheets_in(folder: Path) -> list[str]:
+    """Return the names of the sheets, complete or not, in an output folder; links are none.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be listed.
+    """
+    inside = folder / SHEET_FOLDER
+    if inside.is_symlink() or not inside.is_dir():
+        return []
+    found = (path for path in inside.iterdir() if _SHEET_NAME.fullmatch(path.name))
+    return sorted(path.name for path in found if path.is_dir() and not path.is_symlink())
 
 
 def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
@@ -65,7 +97,9 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
             remove_path(left)
-        present = [name for name in (*PRODUCT_NAMES, *VIEW_NAMES) if lexists(folder / name)]
+        names = (*PRODUCT_NAMES, *VIEW_NAMES, *VIRTUAL_NAMES, SHEET_TABLE_NAME)
+        present = [name for name in names if lexists(folder / name)]
+        sheets = sheets_in(folder)
     except OSError as error:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. "
@@ -73,6 +107,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         ) from error
     refuse_blocked(folder, present)
     finished = MANIFEST_NAME in present
+    present += [f"{len(sheets)} {SHEET_FOLDER}"] if sheets else []
     if present and not overwrite and (finished or not resume):
         unfinished = "" if finished else " of a run that did not end"
         raise OutputError(

@@ -4,7 +4,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,6 +25,7 @@ from bumpymap.core import (
 from bumpymap.layers.route_overlap import SheetChoice, window_slices, worse_objects
 from bumpymap.layers.route_relief import read_relief
 from bumpymap.layers.route_sheet import RouteSheet, common_window
+from bumpymap.layers.sheets.folders import sheet_folders
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["RouteMap", "open_map"]
@@ -211,12 +211,23 @@ class RouteMap:
 
     def _overlapping(self, window: TileWindow) -> bool:
         """Return whether two sheets share a tile of the window."""
-        parts = [part for sheet in self.sheets if (part := common_window(window, sheet.window)) is not None]
-        return any(common_window(first, second) is not None for first, second in combinations(parts, 2))
+        return any(common_window(window, shared) is not None for shared in self._shared)
+
+    @cached_property
+    def _shared(self) -> list[TileWindow]:
+        """The windows that two sheets have in common; none in a map that was written in sheets."""
+        sides = np.array([(w.col, w.row, w.col + w.cols, w.row + w.rows) for w in (s.window for s in self.sheets)])
+        shared: list[TileWindow | None] = []
+        for number, (west, south, east, north) in enumerate(sides[:-1].tolist()):
+            later = sides[number + 1 :]
+            meets = (later[:, 0] < east) & (later[:, 2] > west) & (later[:, 1] < north) & (later[:, 3] > south)
+            others = [self.sheets[other].window for other in (np.flatnonzero(meets) + number + 1).tolist()]
+            shared += [common_window(self.sheets[number].window, other) for other in others]
+        return [window for window in shared if window is not None]
 
 
 def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
-    """Open the layers of one map: the folder of a run, or several that are sheets of one map.
+    """Open the layers of one map: the folder of a run, in sheets or not, or several that are sheets of one map.
 
     Parameters
     ----------
@@ -233,7 +244,8 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     """
     if not folders:
         raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
-    opened = {path.resolve(): RouteSheet.open(path) for path in map(Path, folders)}
+    paths = [sheet for folder in folders for sheet in sheet_folders(folder)]
+    opened = {path.resolve(): RouteSheet.open(path) for path in paths}
     first, *others = sheets = tuple(opened.values())
     for other in others:
         _require_same(first, other)

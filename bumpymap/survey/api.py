@@ -49,6 +49,7 @@ class MapSettings(TypedDict, total=False):
     trust_points: bool
     skip_bad: bool
     max_unknown: float | None
+    sheets: float | None
     overwrite: bool
     resume: bool
     threads: int
@@ -75,8 +76,8 @@ def map_survey(
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
-        ``skip_bad``, ``max_unknown``, ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``, ``workers``,
-        ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``,
+        ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
 
     Returns
     -------
@@ -107,6 +108,11 @@ def map_survey(
         folder = _place("out", out)
         _map(MapConfig(surveys=places, out=Path(folder), **own))
         return Layers(folder)
+    if own.get("sheets") is not None:
+        raise UsageError(
+            f"`sheets={own['sheets']:g}` cuts a large map into folders, and layers without `out` are temporary: give "
+            "`out='DIR'`, or leave sheets out"
+        )
     folder = temporary_folder()
     try:
         _map(MapConfig(surveys=places, out=Path(folder), **own))

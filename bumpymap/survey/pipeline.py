@@ -38,6 +38,7 @@ from bumpymap.survey.result import MapResult
 from bumpymap.survey.run_record import describe_run, earlier_result, run_manifest, versions
 from bumpymap.survey.second_pass import add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
+from bumpymap.survey.written import write_layers
 from bumpytiles import Grid
 
 __all__ = ["map_surveys"]
@@ -88,12 +89,10 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines)
         with clock.stage("write"):
-            from bumpymap.layers import write_products  # brings GDAL and Arrow, for which reading need not wait
-
-            files, summary = write_products(table, config.out, local=config.local, manifest=manifest, progress=progress)
+            files, summary, sheets = write_layers(table, config, inputs, run_spec, manifest, progress)
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
-    return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin)
+    return MapResult(files, summary, points, only, inputs.skipped, clock.seconds, lines, thin, sheets)
 
 
 def _check_out(config: MapConfig) -> bool:

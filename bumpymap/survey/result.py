@@ -29,5 +29,7 @@ class MapResult:
     """Steps between flight lines, and what was taken off."""
     rates_thin: bool
     """Thin tiles were rated from their points."""
+    sheets: int = 0
+    """Sheets that the layers are written in; 0: one map."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""

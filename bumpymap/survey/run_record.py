@@ -4,13 +4,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import BadInputError, Ground, MapConfig, differences, flat_settings, same_content, spec_of_manifest
+from bumpymap.core import (
+    BadInputError,
+    Ground,
+    MapConfig,
+    differences,
+    flat_settings,
+    read_record,
+    same_content,
+    spec_of_manifest,
+)
 from bumpymap.layers import (
     MANIFEST_NAME,
-    PRODUCT_NAMES,
     VIEW_NAMES,
     MapSummary,
+    made_names,
     refuse_replacing,
+    require_whole,
     software_versions,
     verified_record,
 )
@@ -67,7 +77,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
     OutputError
         That run had other inputs or settings, or its layers are no longer complete.
     """
-    names = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
+    names = made_names(read_record(config.out / MANIFEST_NAME))
     with verified_record(config.out, names) as record:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         ignored = _WITHOUT_EFFECT if skipped else {*_WITHOUT_EFFECT, "skip_bad"}
@@ -77,11 +87,14 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
         lines = FlightLines.from_record(record["flight_lines"])
+        in_sheets = len(record.get("sheets", ()))
     now = {**run_spec, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
-    views = [name for name in VIEW_NAMES if (config.out / name).exists()]  # they may be deleted, or rewritten
-    files = tuple(config.out / name for name in (*PRODUCT_NAMES, *views))
-    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, already_done=True)
+    require_whole(config.out, record)
+    # Views may be deleted, or rewritten by other programs.
+    views = [] if in_sheets else [name for name in VIEW_NAMES if (config.out / name).exists()]
+    files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
+    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, in_sheets, True)
 
 
 def run_manifest(

@@ -59,6 +59,8 @@ RULES = (
     Rule(r"^python tests/benchmarks/profile_map\.py", "maps a survey seven times; takes perf and strace", None),
     Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
     Rule(r"^python tests/benchmarks/race\.py", "races runs for a quarter of an hour", None),
+    Rule(r"^python tests/benchmarks/wide_site\.py", "half a gigabyte", "--width 1 --height 1"),
+    Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite", None),
     Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
     Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`", ""),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),

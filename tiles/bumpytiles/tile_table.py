@@ -31,13 +31,19 @@ class TileTable:
     """
 
     def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack | JoinedPack]) -> None:
-        self.grid = grid
-        self.pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack] = {}
+        pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack] = {}
         tiles: dict[BlockKey, int] = {}
         for pack in packs:
             held = {key: rows for key, rows in zip(pack.keys, pack.counts(), strict=True) if rows}
-            self.pack_of |= dict.fromkeys(held, pack)
+            pack_of |= dict.fromkeys(held, pack)
             tiles |= held
+        self._index(grid, pack_of, tiles)
+
+    def _index(
+        self, grid: Grid, pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack], tiles: Mapping[BlockKey, int]
+    ) -> None:
+        """Set all attributes, given the pack and the number of tiles of each block."""
+        self.grid, self.pack_of = grid, pack_of
         self.tiles = sum(tiles.values())
         """Number of tiles."""
         if not self.tiles:
@@ -61,6 +67,24 @@ class TileTable:
             key = (int(rows[members[0]]), int(cols[members[0]])) if len(members) else (0, 0)
             pack.add(key, {name: array[members] for name, array in columns.items()})
         return cls(grid, [pack])
+
+    def part(self, window: TileWindow) -> "TileTable":
+        """Return the tiles of a window that cuts no block as a table of their own, read from the same packs.
+
+        Raises
+        ------
+        ValueError
+            The window cuts a block, or holds no tile.
+        """
+        if any(side % BLOCK_TILES for side in (window.col, window.row, window.cols, window.rows)):
+            raise ValueError(f"{window} cuts blocks of {BLOCK_TILES} tiles")
+        runs = list(self._runs(window))
+        counts = [count for run in runs for count in self._counts[run].tolist()]
+        keys = [key for run in runs for key in self._keys(run)]
+        part = TileTable.__new__(TileTable)
+        packs = {key: self.pack_of[key] for key in keys}
+        part._index(self.grid, packs, dict(zip(keys, counts, strict=True)))  # noqa: SLF001 (of the same class)
+        return part
 
     def holds(self, window: TileWindow) -> bool:
         """Return False if a window has no tiles; True if blocks that overlap it have tiles, perhaps outside it."""

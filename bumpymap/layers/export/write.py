@@ -16,6 +16,7 @@ from bumpymap.layers.export.lattice import SQUARES
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
 from bumpymap.layers.export.plan import make_mission, read_route_line, write_plan
 from bumpymap.layers.export.target import DATUM_NAME, EXPORT_FILES, check_target, export_folder, write_json
+from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap
 
 __all__ = ["Export", "ExportSettings", "export_map"]
@@ -101,6 +102,8 @@ def export_map(
     area = choose_area(
         route_map, _split(route_map, settings), _point(settings.around), settings.radius, _point(settings.datum)
     )
+    if settings.to != "plan":
+        check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
     write = _MAKERS[settings.to](area, settings)
     with export_folder(folder, settings.to, overwrite=overwrite) as staged:

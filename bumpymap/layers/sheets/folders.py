@@ -1,0 +1,163 @@
+"""Folders of a map in sheets: which they are, and how those of an earlier run are removed."""
+
+import os
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from bumpymap.core import STAGED, BadInputError, OutputError, read_record, remove_path
+from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT
+from bumpymap.layers.products import (
+    PRODUCT_NAMES,
+    SHEET_FOLDER,
+    SHEET_TABLE_NAME,
+    VIEW_NAMES,
+    VIRTUAL_NAMES,
+    sheets_in,
+)
+
+__all__ = [
+    "in_sheets",
+    "make_sheet_folder",
+    "remove_manifest",
+    "remove_map_files",
+    "remove_sheets",
+    "sheet_folders",
+    "virtual_name",
+]
+
+_SIDECAR = ".aux.xml"
+_OWN = (*PRODUCT_NAMES, *VIEW_NAMES)
+_FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0)
+
+
+def virtual_name(raster: str) -> str:
+    """Return the name of the virtual raster over the rasters of this name."""
+    return raster.replace(".tif", ".vrt")
+
+
+def in_sheets(folder: Path) -> bool:
+    """Return whether a folder holds a complete map in sheets."""
+    return (read_record(folder / MANIFEST_NAME) or {}).get("format") == SHEETS_FORMAT
+
+
+def sheet_folders(path: str | os.PathLike[str]) -> list[Path]:
+    """Return the folders of the sheets of a map, ordered by name; a map that is not in sheets is its own.
+
+    Whether the folders hold what they should is not checked, except for their presence.
+
+    Raises
+    ------
+    BadInputError
+        A sheet is missing, or the list of sheets cannot be read.
+    """
+    folder = Path(path)
+    record = read_record(folder / MANIFEST_NAME) or {}
+    if record.get("format") != SHEETS_FORMAT:
+        return [folder]
+    found = [folder.joinpath(*PurePosixPath(name).parts) for name in _names(record, folder)]
+    missing = [sheet for sheet in found if not (sheet / MANIFEST_NAME).is_file()]
+    if missing:
+        more = f" and {len(missing) - 1} more are" if len(missing) > 1 else " is"
+        raise BadInputError(
+            f"the map in {folder} has {len(found)} sheets, of which {missing[0]}{more} missing. Copy the whole folder "
+            "again, or map the survey again"
+        )
+    return found
+
+
+def _names(record: dict[str, Any], folder: Path) -> list[str]:
+    """Return the paths of the sheets in the manifest of a map; raise BadInputError if one leads elsewhere."""
+    try:
+        names = [str(sheet["folder"]) for sheet in record["sheets"]]
+    except (KeyError, TypeError) as error:
+        raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {error!r}. Map the survey again") from error
+    for name in names:
+        parts = PurePosixPath(name).parts
+        if len(parts) != 2 or parts[0] != SHEET_FOLDER or parts[1] == "..":
+            raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {name} is not a sheet. Map the survey again")
+    return names
+
+
+def make_sheet_folder(folder: Path, name: str) -> Path:
+    """Make the folder of a sheet, and remove what a killed run left half-written in it.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made, or a link or a file is in its place.
+    """
+    sheet = folder / SHEET_FOLDER / name
+    for place in (sheet.parent, sheet):
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise OutputError(
+                f"{place} is a link or a file, and was not touched: sheets are written there. Remove it, or choose "
+                "another `out`"
+            )
+    try:
+        sheet.mkdir(parents=True, exist_ok=True)
+        for left in sheet.glob(f"{STAGED}*"):
+            remove_path(left)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write to the folder {sheet}: {error.strerror or error}. Choose another `out`"
+        ) from error
+    return sheet
+
+
+def remove_manifest(folder: Path) -> None:
+    """Remove the manifest of an earlier map: from now on the folder holds no complete one."""
+    with _removing(folder):
+        _remove_files(folder, (MANIFEST_NAME,))
+
+
+def remove_map_files(folder: Path) -> None:
+    """Remove the files of an earlier map that is not in sheets. Other files stay."""
+    with _removing(folder):
+        _remove_files(folder, _OWN)
+
+
+def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
+    """Remove the sheets of an earlier run, but for the names in ``keep``; files that no run wrote stay.
+
+    If all are removed, the virtual rasters and the table of sheets are removed too. Links are not followed.
+
+    Raises
+    ------
+    OutputError
+        Something cannot be removed.
+    """
+    with _removing(folder):
+        for name in sheets_in(folder):
+            if name not in keep:
+                sheet = folder / SHEET_FOLDER / name
+                _remove_files(sheet, (MANIFEST_NAME, *_OWN, *(left.name for left in sheet.glob(f"{STAGED}*"))))
+                with suppress(OSError):  # not empty
+                    sheet.rmdir()
+        if not keep:
+            _remove_files(folder, (*VIRTUAL_NAMES, SHEET_TABLE_NAME))
+            with suppress(OSError):  # not empty, or not there
+                (folder / SHEET_FOLDER).rmdir()
+
+
+def _remove_files(folder: Path, names: Iterable[str]) -> None:
+    """Remove files or links, and the sidecar files of rasters, from a folder that is not a link."""
+    descriptor = os.open(folder, _FLAGS)
+    try:
+        for name in names:
+            for own in (name, name + _SIDECAR):
+                with suppress(FileNotFoundError):
+                    remove_path(Path(own), descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _removing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"cannot remove the layers of an earlier run from {folder}: {error.strerror or error}. Choose another `out`"
+        ) from error
