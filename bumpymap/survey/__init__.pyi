@@ -11,7 +11,7 @@ from .api import (
 from .batch.night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
-    map_batch as map_batch,
+    run_batch as run_batch,
 )
 from .batch.settings import (
     BatchConfig as BatchConfig,

@@ -1,7 +1,7 @@
 from .night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
-    map_batch as map_batch,
+    run_batch as run_batch,
 )
 from .settings import (
     BatchConfig as BatchConfig,

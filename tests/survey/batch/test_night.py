@@ -17,7 +17,7 @@ from bumpymap.cli import main
 from bumpymap.core import OutputError, locked
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import PRODUCT_NAMES
-from bumpymap.survey import BatchConfig, map_batch, map_surveys
+from bumpymap.survey import BatchConfig, map_surveys, run_batch
 
 pytestmark = pytest.mark.slow
 
@@ -73,13 +73,13 @@ def events(folder):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from bumpymap.survey import BatchConfig, map_batch
+from bumpymap.survey import BatchConfig, run_batch
 
 def end(row):
     if row.status == "done":
         os.kill(os.getpid(), signal.SIGKILL)
 
-map_batch(BatchConfig(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3])), end)
+run_batch(BatchConfig(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3])), end)
 """
 
 
@@ -111,7 +111,7 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path, jobs):
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
     assert {name for name, status in found.items() if status == "failed"} == {"broken", "empty", "nothing", "nowhere"}
     assert sorted(path.name for path in night.iterdir()) == sorted(
-        [*GOOD, "summary.csv", "summary.parquet", "log.jsonl"]
+        [*GOOD, "summary.csv", "summary.parquet", "index.html", "log.jsonl"]
     )
     assert [event["event"] for event in events(night)].count("start") == 3
     assert events(night)[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
@@ -267,7 +267,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
 
 def test_one_batch_at_a_time(surveys, tmp_path):
     with locked(tmp_path / "o"), pytest.raises(OutputError, match="another run is writing"):
-        map_batch(BatchConfig(surveys, tmp_path / "o"))
+        run_batch(BatchConfig(surveys, tmp_path / "o"))
     assert not list((tmp_path / "o").iterdir())
 
 
