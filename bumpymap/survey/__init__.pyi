@@ -8,6 +8,9 @@ from .advice import (
 from .api import (
     map_survey as map_survey,
 )
+from .batch.api import (
+    map_batch as map_batch,
+)
 from .batch.night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,

@@ -80,8 +80,8 @@ def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.
     from rasterio.enums import Resampling
 
     with open_raster(folder, "heightmap.tif") as raster:
-        found: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=Resampling.average)
-    return found
+        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=Resampling.average)
+    return heights
 
 
 def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[np.float64]:
@@ -90,4 +90,5 @@ def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[
         return np.ones(heights.shape)
     down, east = np.gradient(heights, *pixel)
     light = (_LIGHT[0] * -east + _LIGHT[1] * down + _LIGHT[2]) / np.sqrt(1.0 + east**2 + down**2)
-    return np.nan_to_num(np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST), nan=1.0)
+    shade = np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST)
+    return np.where(np.isnan(shade), 1.0, shade)

@@ -1,3 +1,7 @@
+from .api import (
+    BatchSettings as BatchSettings,
+    map_batch as map_batch,
+)
 from .night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
