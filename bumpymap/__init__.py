@@ -1,7 +1,8 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
-``map_survey`` maps a survey, ``map_batch`` many; ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
-plan ways over them, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are imported on first use.
+``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
+plan ways over them, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are
+imported on first use.
 """
 
 from importlib import import_module

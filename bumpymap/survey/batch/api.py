@@ -104,9 +104,9 @@ def map_batch(
     >>> import bumpymap
     >>> night = bumpymap.map_batch("sample_data", "night", ground="all")
     >>> [(row.name, row.status) for row in night.rows]
-    [('quarry', 'done')]
+    [('quarry', 'done'), ('quarry_part', 'failed')]
     >>> night.exit_code
-    0
+    4
     """
     known = [*_OF_BATCH, *(field.name for field in fields(MapConfig) if field.name not in _NOT_OF_BATCH)]
     if unknown := [name for name in settings if name not in known]:
