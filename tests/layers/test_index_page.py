@@ -19,7 +19,7 @@ from bumpymap.core import NO_CLASS, BadInputError, Barred
 from bumpymap.layers import CLASS_COLOURS, SurveyRow, SurveyView, index_page, read_thumbnail
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-HOSTILE = '<script>alert(1)</script>"\'&<img src=x onerror=alert(2)>'
+HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(2)>"
 
 
 def done(name, **other):
@@ -63,7 +63,9 @@ def test_text_of_files_is_text():
 
 def test_the_policy_lets_the_page_s_own_style_and_script_run_and_nothing_else():
     page = index_page([done("a")], {"a": SurveyView(b"png")}, ["summary.csv"], "night")
-    policy = next(meta["content"] for meta in Reader(page).all("meta") if "content" in meta and "src" in meta["content"])
+    policy = next(
+        meta["content"] for meta in Reader(page).all("meta") if "content" in meta and "src" in meta["content"]
+    )
     for tag in ("style", "script"):
         body = re.search(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)[1]
         digest = base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from bumpymap.core import locked, remove_empty_on_error
+from bumpymap.core import MapConfig, locked, remove_empty_on_error
 from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
@@ -16,6 +16,7 @@ from bumpymap.survey.batch.results import Results
 from bumpymap.survey.batch.settings import BatchConfig
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys
 from bumpymap.survey.batch.workers import map_tasks
+from bumpymap.survey.engine import connect
 
 __all__ = ["BatchReport", "BatchResult", "run_batch"]
 
@@ -81,10 +82,12 @@ def run_batch(
     """
     surveys = list_surveys(config.source, config.survey_per)
     tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
+    _require_scheduler(tasks[0].config)
     if remote is None:
         check_batch_out(folder)
     else:
-        check_remote_out(remote, folder)
+        with remove_empty_on_error(folder):
+            check_remote_out(remote, folder)
     if begin is not None:
         begin(len(surveys))
     with remove_empty_on_error(folder), locked(folder):
@@ -114,6 +117,13 @@ def run_batch(
         with suppress(OSError):  # layers that could not be uploaded are in it
             folder.rmdir()
     return result
+
+
+def _require_scheduler(config: MapConfig) -> None:
+    """Raise UsageError if the scheduler does not answer: else each survey would wait for it."""
+    if config.scheduler is not None:
+        with connect(config.scheduler, None, config.threads, config.tls_config):
+            pass
 
 
 def _title(out: Path | str) -> str:
