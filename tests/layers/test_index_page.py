@@ -87,6 +87,20 @@ def test_what_failed_comes_first_and_names_link_to_reports_that_exist():
     assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
 
 
+@pytest.mark.parametrize(
+    ("statuses", "words"),
+    [
+        (("done", "done"), "2 surveys: 2 done"),
+        (("already done",), "1 survey: 1 done earlier"),
+        (("done", "already done", "already done", "incomplete"), "4 surveys: 3 done (2 of them earlier), 1 incomplete"),
+        (("failed", "not reached", "failed"), "3 surveys: 1 not reached, 2 failed"),
+    ],
+)
+def test_the_headline_counts(statuses, words):
+    rows = [SurveyRow(f"s{number}", status) for number, status in enumerate(statuses)]
+    assert f"{words}\n" in Reader(index_page(rows, {}, [], "night")).text
+
+
 def test_a_name_that_is_not_utf8_has_a_link_to_its_bytes():
     page = index_page([done("caf\udce9")], {"caf\udce9": SurveyView(has_report=True)}, [], "n\udce9")
     assert 'href="caf%E9/report.html"' in page
@@ -143,6 +157,19 @@ def test_unknown_ground_is_grey_even_among_known_tiles(tmp_path):
     assert (found[:48, :48] < 200).all()
     assert (found[48:, 48:] > 250).all()
     assert np.abs(found[:48, 48:] - CLASS_COLOURS[0][:3]).max() < 12
+
+
+@pytest.mark.parametrize("most", [100_000, 2_000, 700])
+def test_colours_of_rare_ground_are_not_mixed(tmp_path, most):
+    """A little grey among light blue stays grey, however few colours a picture has."""
+    class_id, barred = np.ones((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    class_id[48:54, 48:54], barred[48:54, 48:54] = NO_CLASS, Barred.UNKNOWN
+    heights = np.random.default_rng(0).normal(0, 1, (96, 96)).astype(np.float32)
+    write_rasters(tmp_path, class_id, barred, heights)
+    found = pixels(read_thumbnail(tmp_path, most))
+    spread = np.ptp(found.reshape(-1, 3), axis=1)
+    assert 0.5 < (spread < 2).sum() / (6 * len(found) / 96) ** 2 < 2
+    assert ((spread < 2) | (spread > 20)).all()
 
 
 def test_relief_is_lit_from_the_north_west(tmp_path):

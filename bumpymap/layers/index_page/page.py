@@ -24,7 +24,7 @@ _KINDS: dict[SurveyStatus, str] = {
 }  # fmt: skip
 _WORDS: dict[SurveyStatus, str] = {
     "done": "done",
-    "already done": "done before",
+    "already done": "done earlier",
     "incomplete": "incomplete",
     "failed": "failed",
     "not reached": "not reached",
@@ -114,8 +114,17 @@ def index_page(
 
 def _headline(rows: Sequence[SurveyRow]) -> str:
     counts = Counter(row.status for row in rows)
-    parts = [f'<span class="{_KINDS[status]}">{counts[status]} {_WORDS[status]}</span>' for status in _ORDER[::-1]
-             if counts[status]]  # fmt: skip
+    earlier, good = counts["already done"], counts["done"] + counts["already done"]
+    parts = []
+    if good:
+        all_earlier = " earlier" if earlier == good else ""
+        some_earlier = f" ({earlier} of them earlier)" if 0 < earlier < good else ""
+        parts.append(f'<span class="good">{good} done{all_earlier}{some_earlier}</span>')
+    parts += [
+        f'<span class="{_KINDS[status]}">{counts[status]} {_WORDS[status]}</span>'
+        for status in _ORDER[2::-1]
+        if counts[status]
+    ]
     return f"{len(rows)} {'survey' if len(rows) == 1 else 'surveys'}: {', '.join(parts)}"
 
 

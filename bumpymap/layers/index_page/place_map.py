@@ -13,7 +13,7 @@ from bumpymap.layers.batch_row import SurveyRow
 
 __all__ = ["draw_places"]
 
-_WIDTH, _MOST_HEIGHT, _EDGE = 640.0, 280.0, 24.0
+_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
 _DEGREE_M = 111_320.0
 _LEAST_M = 100.0
 _SMALLEST_PX = 7.0
@@ -53,7 +53,7 @@ def draw_places(rows: Sequence[SurveyRow], kinds: Sequence[str], labels: Sequenc
     per_degree = _DEGREE_M * math.cos(middle), _DEGREE_M
     wide, high = max((east - west) * per_degree[0], _LEAST_M), max((north - south) * per_degree[1], _LEAST_M)
     scale = min((_WIDTH - 2 * _EDGE) / wide, (_MOST_HEIGHT - 2 * _EDGE) / high)
-    height = high * scale + 2 * _EDGE + 16
+    width, height = max(wide * scale + 2 * _EDGE, _LEAST_WIDTH), high * scale + 2 * _EDGE + 16
 
     def place(box: _Placed) -> tuple[float, float, float, float]:
         left, top = _EDGE + (box.west - west) * per_degree[0] * scale, _EDGE + (north - box.north) * _DEGREE_M * scale
@@ -72,7 +72,8 @@ def draw_places(rows: Sequence[SurveyRow], kinds: Sequence[str], labels: Sequenc
     about = f"Where {len(found)} surveys lie, north up, {west:.4f} to {east:.4f} east, {south:.4f} to {north:.4f} north"
     beside = f" {missing} without a known place are not drawn." if missing else ""
     return (
-        f'<figure><svg class="places" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{about}">'
+        f'<figure><svg class="places" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" '
+        f'aria-label="{about}">'
         f"{''.join(shapes)}{_scale_bar(scale, height)}</svg>"
         f"<figcaption>Where the surveys lie, north up; small ones are drawn larger.{beside}</figcaption></figure>"
     )

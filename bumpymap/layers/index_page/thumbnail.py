@@ -7,14 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bumpymap.core import NO_CLASS, Barred
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.remote_folder import RemoteFolder, open_raster
 
 __all__ = ["read_thumbnail"]
 
-_SIDES = ((96, 48), (96, 24), (64, 24), (48, 16), (32, 12))
-"""Pixels of the longer side and colours: the first that fits is taken."""
+_SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
+"""Pixels of the longer side and shades of each colour: the first that fits is taken."""
+_COLOURS = np.array(
+    [*(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN][:3]], np.float64
+)
+"""Of the classes, and of unknown ground."""
+_UNKNOWN, _NOTHING = len(CLASS_NAMES), len(CLASS_NAMES) + 1
 _LIGHT = (-0.5, 0.5, 0.7071)
 """Towards the sun in the north-west, 45 degrees high: east, north, up."""
 _DARKEST, _BRIGHTEST = 0.45, 1.2
@@ -36,44 +41,37 @@ def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
     BadInputError
         A layer is missing or damaged.
     """
-    picture: Image.Image | None = None
-    for side, colours in _SIDES:
-        if picture is None:
-            picture = Image.fromarray(_paint(folder, side))
-        small = picture.copy()
-        small.thumbnail((side, side), Image.Resampling.NEAREST)
+    kind, shade = _read(folder, _SIDES[0][0])
+    for side, shades in _SIDES:
+        levels = np.linspace(_DARKEST, _BRIGHTEST, shades)
+        nearest = np.rint((shade - _DARKEST) / (_BRIGHTEST - _DARKEST) * (shades - 1)).astype(np.intp)
+        # A palette of its own: one that fits the picture would mix the colours of rare kinds of ground.
+        palette = np.vstack([(_COLOURS[:, None] * levels[:, None]).reshape(-1, 3), np.full((1, 3), 255.0)])
+        index = np.where(kind == _NOTHING, len(palette) - 1, kind * shades + nearest).astype(np.uint8)
+        picture = Image.fromarray(index, "P")
+        picture.putpalette(np.clip(np.rint(palette), 0, 255).astype(np.uint8).tobytes())
+        picture.thumbnail((side, side), Image.Resampling.NEAREST)
         packed = io.BytesIO()
-        small.quantize(colours, dither=Image.Dither.NONE).save(packed, "PNG", optimize=True)
+        picture.save(packed, "PNG", optimize=True)
         if packed.tell() <= most_bytes:
             return packed.getvalue()
     return b""
 
 
-def _paint(folder: Path | RemoteFolder, side: int) -> NDArray[np.uint8]:
-    """Return the colours of a map on white, (rows, cols, 3) with ``side`` pixels along the longer side."""
+def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the kind of ground (class, ``_UNKNOWN``, ``_NOTHING``) and its brightness, ``side`` pixels at most."""
     with open_raster(folder, "class.tif") as raster:
         scale = side / max(raster.height, raster.width)
         shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
-        pixel = (
-            (raster.bounds.top - raster.bounds.bottom) / shape[0],
-            (raster.bounds.right - raster.bounds.left) / (shape[1]),
-        )
+        wide, high = raster.bounds.right - raster.bounds.left, raster.bounds.top - raster.bounds.bottom
         class_id = raster.read(1, out_shape=shape)
     with open_raster(folder, "barred.tif") as raster:
         barred = raster.read(1, out_shape=shape)
-    table = np.full((256, 3), 255, np.uint8)
-    for value, colour in CLASS_COLOURS.items():
-        if value != NO_CLASS:
-            table[value] = colour[:3]
-    colours = table[class_id]
     # A pixel of an overview has the class of most tiles that have one, even where more are unknown; barred.tif counts
     # those too.
-    colours[(barred == Barred.UNKNOWN) | ((class_id == NO_CLASS) & (barred != NO_CLASS))] = BARRED_COLOURS[
-        Barred.UNKNOWN
-    ][:3]
-    colours[barred == NO_CLASS] = 255
-    shaded = colours * _shade(_heights(folder, shape), pixel)[:, :, None]
-    return np.where((barred == NO_CLASS)[:, :, None], 255, np.clip(shaded, 0, 255)).astype(np.uint8)
+    unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
+    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, class_id)).astype(np.intp)
+    return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
 
 
 def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -338,7 +338,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
     page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2
     assert 'href="b/report.html"' in page
-    assert "1 done before, 1 not reached" in re.sub("<[^>]*>", "", page)
+    assert "1 done earlier, 1 not reached" in re.sub("<[^>]*>", "", page)
 
 
 def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
