@@ -55,7 +55,7 @@ _MOST_LISTED = 20
     "--scratch",
     type=PATH,
     metavar="DIR",
-    help="Folder for points that exceed --memory, and for layers until they are uploaded [default: in --out].",
+    help="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded.",
 )
 @tolerance_options
 @click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")

@@ -244,7 +244,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     mine = tmp_path / "mine"
     mine.mkdir()
-    for name in ("summary.csv", "log.jsonl", "run.json"):
+    for name in ("summary.csv", "index.html", "catalog.json", "log.jsonl", "run.json"):
         (mine / name).write_text("my own\n")
         assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
         assert [(path.name, path.read_text()) for path in mine.iterdir()] == [(name, "my own\n")]
