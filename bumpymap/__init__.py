@@ -1,7 +1,8 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
-``map_survey`` maps surveys, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach`` plan ways over them,
-``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are imported on first use.
+``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
+plan ways over them, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are
+imported on first use.
 """
 
 from importlib import import_module
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from bumpymap.rating import Calibration, Vehicle
     from bumpymap.route import find_routes, map_reach
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
-    from bumpymap.survey import map_survey
+    from bumpymap.survey import map_batch, map_survey
 
     __version__: str
 
@@ -35,6 +36,7 @@ __all__ = [
     "__version__",
     "classify_scan",
     "find_routes",
+    "map_batch",
     "map_reach",
     "map_survey",
     "open",
@@ -53,6 +55,7 @@ _EXPORTS = {
     "Vehicle": ("bumpymap.rating", "Vehicle"),
     "classify_scan": ("bumpymap.scan", "classify_scan"),
     "find_routes": ("bumpymap.route", "find_routes"),
+    "map_batch": ("bumpymap.survey", "map_batch"),
     "map_reach": ("bumpymap.route", "map_reach"),
     "map_survey": ("bumpymap.survey", "map_survey"),
     "open": ("bumpymap.layers", "open_layers"),

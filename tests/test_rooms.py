@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
-    "core": (set(), {"blake3", "numpy", "onnxruntime", "pyproj"}),
+    "core": (set(), {"blake3", "fsspec", "numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pypcd4", "pyproj"}),
     "patches": ({"core"}, {"CSF", "numpy", "scipy"}),
     "rating": ({"core"}, {"numpy"}),

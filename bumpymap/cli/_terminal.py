@@ -23,6 +23,8 @@ class _NamedPath(click.Path):
             self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
         if isinstance(value, str) and (reason := path_fault(value)):
             self.fail(reason, param, ctx)
+        if isinstance(value, str) and "://" in value:
+            self.fail(f"{value} is a URL; URLs can be surveys, and the --out of batch", param, ctx)
         return super().convert(value, param, ctx)
 
 

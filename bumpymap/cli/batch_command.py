@@ -7,9 +7,9 @@ import click
 
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._map_options import rating_options, tolerance_options
-from bumpymap.cli._options import given_options, option_name, output_options
+from bumpymap.cli._options import given_options, option_name, output_options, workers_option
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import PATH, interrupt_note
+from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.cli._wording import as_options
 from bumpymap.core import CLASHES, refuse_clashes
@@ -28,7 +28,13 @@ _MOST_LISTED = 20
 
 @click.command("batch")
 @click.argument("source", type=PATH)
-@click.option("--out", type=PATH, metavar="DIR", required=True, help="Folder for the layers, a folder for each survey.")
+@click.option(
+    "--out",
+    type=LOCATION,
+    metavar="DIR",
+    required=True,
+    help="Folder for the layers, a folder for each survey; or a URL, such as s3://bucket/night.",
+)
 @click.option(
     "--survey-per",
     type=click.Choice(["file", "folder"]),
@@ -42,7 +48,15 @@ _MOST_LISTED = 20
 @click.option(
     "--memory", metavar="SIZE", help="Memory limit, shared by --jobs [default: auto, a quarter of what is free]."
 )
-@click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
+@workers_option("none, one process for each of --jobs")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
+@click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
+@click.option(
+    "--scratch",
+    type=PATH,
+    metavar="DIR",
+    help="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded.",
+)
 @tolerance_options
 @click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")
 @output_options()
@@ -51,7 +65,7 @@ def command(
     ctx: click.Context,
     /,
     source: Path,
-    out: Path,
+    out: Path | str,
     config_file: Path | None,
     *,
     quiet: bool,
@@ -68,7 +82,7 @@ def command(
     bumpymap batch surveys.csv --out night --jobs 4
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)
-    from bumpymap.survey import BatchConfig, map_batch, read_batch_settings
+    from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
 
     own = {"survey_per": given.pop("survey_per"), "jobs": given.pop("jobs")}
     settings = given_options(given)
@@ -76,7 +90,7 @@ def command(
     defaults = read_batch_settings(config_file) if config_file else {}
     config = BatchConfig(source, out, settings, defaults, **own)
     with interrupt_note(_CONTINUE), show_progress(quiet=quiet, as_json=log_json) as progress:
-        result = map_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)
+        result = run_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)
     if not quiet:
         _show(result, out, as_json=log_json)
     if result.exit_code:
@@ -98,7 +112,7 @@ def _reporter(progress: CommandProgress) -> "BatchReport":
     return report
 
 
-def _show(result: "BatchResult", out: Path, *, as_json: bool) -> None:
+def _show(result: "BatchResult", out: Path | str, *, as_json: bool) -> None:
     """Print how many surveys are done, and which are not."""
     counts = {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
     bad = result.with_status(*_BAD)
@@ -111,4 +125,4 @@ def _show(result: "BatchResult", out: Path, *, as_json: bool) -> None:
         print_line(f"  {row.name} {row.status}: {row.message}")
     if len(bad) > _MOST_LISTED:
         print_line(f"  and {len(bad) - _MOST_LISTED} more")
-    print_line(f"Summary in {out}: summary.csv, summary.parquet; events in log.jsonl")
+    print_line(f"Look at {str(out).rstrip('/')}/index.html; the table is summary.csv, events are in log.jsonl")

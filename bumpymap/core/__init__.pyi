@@ -115,6 +115,9 @@ from .progress import (
     Stopwatch as Stopwatch,
     counted as counted,
 )
+from .remote import (
+    remote_files as remote_files,
+)
 from .route_types import (
     NO_TILE as NO_TILE,
     Route as Route,

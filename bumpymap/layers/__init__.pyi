@@ -7,11 +7,13 @@ from ._label import (
 from .batch_facts import (
     map_facts as map_facts,
 )
+from .batch_row import (
+    SurveyRow as SurveyRow,
+    SurveyStatus as SurveyStatus,
+)
 from .batch_summary import (
     BATCH_LOG as BATCH_LOG,
     BATCH_NAMES as BATCH_NAMES,
-    SurveyRow as SurveyRow,
-    SurveyStatus as SurveyStatus,
     check_batch_out as check_batch_out,
     write_batch_summary as write_batch_summary,
 )
@@ -61,6 +63,14 @@ from .gis.project import (
 from .gis.styles import (
     write_styles as write_styles,
 )
+from .index_page.page import (
+    REPORT_NAME as REPORT_NAME,
+    SurveyView as SurveyView,
+    index_page as index_page,
+)
+from .index_page.thumbnail import (
+    read_thumbnail as read_thumbnail,
+)
 from .manifest import (
     MANIFEST_NAME as MANIFEST_NAME,
     complete_manifest as complete_manifest,
@@ -89,6 +99,9 @@ from .products import (
 )
 from .regions import (
     dissolve as dissolve,
+)
+from .remote_folder import (
+    RemoteFolder as RemoteFolder,
 )
 from .route.contours import (
     write_isochrones as write_isochrones,

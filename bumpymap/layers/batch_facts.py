@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import CLASS_NAMES, BadInputError, utf8_path
+from bumpymap.core import CLASS_NAMES, BadInputError
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.remote_folder import RemoteFolder, open_raster
 from bumpymap.layers.sheets.folders import in_sheets, virtual_name
 
 __all__ = ["map_facts"]
@@ -13,7 +14,7 @@ _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
 _RASTER = "class.tif"
 
 
-def map_facts(folder: Path) -> dict[str, Any]:
+def map_facts(folder: Path | RemoteFolder) -> dict[str, Any]:
     """Return the columns of a `SurveyRow` that follow from the layers of a complete map.
 
     Raises
@@ -21,11 +22,11 @@ def map_facts(folder: Path) -> dict[str, Any]:
     BadInputError
         The folder holds no complete map, or one that cannot be read.
     """
-    manifest = read_manifest(folder)
+    manifest = _manifest_of(folder)
     try:
         return {**_counted(manifest), **_described(manifest), **_bounds(folder)}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise BadInputError(f"the run.json in {folder} cannot be read as that of a map: {error!r}") from error
+        raise BadInputError(f"the run.json in {_name(folder)} cannot be read as that of a map: {error!r}") from error
 
 
 def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -36,6 +37,7 @@ def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
     return {
         "points": manifest["points"],
         "density": round(manifest["points"] / area, 4),
+        "area": round(area, 2),
         "tiles": tiles,
         **{name: round(share, 6) for name, share in shares.items()},
         "share_passable": round(counts["passable"] / tiles, 6),
@@ -56,15 +58,23 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _raster(folder: Path) -> str:
-    return virtual_name(_RASTER) if in_sheets(folder) else _RASTER
+def _bounds(folder: Path | RemoteFolder) -> dict[str, float]:
+    with open_raster(folder, _raster(folder)) as raster:
+        return dict(zip(_BOUNDS, map(float, raster.bounds), strict=True))
 
 
-def _bounds(folder: Path) -> dict[str, float]:
-    import rasterio
+def _raster(folder: Path | RemoteFolder) -> str:
+    return virtual_name(_RASTER) if isinstance(folder, Path) and in_sheets(folder) else _RASTER
 
-    try:
-        with utf8_path(folder) as path, rasterio.open(path / _raster(folder)) as raster:
-            return dict(zip(_BOUNDS, map(float, raster.bounds), strict=True))
-    except rasterio.errors.RasterioIOError as error:
-        raise BadInputError(f"{folder / _raster(folder)} cannot be read: {error}") from error
+
+def _manifest_of(folder: Path | RemoteFolder) -> dict[str, Any]:
+    if isinstance(folder, Path):
+        return read_manifest(folder)
+    found = folder.manifest()
+    if found is None:
+        raise BadInputError(f"{folder.url} holds no complete run: run.json is missing or not that of a map")
+    return found
+
+
+def _name(folder: Path | RemoteFolder) -> str:
+    return str(folder) if isinstance(folder, Path) else folder.url

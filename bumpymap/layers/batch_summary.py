@@ -1,64 +1,28 @@
-"""summary.csv and summary.parquet: one row for each survey of a batch."""
+"""summary.csv, summary.parquet and index.html: one row for each survey of a batch."""
 
 import csv
 import io
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from os.path import lexists
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 from bumpymap.core import OutputError, parse_json, utf8_path, write_together
+from bumpymap.layers.batch_row import SurveyRow
+from bumpymap.layers.index_page.page import SurveyView, index_page
 
-__all__ = ["BATCH_LOG", "BATCH_NAMES", "SurveyRow", "SurveyStatus", "check_batch_out", "write_batch_summary"]
+__all__ = ["BATCH_LOG", "BATCH_NAMES", "check_batch_out", "write_batch_summary"]
 
-SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed", "not reached"]
-"""``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
 BATCH_LOG = "log.jsonl"
-_CSV, _PARQUET = "summary.csv", "summary.parquet"
-BATCH_NAMES = (_CSV, _PARQUET, BATCH_LOG)
+_CSV, _PARQUET, _PAGE, _CATALOGUE = "summary.csv", "summary.parquet", "index.html", "catalog.json"
+BATCH_NAMES = (_CSV, _PARQUET, _PAGE, BATCH_LOG, _CATALOGUE)
 """Files of a batch in its folder, beside the folders of the surveys."""
 _MAP = "run.json"
 _MOST_LINE = 100_000
 """Bytes of the first line of a file that are read at most."""
-
-
-def _column(description: str, unit: str = "") -> Any:
-    return field(default=None, metadata={"description": description} | ({"unit": unit} if unit else {}))
-
-
-@dataclass(frozen=True, slots=True)
-class SurveyRow:
-    """What became of one survey. None: not known, as that of a survey without layers."""
-
-    name: str
-    """Folder of its layers."""
-    status: SurveyStatus
-    message: str = ""
-    """Why it failed, or what is incomplete."""
-    seconds: float | None = _column("wall time of the run that made the layers, or until it failed", "s")
-    survey: str = ""
-    """Its files or folder, as the run was given them."""
-    points: int | None = _column("points read that are neither withheld nor noise")
-    density: float | None = _column("points per area of the tiles with points", "1/m2")
-    tiles: int | None = _column("tiles with points")
-    share_smooth: float | None = _column("share of the tiles of class 0")
-    share_fair: float | None = _column("share of the tiles of class 1")
-    share_rough: float | None = _column("share of the tiles of class 2")
-    share_very_rough: float | None = _column("share of the tiles of class 3")
-    share_passable: float | None = _column("share of the tiles that are passable")
-    share_unknown: float | None = _column("share of the tiles without a class")
-    unknown_reason: str | None = _column("why most of them have none")
-    crs: str | None = _column("code of the CRS, or its name")
-    min_x: float | None = _column("west edge of the tiles", "units of the CRS")
-    min_y: float | None = _column("south edge of the tiles", "units of the CRS")
-    max_x: float | None = _column("east edge of the tiles", "units of the CRS")
-    max_y: float | None = _column("north edge of the tiles", "units of the CRS")
-    vehicle: str | None = _column("vehicle of the calibration")
-    calibration: str | None = _column("id of the calibration")
-    checksum: str | None = _column("checksums of the input files, as in run.json, separated by spaces")
 
 
 def check_batch_out(out: Path) -> None:
@@ -77,18 +41,30 @@ def check_batch_out(out: Path) -> None:
         )
 
 
-def write_batch_summary(rows: Sequence[SurveyRow], folder: Path) -> None:
-    """Write summary.csv and summary.parquet, both or none.
+def write_batch_summary(
+    rows: Sequence[SurveyRow], folder: Path, views: Mapping[str, SurveyView], title: str, note: str = ""
+) -> None:
+    """Write summary.csv, summary.parquet and index.html, all or none.
+
+    Parameters
+    ----------
+    rows : sequence of SurveyRow
+    folder : Path
+        An existing folder. The page links to the log and the catalogue in it.
+    views, title, note
+        See `index_page`.
 
     Raises
     ------
     OutputError
         The files cannot be written.
     """
+    links = [_CSV, _PARQUET, *(name for name in (BATCH_LOG, _CATALOGUE) if (folder / name).is_file())]
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:
             (path / _CSV).write_bytes(_csv_text(rows).encode("utf-8", "backslashreplace"))
             _write_parquet(rows, path / _PARQUET)
+            (path / _PAGE).write_text(index_page(rows, views, links, title, note), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write the summary to {folder}: {error}. Free some space there") from error
 

@@ -20,7 +20,9 @@ def is_complete(folder: Path, manifest: str = MANIFEST_NAME) -> bool:
 
 
 @contextmanager
-def verified_record(folder: Path, files: Collection[str], manifest: str = MANIFEST_NAME) -> Iterator[dict[str, Any]]:
+def verified_record(
+    folder: Path, files: Collection[str] | None, manifest: str = MANIFEST_NAME
+) -> Iterator[dict[str, Any]]:
     """Read the manifest of a complete run and verify the checksums of its files.
 
     Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too.
@@ -28,8 +30,9 @@ def verified_record(folder: Path, files: Collection[str], manifest: str = MANIFE
     Parameters
     ----------
     folder : Path
-    files : collection of str
-        Files that must exist; those that the manifest lists are checked in any case.
+    files : collection of str or None
+        Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
+        the manifest alone is in the folder.
     manifest : str
         Name of the manifest.
 
@@ -44,7 +47,8 @@ def verified_record(folder: Path, files: Collection[str], manifest: str = MANIFE
         raise OutputError(unreadable)
     try:
         listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
-        _verify(folder, files, listed)
+        if files is not None:
+            _verify(folder, files, listed)
         yield record
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise OutputError(unreadable) from error

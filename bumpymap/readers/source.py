@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, UsageError
+from bumpymap.core import BadInputError, BumpymapError, remote_files
 from bumpymap.readers._decoder_child import CallbackFile
 from bumpymap.readers.pinned import (
     PINNED,
@@ -226,7 +226,7 @@ def identity(location: Location) -> dict[str, Any]:
 def is_folder(url: str) -> bool:
     """Return whether a URL is a folder."""
     with _reading(url):
-        files, name = _remote(url)
+        files, name = remote_files(url)
         if is_web(url):
             # fsspec would parse any file as a list of links.
             page = web_info(files, name)
@@ -238,14 +238,14 @@ def is_folder(url: str) -> bool:
 def list_folder(url: str) -> list[str]:
     """Return the URLs of all files below a URL, except hidden ones."""
     with _reading(url):
-        files, folder = _remote(url)
+        files, folder = remote_files(url)
         found: list[str] = files.find(folder)
         visible = [name for name in found if "/." not in f"/{name.removeprefix(folder).lstrip('/')}"]
         return [files.unstrip_protocol(name) for name in visible]
 
 
 def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
-    files, name = _remote(url)
+    files, name = remote_files(url)
     if is_web(url):
         got, said = read_web(files, name, start, data)
         require_pinned(url, said)
@@ -259,7 +259,7 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
 
 def _server_info(url: str) -> Mapping[str, Any]:
     """Request the current metadata of a file from its server."""
-    files, name = _remote(url)
+    files, name = remote_files(url)
     if is_web(url):
         return web_info(files, name)
     files.invalidate_cache(name)
@@ -286,25 +286,6 @@ def _refuse_special(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise BadInputError(f"cannot read {path}: it is a pipe or a device. Name a file of points or a folder of them")
-
-
-def _remote(url: str) -> tuple[Any, str]:
-    """Return the fsspec file system and path of a URL."""
-    try:
-        from fsspec.core import url_to_fs  # type: ignore[import-untyped, unused-ignore]
-    except ImportError as error:
-        raise UsageError(f"{url} is a URL; reading those needs: pip install 'bumpymap[remote]'") from error
-    try:
-        files, name = url_to_fs(url)
-    except ImportError as error:
-        kind = url.split("://", 1)[0]
-        raise UsageError(f"{kind}:// needs more ({error}). Install it: pip install 'bumpymap[remote]'") from error
-    except ValueError as error:
-        raise UsageError(
-            f"{url} is not a URL that can be read ({error}). Supported are s3://, https://, gs:// and other protocols "
-            "of fsspec"
-        ) from error
-    return files, name
 
 
 @contextmanager

@@ -8,10 +8,13 @@ from .advice import (
 from .api import (
     map_survey as map_survey,
 )
+from .batch.api import (
+    map_batch as map_batch,
+)
 from .batch.night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
-    map_batch as map_batch,
+    run_batch as run_batch,
 )
 from .batch.settings import (
     BatchConfig as BatchConfig,

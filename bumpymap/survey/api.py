@@ -106,6 +106,8 @@ def map_survey(
     places = _places(surveys)
     if out is not None:
         folder = _place("out", out)
+        if "://" in folder:
+            raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
         _map(MapConfig(surveys=places, out=Path(folder), **own))
         return Layers(folder)
     if own.get("sheets") is not None:

@@ -1,6 +1,7 @@
 """The main job, step by step: surveys in, rated tiles and their files out."""
 
 from functools import partial
+from typing import Any
 
 from bumpymap.core import (
     CostTable,
@@ -41,7 +42,7 @@ from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpymap.survey.written import write_layers
 from bumpytiles import Grid
 
-__all__ = ["map_surveys"]
+__all__ = ["map_surveys", "recorded_result"]
 
 
 def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResult:
@@ -65,11 +66,7 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
     budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"):
         is_done = _check_out(config)
-        require_cloth(config)
-        models = RatingModels.load(config)
-        inputs = SurveyInputs.open(config)
-        run_spec = describe_run(config, inputs, models, budget)
-        neighbours = NeighbourRating.of(config, models)
+        models, inputs, run_spec, neighbours = _prepare(config, budget)
     if is_done:
         return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
     grid = Grid(config.tile_size, config.pixels)
@@ -93,6 +90,30 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
     return MapResult(files, summary, points, only, inputs.skipped, clock.seconds, lines, thin, sheets)
+
+
+def recorded_result(config: MapConfig) -> MapResult:
+    """Return the result of a complete run whose run.json is in ``config.out``, while its layers are elsewhere.
+
+    Raises
+    ------
+    BumpymapError
+        That run had other inputs, settings or versions; or the inputs cannot be read.
+    """
+    try:
+        config = with_memory(config)
+        _, _, run_spec, neighbours = _prepare(config, Budget(memory_bytes(config.memory), config.threads))
+        return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin, with_layers=False)
+    finally:
+        close_filter()
+
+
+def _prepare(config: MapConfig, budget: Budget) -> tuple[RatingModels, SurveyInputs, dict[str, Any], NeighbourRating]:
+    """Load the models, open the surveys, and return them with what the results depend on."""
+    require_cloth(config)
+    models = RatingModels.load(config)
+    inputs = SurveyInputs.open(config)
+    return models, inputs, describe_run(config, inputs, models, budget), NeighbourRating.of(config, models)
 
 
 def _check_out(config: MapConfig) -> bool:

@@ -7,6 +7,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+import bumpymap
 from bumpymap.cli import main
 
 COMMANDS = main.list_commands(click.Context(main))
@@ -46,7 +47,7 @@ def reached(monkeypatch, tmp_path):
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
-    monkeypatch.setattr("bumpymap.survey.map_batch", ends("batch"))
+    monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
@@ -248,3 +249,14 @@ def test_rating_takes_the_same_words_everywhere():
     found = [option.type.choices for name in COMMANDS for option in options(name) if "--rating" in option.opts]
     assert len(found) == 3
     assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "--out", "o"]])
+def test_a_url_where_none_can_be_is_not_taken_for_a_folder(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, [*words, "s3://bucket/night"])
+    assert done.exit_code == 2
+    assert "s3://bucket/night is a URL" in done.output
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(bumpymap.UsageError, match="out is s3://bucket/night, a URL"):
+        bumpymap.map_survey("a.laz", "s3://bucket/night")

@@ -1,7 +1,11 @@
+from .api import (
+    BatchSettings as BatchSettings,
+    map_batch as map_batch,
+)
 from .night import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
-    map_batch as map_batch,
+    run_batch as run_batch,
 )
 from .settings import (
     BatchConfig as BatchConfig,

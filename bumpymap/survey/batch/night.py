@@ -7,20 +7,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from bumpymap.core import locked, remove_empty_on_error
-from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out, write_batch_summary
+from bumpymap.core import MapConfig, locked, remove_empty_on_error
+from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
+from bumpymap.survey.batch.remote import check_remote_out, fetch_log, upload_summary
+from bumpymap.survey.batch.results import Results
 from bumpymap.survey.batch.settings import BatchConfig
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys
 from bumpymap.survey.batch.workers import map_tasks
+from bumpymap.survey.engine import connect
 
-__all__ = ["BatchReport", "BatchResult", "map_batch"]
+__all__ = ["BatchReport", "BatchResult", "run_batch"]
 
 _log = logging.getLogger(__name__)
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
 _WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
 _ALL, _SOME, _NONE = 0, 4, 3
+_MOST_THUMBNAIL, _MOST_THUMBNAILS = 12_000, 900_000
+"""Bytes of one picture, and of all on the page together."""
 
 BatchReport: TypeAlias = Callable[[SurveyRow], None]
 """Receives the row of each survey that has ended."""
@@ -45,7 +50,7 @@ class BatchResult:
         return _SOME if self.with_status(*_WITH_LAYERS) else _NONE
 
 
-def map_batch(
+def run_batch(
     config: BatchConfig,
     report: BatchReport | None = None,
     begin: Callable[[int], None] | None = None,
@@ -76,28 +81,54 @@ def map_batch(
         ``config.out`` cannot be written, is in use, or holds files of something else.
     """
     surveys = list_surveys(config.source, config.survey_per)
-    tasks = _tasks(config, surveys)
-    check_batch_out(config.out)
+    tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
+    _require_scheduler(tasks[0].config)
+    if remote is None:
+        check_batch_out(folder)
+    else:
+        with remove_empty_on_error(folder):
+            check_remote_out(remote, folder)
     if begin is not None:
         begin(len(surveys))
-    with remove_empty_on_error(config.out), locked(config.out), BatchLog.opened(config.out / BATCH_LOG) as log:
-        log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
-        _note_renamed(log, surveys)
-        rows = {task.name: SurveyRow(task.name, "not reached", survey=str(task.config.surveys[0])) for task in tasks}
-        ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
-        try:
-            with closing(ends):
-                for end in ends:
-                    rows[end.row.name] = row = replace(end.row, message=spell(end.row.message))
-                    _note(log, replace(end, row=row))
-                    if report is not None:
-                        report(row)
-        finally:
-            result = BatchResult(tuple(rows[survey.name] for survey in surveys))
-            write_batch_summary(result.rows, config.out)
-            counts = {status: len(result.with_status(status)) for status in sorted({row.status for row in result.rows})}
-            log.write("end", counts=counts, exit_code=result.exit_code)
+    with remove_empty_on_error(folder), locked(folder):
+        if remote is not None:
+            fetch_log(remote, folder)
+        with BatchLog.opened(folder / BATCH_LOG) as log:
+            log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
+            _note_renamed(log, surveys)
+            results = Results(tasks, folder, _title(config.out))
+            ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
+            try:
+                with closing(ends):
+                    for end in ends:
+                        row = replace(end.row, message=spell(end.row.message))
+                        _note(log, replace(end, row=row))
+                        results.add(row, end.view)
+                        if report is not None:
+                            report(row)
+            finally:
+                results.write_last()
+                result = BatchResult(results.rows)
+                counts = {kind: len(result.with_status(kind)) for kind in sorted({row.status for row in result.rows})}
+                log.write("end", counts=counts, exit_code=result.exit_code)
+                if remote is not None:
+                    upload_summary(remote, folder)
+    if remote is not None:
+        with suppress(OSError):  # layers that could not be uploaded are in it
+            folder.rmdir()
     return result
+
+
+def _require_scheduler(config: MapConfig) -> None:
+    """Raise UsageError if the scheduler does not answer: else each survey would wait for it."""
+    if config.scheduler is not None:
+        with connect(config.scheduler, None, config.threads, config.tls_config):
+            pass
+
+
+def _title(out: Path | str) -> str:
+    """Return the name of a batch: that of its folder."""
+    return str(out).rstrip("/").rsplit("/", 1)[-1] if isinstance(out, str) else out.absolute().name
 
 
 def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
@@ -108,6 +139,8 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
             survey.name,
             config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
             config.overwrite,
+            None if config.remote is None else config.remote.below(survey.name),
+            min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
         )
         for survey in surveys
     ]

@@ -5,11 +5,12 @@ then starts another.
 """
 
 import logging
+import tempfile
 import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,24 @@ from bumpymap.core import (
     is_interrupted,
     locked,
     missing_resource,
+    remove_path,
 )
-from bumpymap.layers import SurveyRow, SurveyStatus, is_complete, map_facts
+from bumpymap.layers import (
+    MANIFEST_NAME,
+    REPORT_NAME,
+    RemoteFolder,
+    SurveyRow,
+    SurveyStatus,
+    SurveyView,
+    is_complete,
+    map_facts,
+    read_thumbnail,
+    write_manifest,
+)
+from bumpymap.survey.batch.remote import naming_remote
 from bumpymap.survey.result import MapResult
 
-__all__ = ["MapTask", "TaskEnd", "map_one"]
+__all__ = ["MapTask", "TaskEnd", "look_at", "map_one"]
 
 _MOST_WAIT_S = 5.0
 _NOT_RESUME = " instead of `resume=True`"
@@ -42,6 +56,10 @@ class MapTask:
     config: MapConfig
     overwrite: bool
     """Replace layers that were made from other inputs or settings."""
+    remote: RemoteFolder | None = None
+    """Where the layers are uploaded to; None: they stay in ``config.out``."""
+    thumbnail_bytes: int = 0
+    """Largest picture of the map to make."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,28 +69,88 @@ class TaskEnd:
     row: SurveyRow
     events: tuple[dict[str, Any], ...]
     """Warnings, and the traceback of an unexpected error: arguments of `BatchLog.write`."""
+    view: SurveyView = field(default_factory=SurveyView)
 
 
 def map_one(task: MapTask) -> TaskEnd:
     """Map a survey, continue its interrupted run, or find that it is done."""
     begin = time.perf_counter()
+    view = SurveyView()
     with _collected_warnings() as events:
         try:
-            row = _mapped(task)
+            if task.remote is None:
+                row = _mapped(task)
+                view = look_at(task.config.out, task.thumbnail_bytes)
+            else:
+                row, view = _uploaded(task, task.remote)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
             row = _failed(task, error, round(time.perf_counter() - begin, 3))
             if not isinstance(error, BumpymapError):
                 events.append({"event": "traceback", "message": traceback.format_exc()})
-    return TaskEnd(row, tuple(events))
+    return TaskEnd(row, tuple(events), view)
+
+
+def look_at(folder: Path | RemoteFolder, thumbnail_bytes: int) -> SurveyView:
+    """Return what the page of a batch shows of a complete map."""
+    if isinstance(folder, Path):
+        return SurveyView(read_thumbnail(folder, thumbnail_bytes), (folder / REPORT_NAME).is_file())
+    return SurveyView(read_thumbnail(folder, thumbnail_bytes), REPORT_NAME in folder.sizes())
+
+
+def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyView]:
+    """Map a survey and upload its layers, unless those on the server are the same."""
+    manifest = remote.manifest()
+    if manifest is not None:
+        try:
+            return _found(task, remote, manifest), look_at(remote, task.thumbnail_bytes)
+        except OutputError:
+            if not task.overwrite:
+                raise
+    row, out = _mapped(task), task.config.out
+    view = look_at(out, task.thumbnail_bytes)
+    try:
+        remote.upload(out, MANIFEST_NAME)
+    except OutputError as error:
+        raise OutputError(f"{error}. The layers are in {out}; the next start uploads them") from error
+    remove_path(out)
+    return replace(row, status="done" if row.status == "already done" else row.status), view
+
+
+def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> SurveyRow:
+    """Return the row of a survey whose layers are on the server already.
+
+    Raises
+    ------
+    OutputError
+        They were made from other inputs or settings, or one of them is not there as a whole.
+    """
+    from bumpymap.survey.pipeline import recorded_result
+
+    with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
+        write_manifest(manifest, Path(name) / MANIFEST_NAME)
+        config = replace(task.config, out=Path(name))
+        result = recorded_result(config)
+    sizes = remote.sizes()
+    wrong = [str(file["path"]) for file in manifest["files"] if sizes.get(file["path"]) != file["bytes"]]
+    if wrong:
+        raise OutputError(
+            f"{remote.url} holds a complete run, but {', '.join(wrong)} is missing or has another size. Choose another "
+            "`out`, or pass `overwrite=True` to replace it"
+        )
+    return _row(task, result, map_facts(remote))
 
 
 def _mapped(task: MapTask) -> SurveyRow:
-    from bumpymap.survey.end_of_run import require_known
-
     if task.config.out.is_symlink():
         raise OutputError(f"{task.config.out} is a link, which is not followed. Remove it")
     _wait_for_killed(task.config.out)
     result = _run(task)
+    return _row(task, result, map_facts(task.config.out))
+
+
+def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
+    from bumpymap.survey.end_of_run import require_known
+
     message = ""
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
     if result.skipped:
@@ -82,7 +160,7 @@ def _mapped(task: MapTask) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(task.config.out))
+    return SurveyRow(task.name, status, message, survey=_survey(task), **facts)
 
 
 def _run(task: MapTask) -> MapResult:

@@ -17,6 +17,8 @@ from bumpymap.core import (
     read_settings_file,
     refuse_clashes,
 )
+from bumpymap.layers import RemoteFolder
+from bumpymap.survey.batch.remote import working_folder
 
 __all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
 
@@ -34,7 +36,7 @@ OWN_SETTINGS = (
     "tls_config",
 )
 """Settings of a map that a batch decides for each survey, or shares out."""
-_NOT_IN_A_FILE = ("surveys", "out", "resume", "workers", "scheduler", "tls_config")
+_NOT_IN_A_FILE = ("surveys", "out", "resume")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +45,8 @@ class BatchConfig:
 
     source: Path
     """A folder of surveys, a text file with a path in each line, or a CSV."""
-    out: Path
-    """Folder that gets a folder of layers for each survey."""
+    out: Path | str
+    """Folder that gets a folder of layers for each survey; a string is an fsspec URL such as ``s3://bucket/night``."""
     given: Mapping[str, Any] = field(default_factory=dict)
     """Settings of `MapConfig` for all surveys; they override those of the CSV."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
@@ -60,7 +62,28 @@ class BatchConfig:
         if self.survey_per not in get_args(SurveyPer):
             raise UsageError(f"survey_per is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
         refuse_clashes(self.defaults, CLASHES)
-        self.share(self.of_survey({}), self.jobs)
+        config = self.of_survey({})
+        if self.jobs > 1 and _on_workers(config):
+            name = "workers" if config.workers is not None else "scheduler"
+            raise UsageError(
+                f"jobs is {self.jobs} and {name} is {getattr(config, name)!r}; surveys that are mapped by workers are "
+                "mapped one after another, each by all of them. Give `jobs=1`, or no "
+                f"`{name}`"
+            )
+        self.share(config, self.jobs)
+
+    @property
+    def remote(self) -> RemoteFolder | None:
+        """Where the layers go, if that is a server."""
+        return RemoteFolder(self.out) if isinstance(self.out, str) else None
+
+    @property
+    def folder(self) -> Path:
+        """Folder on this machine: ``out``, or the one in which layers are made before they are uploaded."""
+        if isinstance(self.out, Path):
+            return self.out
+        scratch = self.given.get("scratch", self.defaults.get("scratch"))
+        return working_folder(self.out, scratch)
 
     @property
     def overwrite(self) -> bool:
@@ -86,16 +109,24 @@ class BatchConfig:
         """
         settings = override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
         settings.pop("overwrite", None)
-        return MapConfig(surveys=surveys, out=self.out / name, **settings)
+        config = MapConfig(surveys=surveys, out=self.folder / name, **settings)
+        if self.remote is not None and config.sheets is not None:
+            raise UsageError(
+                f"sheets is {config.sheets:g}, and layers in sheets cannot be uploaded to {self.out}. Give a folder of "
+                "this machine as `out`, or no `sheets`"
+            )
+        return config
 
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
-        """Return settings with the share of threads and memory that one of so many jobs gets.
+        """Return settings with the share of threads and memory that one of so many jobs gets; of workers, all.
 
         Raises
         ------
         UsageError
             ``memory`` is not a size, or too small for so many.
         """
+        if _on_workers(config):
+            return config
         threads = max(1, config.threads // jobs)
         if is_auto(config.memory):
             return replace(config, threads=threads, memory=f"{auto_memory(jobs) >> 20}MB")
@@ -123,3 +154,7 @@ def read_batch_settings(path: Path) -> dict[str, Any]:
             "in `out`. Remove it from the file"
         )
     return found
+
+
+def _on_workers(config: MapConfig) -> bool:
+    return config.workers is not None or config.scheduler is not None

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,11 +14,12 @@ import pytest
 from click.testing import CliRunner
 from small_surveys import write_broken, write_survey
 
+import bumpymap
 from bumpymap.cli import main
 from bumpymap.core import OutputError, locked
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import PRODUCT_NAMES
-from bumpymap.survey import BatchConfig, map_batch, map_surveys
+from bumpymap.survey import BatchConfig, map_surveys, run_batch
 
 pytestmark = pytest.mark.slow
 
@@ -73,13 +75,13 @@ def events(folder):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from bumpymap.survey import BatchConfig, map_batch
+from bumpymap.survey import BatchConfig, run_batch
 
 def end(row):
     if row.status == "done":
         os.kill(os.getpid(), signal.SIGKILL)
 
-map_batch(BatchConfig(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3])), end)
+run_batch(BatchConfig(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3])), end)
 """
 
 
@@ -111,7 +113,7 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path, jobs):
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
     assert {name for name, status in found.items() if status == "failed"} == {"broken", "empty", "nothing", "nowhere"}
     assert sorted(path.name for path in night.iterdir()) == sorted(
-        [*GOOD, "summary.csv", "summary.parquet", "log.jsonl"]
+        [*GOOD, "summary.csv", "summary.parquet", "index.html", "log.jsonl"]
     )
     assert [event["event"] for event in events(night)].count("start") == 3
     assert events(night)[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
@@ -242,7 +244,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     mine = tmp_path / "mine"
     mine.mkdir()
-    for name in ("summary.csv", "log.jsonl", "run.json"):
+    for name in ("summary.csv", "index.html", "catalog.json", "log.jsonl", "run.json"):
         (mine / name).write_text("my own\n")
         assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
         assert [(path.name, path.read_text()) for path in mine.iterdir()] == [(name, "my own\n")]
@@ -267,7 +269,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
 
 def test_one_batch_at_a_time(surveys, tmp_path):
     with locked(tmp_path / "o"), pytest.raises(OutputError, match="another run is writing"):
-        map_batch(BatchConfig(surveys, tmp_path / "o"))
+        run_batch(BatchConfig(surveys, tmp_path / "o"))
     assert not list((tmp_path / "o").iterdir())
 
 
@@ -289,6 +291,97 @@ def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
     lines = log.read_text(encoding="utf-8").splitlines()
     assert lines[: whole.count(b"\n") - 1] == whole.decode().splitlines()[:-1]
     assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
+
+
+def test_surveys_on_workers_have_the_layers_of_a_map(surveys, alone, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'b.las'}\n")
+    (tmp_path / "w.toml").write_text("workers = 2\nthreads = 2")
+    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--config", tmp_path / "w.toml")
+    assert result.exit_code == 0, result.output
+    run = json.loads((tmp_path / "o" / "b" / "run.json").read_text(encoding="utf-8"))
+    assert run["settings"]["workers"] == 2
+    assert {layer: (tmp_path / "o" / "b" / layer).read_bytes() for layer in LAYERS} == {
+        layer: alone["b", layer] for layer in LAYERS
+    }
+
+
+@pytest.mark.parametrize("words", [("--workers", 2), ("--scheduler", "tcp://a:1")])
+def test_surveys_on_workers_are_mapped_one_after_another(surveys, tmp_path, words):
+    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, *words)
+    assert result.exit_code == 2
+    assert f"jobs is 2 and {words[0][2:]} is" in result.stderr
+    assert f"Give --jobs 1, or no {words[0]}" in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_nothing_begins_without_the_scheduler(surveys, tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 1.0)
+    result = batch(surveys, "--out", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.exit_code == 2
+    assert "dask scheduler" in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'b.las'}\n")
+    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 0
+    (tmp_path / "o" / "b" / "report.html").touch()
+
+    def end(row):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o"), end)
+    assert statuses(tmp_path / "o") == {"a": "already done", "b": "not reached"}
+    assert "layers of an earlier start" in table(tmp_path / "o")["b"]["message"]
+    assert table(tmp_path / "o")["b"]["points"] == "20000"
+    page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 2
+    assert 'href="b/report.html"' in page
+    assert "1 done earlier, 1 not reached" in re.sub("<[^>]*>", "", page)
+
+
+def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
+    """So that those of a batch that is killed are not of the batch before."""
+    monkeypatch.setattr("bumpymap.survey.batch.results._EVERY_S", -1.0)
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'nothing.laz'}\n")
+    seen = []
+
+    def look(row):
+        page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
+        seen.append((statuses(tmp_path / "o"), "while the batch was running" in page))
+
+    run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o"), look)
+    assert seen == [
+        ({"a": "done", "nothing": "not reached"}, True), ({"a": "done", "nothing": "failed"}, True),
+    ]  # fmt: skip
+    assert "while the batch" not in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
+
+
+def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
+    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'nowhere.laz'}\n")
+    told = []
+    night = bumpymap.map_batch(str(tmp_path / "s.txt"), tmp_path / "o", told.append, align="off")
+    assert [(row.name, row.status) for row in night.rows] == [("a", "done"), ("nowhere", "failed")]
+    assert sorted(row.name for row in told) == ["a", "nowhere"]
+    assert (night.exit_code, night.rows[0].points) == (4, 20_000)
+    assert "`crs='EPSG:CODE'`" in night.rows[1].message
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "words"),
+    [
+        ({"resume": True}, TypeError, "survey_per, jobs, tile_size"),
+        ({"jobs": 0}, bumpymap.UsageError, "jobs is 0"),
+        ({"jobs": 2, "workers": 2}, bumpymap.UsageError, "Give `jobs=1`, or no `workers`"),
+        ({"ground": "grass"}, bumpymap.UsageError, "ground"),
+        ({"crs": "EPSG:1", "local": True}, bumpymap.UsageError, "crs and local"),
+    ],
+)
+def test_wrong_settings_of_a_python_caller(surveys, tmp_path, settings, error, words):
+    with pytest.raises(error, match=words):
+        bumpymap.map_batch(surveys, tmp_path / "o", **settings)
+    assert not (tmp_path / "o").exists()
 
 
 def test_events_and_quiet(surveys, tmp_path):

@@ -1,0 +1,8 @@
+from .page import (
+    REPORT_NAME as REPORT_NAME,
+    SurveyView as SurveyView,
+    index_page as index_page,
+)
+from .thumbnail import (
+    read_thumbnail as read_thumbnail,
+)

@@ -1,0 +1,92 @@
+"""A small picture of a map: the class of its tiles over the relief, unknown ground grey."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.remote_folder import RemoteFolder, open_raster
+
+__all__ = ["read_thumbnail"]
+
+_SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
+"""Pixels of the longer side and shades of each colour: the first that fits is taken."""
+_COLOURS = np.array(
+    [*(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN][:3]], np.float64
+)
+"""Of the classes, and of unknown ground."""
+_UNKNOWN, _NOTHING = len(CLASS_NAMES), len(CLASS_NAMES) + 1
+_LIGHT = (-0.5, 0.5, 0.7071)
+"""Towards the sun in the north-west, 45 degrees high: east, north, up."""
+_DARKEST, _BRIGHTEST = 0.45, 1.2
+
+
+def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
+    """Return a PNG of a complete map; empty if none is small enough.
+
+    It is made from the overviews, so that memory and time do not grow with the map.
+
+    Parameters
+    ----------
+    folder : Path or RemoteFolder
+    most_bytes : int
+        Largest size of the PNG.
+
+    Raises
+    ------
+    BadInputError
+        A layer is missing or damaged.
+    """
+    kind, shade = _read(folder, _SIDES[0][0])
+    for side, shades in _SIDES:
+        levels = np.linspace(_DARKEST, _BRIGHTEST, shades)
+        nearest = np.rint((shade - _DARKEST) / (_BRIGHTEST - _DARKEST) * (shades - 1)).astype(np.intp)
+        # A palette of its own: one that fits the picture would mix the colours of rare kinds of ground.
+        palette = np.vstack([(_COLOURS[:, None] * levels[:, None]).reshape(-1, 3), np.full((1, 3), 255.0)])
+        index = np.where(kind == _NOTHING, len(palette) - 1, kind * shades + nearest).astype(np.uint8)
+        picture = Image.fromarray(index, "P")
+        picture.putpalette(np.clip(np.rint(palette), 0, 255).astype(np.uint8).tobytes())
+        picture.thumbnail((side, side), Image.Resampling.NEAREST)
+        packed = io.BytesIO()
+        picture.save(packed, "PNG", optimize=True)
+        if packed.tell() <= most_bytes:
+            return packed.getvalue()
+    return b""
+
+
+def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the kind of ground (class, ``_UNKNOWN``, ``_NOTHING``) and its brightness, ``side`` pixels at most."""
+    with open_raster(folder, "class.tif") as raster:
+        scale = side / max(raster.height, raster.width)
+        shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
+        wide, high = raster.bounds.right - raster.bounds.left, raster.bounds.top - raster.bounds.bottom
+        class_id = raster.read(1, out_shape=shape)
+    with open_raster(folder, "barred.tif") as raster:
+        barred = raster.read(1, out_shape=shape)
+    # A pixel of an overview has the class of most tiles that have one, even where more are unknown; barred.tif counts
+    # those too.
+    unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
+    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, class_id)).astype(np.intp)
+    return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+
+
+def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.float64]:
+    from rasterio.enums import Resampling
+
+    with open_raster(folder, "heightmap.tif") as raster:
+        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=Resampling.average)
+    return heights
+
+
+def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the brightness of the relief, 1 where it is level or not known."""
+    if min(heights.shape) < 2:
+        return np.ones(heights.shape)
+    down, east = np.gradient(heights, *pixel)
+    light = (_LIGHT[0] * -east + _LIGHT[1] * down + _LIGHT[2]) / np.sqrt(1.0 + east**2 + down**2)
+    shade = np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST)
+    return np.where(np.isnan(shade), 1.0, shade)

@@ -1,0 +1,130 @@
+"""Map many surveys from Python: one call that returns what became of each."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeAlias, TypedDict, Unpack
+
+from bumpymap.core import (
+    CLASHES,
+    Align,
+    Compat,
+    CsfSettings,
+    FeatureSettings,
+    Ground,
+    MapConfig,
+    Rating,
+    UsageError,
+    ZUnit,
+    path_fault,
+    refuse_clashes,
+    settings_of_call,
+)
+from bumpymap.layers import SurveyRow
+from bumpymap.survey.batch.night import BatchResult, run_batch
+from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
+
+__all__ = ["BatchSettings", "map_batch"]
+
+_PathLike: TypeAlias = str | os.PathLike[str]
+_OF_BATCH = ("survey_per", "jobs")
+_NOT_OF_BATCH = ("surveys", "out", "resume")
+
+
+class BatchSettings(TypedDict, total=False):
+    """Settings of `map_batch`: those of ``BatchConfig`` and of ``MapConfig``; paths may be strings."""
+
+    survey_per: SurveyPer
+    jobs: int
+    tile_size: float
+    pixels: int
+    ground: Ground
+    align: Align
+    rating: Rating
+    compat: Compat
+    vehicle: _PathLike
+    calibration: _PathLike | None
+    model: _PathLike | None
+    crs: str | None
+    z_unit: ZUnit | None
+    local: bool
+    trust_points: bool
+    skip_bad: bool
+    max_unknown: float | None
+    overwrite: bool
+    threads: int
+    memory: str
+    scratch: _PathLike | None
+    workers: int | None
+    scheduler: str | None
+    tls_config: _PathLike | None
+    features: FeatureSettings | Mapping[str, Any]
+    csf: CsfSettings | Mapping[str, Any]
+
+
+def map_batch(
+    source: _PathLike,
+    out: _PathLike,
+    report: Callable[[SurveyRow], None] | None = None,
+    **settings: Unpack[BatchSettings],
+) -> BatchResult:
+    """Map many surveys, each to a folder of its own, as ``bumpymap batch`` does.
+
+    The same call again skips what is done, continues what was interrupted and tries again what has failed. A survey
+    that fails raises nothing: its row says why.
+
+    Parameters
+    ----------
+    source : path
+        A folder of surveys; a ``.txt`` file with a path in each line; or a ``.csv`` file with the column ``survey``.
+    out : path or URL
+        Gets a folder of layers for each survey, the summary and index.html.
+    report : callable, optional
+        Called with the `SurveyRow` of each survey when it has ended.
+    **settings
+        ``survey_per`` and ``jobs``, and those of `map_survey` but ``resume``, for all surveys. They override the
+        columns of a CSV.
+
+    Returns
+    -------
+    BatchResult
+        ``rows``: one for each survey, by name, with the columns of summary.csv. ``exit_code``: that of the command:
+        0 all are done, 4 some are, 3 none.
+
+    Raises
+    ------
+    BumpymapError
+        The source holds no surveys, a setting is not allowed, or ``out`` cannot be used.
+    TypeError
+        There is no setting of this name.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> night = bumpymap.map_batch("sample_data", "night", ground="all")
+    >>> [(row.name, row.status) for row in night.rows]
+    [('quarry', 'done'), ('quarry_part', 'failed')]
+    >>> night.exit_code
+    4
+    """
+    known = [*_OF_BATCH, *(field.name for field in fields(MapConfig) if field.name not in _NOT_OF_BATCH)]
+    if unknown := [name for name in settings if name not in known]:
+        raise TypeError(f"map_batch() has no setting {', '.join(unknown)}; there are: {', '.join(known)}")
+    given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
+    own = {name: given.pop(name) for name in _OF_BATCH if name in given}
+    refuse_clashes(given, CLASHES)
+    places = [_place("source", source), _place("out", out)]
+    target = places[1] if "://" in places[1] else Path(places[1])
+    config = BatchConfig(Path(places[0]), target, settings_of_call(given, MapConfig, "map_batch"), **own)
+    return run_batch(config, report)
+
+
+def _place(name: str, place: _PathLike) -> str:
+    """Return a path as text; raise UsageError if it is not a valid path."""
+    if not isinstance(place, str | os.PathLike):
+        raise UsageError(f"{name} is {place!r}; it must be a path")
+    text = os.fspath(place)
+    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
+        raise UsageError(f"{name}: {reason}")
+    return text
