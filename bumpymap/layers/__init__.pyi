@@ -81,6 +81,11 @@ from .products import (
 from .regions import (
     dissolve as dissolve,
 )
+from .report.write import (
+    REPORT_NAME as REPORT_NAME,
+    write_report as write_report,
+    write_reports as write_reports,
+)
 from .route.contours import (
     write_isochrones as write_isochrones,
 )

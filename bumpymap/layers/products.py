@@ -26,7 +26,7 @@ PRODUCT_NAMES: tuple[str, ...] = (
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""
-VIEW_NAMES: tuple[str, ...] = ()
+VIEW_NAMES: tuple[str, ...] = ("report.html",)
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 NAMED_RASTERS = ("class.tif", "barred.tif", "obstacle.tif")
 """Rasters beside which GDAL writes the names of their values, to ``class.tif.aux.xml`` and so on."""

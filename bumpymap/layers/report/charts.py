@@ -104,10 +104,10 @@ def _histogram(
             parts.append(f'<text x="{x(value):.1f}" y="{foot + 16}" text-anchor="middle">{text}</text>')
     for value, text in marks:
         if edges[0] <= value <= edges[-1]:
-            parts.append(f'<line x1="{x(value):.1f}" x2="{x(value):.1f}" y1="{_TOP - 6}" y2="{foot}" stroke="{_MARK}"/>')
             parts.append(
-                f'<text x="{x(value):.1f}" y="{_TOP - 10}" text-anchor="middle" fill="{_MARK}">{text}</text>'
+                f'<line x1="{x(value):.1f}" x2="{x(value):.1f}" y1="{_TOP - 6}" y2="{foot}" stroke="{_MARK}"/>'
             )
+            parts.append(f'<text x="{x(value):.1f}" y="{_TOP - 10}" text-anchor="middle" fill="{_MARK}">{text}</text>')
     parts.append(f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 6}" text-anchor="middle">{axis}</text>')
     ident = f"chart-{key}"
     return tag(

@@ -47,9 +47,7 @@ class ByteGrid:
         with np.errstate(divide="ignore"):
             plain = np.log(np.maximum(values, _LEAST)) if scale == "log" else values.astype(np.float64)
         known = np.isfinite(plain)
-        low, high = limits or (
-            (float(plain[known].min()), float(plain[known].max())) if known.any() else (0.0, 1.0)
-        )
+        low, high = limits or ((float(plain[known].min()), float(plain[known].max())) if known.any() else (0.0, 1.0))
         step = (high - low) / _STEPS or 1.0
         codes = np.full(values.shape, NOT_KNOWN, np.uint8)
         codes[known] = np.clip(np.rint((plain[known] - low) / step), 0, _STEPS).astype(np.uint8)

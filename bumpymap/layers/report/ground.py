@@ -25,7 +25,7 @@ _NORTH_WEST = (-0.5, 0.5, 0.7071)
 _TYPICAL = 0.35
 """Slope, m per m, that the steepest tenth of the ground is exaggerated to."""
 _EXAGGERATION = (0.5, 6.0)
-_FLAT = 0.72
+_FLAT = 0.84
 """Brightness where no height is known."""
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
 """What wins in a pixel, each over those before it."""

@@ -29,7 +29,7 @@ _NORTH = (
 def map_figure(site: Site, index: int, letter: str) -> Html:
     """Return the figure of a map; the script fills it and finds it by ``index``."""
     grids = {grid.key: grid for grid in site.grids}
-    names = [("class", "Class"), *((key, grids[key].label.capitalize()) for key in ("c_r", "p_fail", "slope", "cost"))]
+    names = [("class", "Class"), *((key, _capital(grids[key].label)) for key in ("c_r", "p_fail", "slope", "cost"))]
     names += [("barred", "What can be crossed"), ("none", "Relief only")]
     names = [(key, name) for key, name in names if key not in grids or (grids[key].codes != NOT_KNOWN).any()]
     radios = [
@@ -84,10 +84,16 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
     )
 
 
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
     if key == "class":
         limits = class_limits(site)
-        entries = [(CLASS_COLOURS[code], f"{code} {name}{_limit(limits, code)}") for code, name in enumerate(CLASS_NAMES)]
+        entries = [
+            (CLASS_COLOURS[code], f"{code} {name}{_limit(limits, code)}") for code, name in enumerate(CLASS_NAMES)
+        ]
         items = [tag("li", swatch(colour), " ", text) for colour, text in entries]
     elif key == "barred":
         codes = [code for code in Barred if code != Barred.UNKNOWN and (site.summary.by_bar[code] or not code)]

@@ -19,7 +19,15 @@ from bumpymap.layers.report.words import (
 )
 
 __all__ = [
-    "ground_section", "lettered", "summary_line", "limit_section", "repeat_section", "survey_section", "vehicle_section", "way_section"]
+    "ground_section",
+    "lettered",
+    "summary_line",
+    "limit_section",
+    "repeat_section",
+    "survey_section",
+    "vehicle_section",
+    "way_section",
+]
 
 _FIGURES = (
     # key, label, decimals, unit
@@ -106,7 +114,10 @@ def _survey(site: Site) -> Html:
     record, summary, spot = site.record, site.summary, site.tiles.spot
     ground = summary.tiles * site.tile_area
     rows = [
-        ("points that were measured", f"{whole(summary.points)} of {whole(int(record.get('points') or summary.points))}"),
+        (
+            "points that were measured",
+            f"{whole(summary.points)} of {whole(int(record.get('points') or summary.points))}",
+        ),
         (
             "density",
             f"{number(summary.points / ground if ground else None, 1)} points per m² on average; "

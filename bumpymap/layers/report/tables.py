@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, REASON_TEXT, Barred, Reason
-from bumpymap.layers.report.markup import Html, table
+from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import area, number, share, whole
 from bumpymap.layers.report.site import Site
 
@@ -53,11 +53,11 @@ def bar_table(sites: Sequence[Site]) -> Html:
         )
     (site,) = sites
     rows = [
-        (BARRED_TEXT[code], _WHY[code], *_counted(site, site.summary.by_bar[code]))
+        (_explained(BARRED_TEXT[code], _WHY[code]), *_counted(site, site.summary.by_bar[code]))
         for code in Barred
         if site.summary.by_bar[code] or code == Barred.NO
     ]
-    return table("What can be crossed", ("ground", "what that means", "tiles", "area", "share"), rows, texts=2, wide=True)
+    return table("What can be crossed", ("ground", "tiles", "area", "share"), rows)
 
 
 def reason_table(sites: Sequence[Site]) -> Html:
@@ -73,14 +73,13 @@ def reason_table(sites: Sequence[Site]) -> Html:
         )
     (site,) = sites
     rows = [
-        (REASON_TEXT[code], _REASONS[code], *_counted(site, site.summary.by_reason[code]))
+        (_explained(REASON_TEXT[code], _REASONS[code]), *_counted(site, site.summary.by_reason[code]))
         for code in Reason
         if site.summary.by_reason[code]
     ]
     if not rows:
-        rows = [("none", "every tile with points has a class", *_counted(site, 0))]
-    head = ("reason", "what that means", "tiles", "area", "share")
-    return table("Why ground is not known", head, rows, texts=2, wide=True)
+        rows = [(_explained("none", "every tile with points has a class"), *_counted(site, 0))]
+    return table("Why ground is not known", ("reason", "tiles", "area", "share"), rows)
 
 
 _WHY = {
@@ -101,6 +100,10 @@ _REASONS = {
 }
 
 
+def _explained(name: str, meaning: str) -> Html:
+    return join(name, tag("span", meaning, class_="meaning"))
+
+
 def _counted(site: Site, tiles: int) -> tuple[str, str, str]:
     return whole(tiles), area(tiles * site.tile_area), share(tiles, site.summary.tiles)
 
@@ -117,9 +120,7 @@ def _range(limits: tuple[float, ...], code: int) -> str:
     return f"{limits[-1]:.3g} and more" if code == len(limits) else f"{limits[code - 1]:.3g} to {limits[code]:.3g}"
 
 
-def _compared(
-    caption: str, names: tuple[str, ...], counts: Callable[[Site], list[int]], sites: Sequence[Site]
-) -> Html:
+def _compared(caption: str, names: tuple[str, ...], counts: Callable[[Site], list[int]], sites: Sequence[Site]) -> Html:
     """Return a table of areas and shares of two maps, and by how many points of a hundred the share differs."""
     first, second = sites
     rows = []

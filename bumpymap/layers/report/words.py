@@ -29,13 +29,12 @@ def headline(site: Site) -> str:
     unknown = summary.bars.get("unknown ground", 0)
     calm = sum(summary.by_class[:2])
     named, total = site.vehicle, summary.tiles
-    parts = [f"A {named} can cross {share(summary.passable, total)} of the surveyed ground"]
+    text = f"A {named} can cross {share(summary.passable, total)} of the surveyed ground"
     if barred:
-        parts.append(f"{share(barred, total)} it cannot cross")
+        text += f" and cannot cross {share(barred, total)}"
     if unknown:
-        parts.append(f"{share(unknown, total)} is not known")
-    text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return f"{text}. {share(calm, total).capitalize()} is smooth or fair to ride on."
+        text += f"; {share(unknown, total)} is not known"
+    return f"{text}. {_capital(share(calm, total))} of the ground is smooth or fair to ride on."
 
 
 def meaning_of(site: Site) -> list[str]:
@@ -132,13 +131,20 @@ def settings_of(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return names and values of the settings that have no option of their own: how tiles are measured."""
     settings = record.get("settings")
     settings = settings if isinstance(settings, Mapping) else {}
-    tables = {"features": settings.get("features"), "csf": settings.get("csf") if settings.get("ground") == "csf" else None}
+    tables = {
+        "features": settings.get("features"),
+        "csf": settings.get("csf") if settings.get("ground") == "csf" else None,
+    }
     return [
         (f"{group}.{name}", str(value))
         for group, values in tables.items()
         if isinstance(values, Mapping)
         for name, value in values.items()
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def base_name(path: str) -> str:

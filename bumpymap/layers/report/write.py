@@ -17,6 +17,7 @@ __all__ = ["REPORT_NAME", "write_report", "write_reports"]
 REPORT_NAME = "report.html"
 _MOST = 2
 """Maps that a page can show."""
+_SUFFIXES = {".html", ".htm"}
 
 
 def write_report(folder: Path, record: Mapping[str, Any]) -> None:
@@ -67,7 +68,7 @@ def write_reports(
     Raises
     ------
     UsageError
-        No layers or more than two, or two without ``out``.
+        No layers or more than two, two without ``out``, or ``out`` is not named like a page.
     BadInputError
         A folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
     OutputError
@@ -91,6 +92,8 @@ def write_reports(
 
 def _check(path: Path, *, replace: bool) -> None:
     """Refuse, before anything is read, what cannot be written. A link is replaced as a link, never followed."""
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path} is not named like a page. Give a file that ends in .html as `out`")
     if path.is_dir() and not path.is_symlink():
         raise OutputError(f"cannot write {path}: it is a folder. Name a file with `out`, such as {path / REPORT_NAME}")
     if not path.parent.is_dir():
