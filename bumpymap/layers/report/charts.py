@@ -60,7 +60,7 @@ def slope_chart(bins: NDArray[np.int64], limit: float | None, key: str) -> Html:
     return _figure(picture, title, note, "slope, degrees", rows)
 
 
-def _figure(picture: Html, title: str, note: str, what: str, rows: list[tuple[str, ...]]) -> Html:
+def _figure(picture: Html, title: str, note: str, what: str, rows: Sequence[tuple[str, ...]]) -> Html:
     numbers = tag("details", tag("summary", "The numbers"), table(title, (what, "tiles", "share"), rows))
     return tag("figure", tag("figcaption", tag("strong", title), f". {note}" if note else ""), picture, numbers)
 

@@ -82,4 +82,4 @@ class ByteGrid:
 
 def packed(codes: NDArray[np.uint8]) -> str:
     """Return bytes compressed (zlib) in base 64."""
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(codes).tobytes(), 7)).decode()
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(codes).tobytes(), 6)).decode()

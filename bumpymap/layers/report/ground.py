@@ -2,6 +2,7 @@
 
 import base64
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,14 @@ def finer(spot: Spot, side: int) -> int:
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
+def _halves(pixels: int) -> Iterator[int]:
+    """Yield the pixels along a tile, half of them and so on to 1: what overviews hold, or a little less."""
+    while pixels > 1:
+        yield pixels
+        pixels //= 2
+    yield 1
+
+
 def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
 
@@ -48,7 +57,7 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     float32
         Metres; NaN where there is no point.
     """
-    factor = finer(spot, side)
+    factor = next(half for half in _halves(spot.pixels) if half <= finer(spot, side))
     rows, cols = (pixels * factor for pixels in spot.shape)
     whole_rows, whole_cols = (tiles // spot.step * factor for tiles in (spot.rows, spot.cols))
     canvas = np.full((rows, cols), np.nan, np.float32)
@@ -88,16 +97,16 @@ def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
     if min(heights.shape) < 2:
         return np.full(heights.shape, round(255 * _FLAT), np.uint8)
     down, east = np.gradient(heights, np.float32(metres))
-    steep = np.hypot(east, down)
-    known = np.isfinite(steep)
-    few = steep[known][:: max(1, int(known.sum()) // 100_000)]
+    steep: NDArray[np.float32] = np.hypot(east[::3, ::3], down[::3, ::3])
+    few = steep[np.isfinite(steep)]
     typical = float(np.quantile(few, 0.9)) if len(few) else _TYPICAL
     factor = np.float32(np.clip(_TYPICAL / max(typical, 1e-6), *_EXAGGERATION))
     east *= factor
     down *= factor
-    light = (-_NORTH_WEST[0] * east + _NORTH_WEST[1] * down + _NORTH_WEST[2]) / np.sqrt(1 + east**2 + down**2)
-    bright = np.where(known, np.clip(light / _NORTH_WEST[2] * _FLAT, 0.15, 1.0), np.float32(_FLAT))
-    return np.rint(bright * 255).astype(np.uint8)
+    light = (-_NORTH_WEST[0] * east + _NORTH_WEST[1] * down + _NORTH_WEST[2]) / np.sqrt(1 + east * east + down * down)
+    bright = np.nan_to_num(np.clip(light * (_FLAT / _NORTH_WEST[2]), 0.15, 1.0), nan=_FLAT)
+    picture: NDArray[np.uint8] = np.rint(bright * 255).astype(np.uint8)
+    return picture
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:

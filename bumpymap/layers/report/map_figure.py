@@ -51,7 +51,11 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
     )
     buttons = [
         tag("button", text, type="button", value=value, aria_label=label)
-        for value, text, label in (("in", "+", "Zoom in"), ("out", "−", "Zoom out"), ("all", "All", "Show all"))
+        for value, text, label in (
+            ("in", "+", "Zoom in"),
+            ("out", "\N{MINUS SIGN}", "Zoom out"),
+            ("all", "All", "Show all"),
+        )
     ]
     stage = tag(
         "div",

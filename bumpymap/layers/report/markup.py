@@ -1,5 +1,6 @@
 """HTML from Python: text is escaped unless it was made here."""
 
+from collections.abc import Sequence
 from html import escape
 
 __all__ = ["Html", "join", "raw", "table", "tag"]
@@ -37,7 +38,7 @@ def tag(name: str, /, *content: str, **attributes: str | bool) -> Html:
 
 
 def table(
-    caption: str, head: tuple[str, ...], rows: list[tuple[str, ...]], *, texts: int = 1, wide: bool = False
+    caption: str, head: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, texts: int = 1, wide: bool = False
 ) -> Html:
     """Return a table whose first ``texts`` columns are text and whose others are numbers.
 

@@ -3,8 +3,10 @@
 import math
 from typing import Any
 
-__all__ = ["area", "number", "share", "whole"]
+__all__ = ["DASH", "area", "number", "share", "whole"]
 
+DASH = "\N{EN DASH}"
+"""Stands where nothing is known."""
 _SQUARE_KILOMETRE = 1e6
 _HECTARE = 1e4
 
@@ -12,7 +14,7 @@ _HECTARE = 1e4
 def number(value: Any, decimals: int, unit: str = "") -> str:
     """Return a number with its unit; a dash if it is not known."""
     if not isinstance(value, int | float) or not math.isfinite(value):
-        return "–"
+        return DASH
     return f"{value:,.{decimals}f}{unit}"
 
 
@@ -24,7 +26,7 @@ def whole(value: int) -> str:
 def share(part: float, total: float) -> str:
     """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
     if not total:
-        return "–"
+        return DASH
     percent = 100 * part / total
     if 0 < percent < 1:
         return "under 1 %"

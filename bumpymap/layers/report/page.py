@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from bumpymap.core import CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, BARRED_TEXT, Barred, Reason
+from bumpymap.core import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, Barred, Reason
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS
 from bumpymap.layers.report.map_figure import RAMP, map_figure
 from bumpymap.layers.report.markup import Html, join, raw, tag
@@ -40,8 +40,8 @@ def render(sites: Sequence[Site]) -> str:
     name = " and ".join(site.name for site in sites)
     title = f"{name}: ground roughness"
     policy = (
-        f"default-src 'none'; img-src data:; style-src {_digest(style)}; script-src {_digest(script)}; base-uri 'none'; "
-        "form-action 'none'"
+        f"default-src 'none'; img-src data:; style-src {_digest(style)}; script-src {_digest(script)}; "
+        "base-uri 'none'; form-action 'none'"
     )
     head = tag(
         "head",

@@ -5,7 +5,7 @@ from typing import Any
 
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.markup import Html, join, table, tag
-from bumpymap.layers.report.numbers import area, number, share, whole
+from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
 from bumpymap.layers.report.ways import Way
@@ -21,9 +21,9 @@ from bumpymap.layers.report.words import (
 __all__ = [
     "ground_section",
     "lettered",
-    "summary_line",
     "limit_section",
     "repeat_section",
+    "summary_line",
     "survey_section",
     "vehicle_section",
     "way_section",
@@ -120,8 +120,10 @@ def _survey(site: Site) -> Html:
         ),
         (
             "density",
-            f"{number(summary.points / ground if ground else None, 1)} points per m² on average; "
-            f"{number(summary.median_count / site.tile_area, 1)} in the median tile",
+            (
+                f"{number(summary.points / ground if ground else None, 1)} points per m² on average; "
+                f"{number(summary.median_count / site.tile_area, 1)} in the median tile"
+            ),
         ),
         ("ground with points", f"{area(ground)} in {whole(summary.tiles)} tiles of {spot.tile_size:g} m"),
         ("extent", f"{spot.cols * spot.tile_size:,.0f} m x {spot.rows * spot.tile_size:,.0f} m"),
@@ -133,10 +135,10 @@ def _survey(site: Site) -> Html:
     files = [
         (
             base_name(str(item.get("path", ""))),
-            str(item.get("format", "–")),
+            str(item.get("format", DASH)),
             whole(int(item.get("points") or 0)),
-            number(float(item["bytes"]) / 1e6, 1, " MB") if item.get("bytes") is not None else "–",
-            _short(str(item.get("checksum") or item.get("sha256") or "–")),
+            number(float(item["bytes"]) / 1e6, 1, " MB") if item.get("bytes") is not None else DASH,
+            _short(str(item.get("checksum") or item.get("sha256") or DASH)),
         )
         for item in inputs
     ]
@@ -196,7 +198,7 @@ def _repeat(site: Site) -> Html:
     command = command_of(record)
     known = record.get("calibration")
     identity = known.get("id") if isinstance(known, Mapping) else known
-    rows = [("calibration", f"{identity} ({site.vehicle})"), ("texture model", str(record.get("model") or "–"))]
+    rows = [("calibration", f"{identity} ({site.vehicle})"), ("texture model", str(record.get("model") or DASH))]
     rows += settings_of(record)
     versions = record.get("versions") or {}
     listed = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, REASON_TEXT, Barred, Reason
 from bumpymap.layers.report.markup import Html, join, table, tag
-from bumpymap.layers.report.numbers import area, number, share, whole
+from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.site import Site
 
 __all__ = ["bar_table", "class_limits", "class_table", "reason_table"]
@@ -34,7 +34,7 @@ def class_table(sites: Sequence[Site]) -> Html:
         for code, name in enumerate(CLASS_NAMES)
     ]
     slope = number(summary.median_slope[len(CLASS_NAMES)], 1)
-    rows.append(("not known", "–", *_counted(site, summary.unknown), "–", slope))
+    rows.append(("not known", DASH, *_counted(site, summary.unknown), DASH, slope))
     rows.append(("all", "", *_counted(site, summary.tiles), "", ""))
     head = ("class", "C_r, rad/m", "tiles", "area", "share", "median C_r, rad/m", "median slope, °")
     return table("Classes", head, rows, wide=True)
@@ -114,7 +114,7 @@ def _class_counts(site: Site) -> list[int]:
 
 def _range(limits: tuple[float, ...], code: int) -> str:
     if len(limits) != len(CLASS_NAMES) - 1:
-        return "–"
+        return DASH
     if code == 0:
         return f"under {limits[0]:.3g}"
     return f"{limits[-1]:.3g} and more" if code == len(limits) else f"{limits[code - 1]:.3g} to {limits[code]:.3g}"

@@ -12,7 +12,7 @@ from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import number, share
 from bumpymap.layers.report.site import Site
 
-__all__ = ["base_name", "command_of", "headline", "limits_of", "measured_surfaces", "meaning_of", "settings_of"]
+__all__ = ["base_name", "command_of", "headline", "limits_of", "meaning_of", "measured_surfaces", "settings_of"]
 
 _SURFACES = Path(__file__).with_name("data") / "surfaces.json"
 _PRIVATE = {
@@ -47,23 +47,28 @@ def meaning_of(site: Site) -> list[str]:
     if about:
         sentences.append(f"The vehicle: {about}.")
     if vehicle:
+        sizes = {key: number(vehicle.get(key), 2, " m") for key in ("width_m", "height_m", "clearance_m")}
         sentences.append(
-            f"It is {number(vehicle.get('width_m'), 2, ' m')} wide and {number(vehicle.get('height_m'), 2, ' m')} high, "
-            f"with {number(vehicle.get('clearance_m'), 2, ' m')} under its belly, and was driven in simulation at "
-            f"{number(vehicle.get('speed_mps'), 1, ' m/s')}."
+            f"It is {sizes['width_m']} wide and {sizes['height_m']} high, with {sizes['clearance_m']} under its belly, "
+            f"and was driven in simulation at {number(vehicle.get('speed_mps'), 1, ' m/s')}."
         )
-    degrees = math.degrees(0.1)
-    sentences += [
-        f"Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = 0.1 rad/m "
-        f"means {degrees:.1f} degrees of pitch for each metre, ups and downs added.",
-        f"Chance of failure is the share of simulated drives of {cost['drive_m']:g} m over such ground that rolled "
-        "over or got stuck. From one half on, the ground counts as not passable.",
+    return [
+        *sentences,
+        (
+            "Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = 0.1 rad/m "
+            f"means {math.degrees(0.1):.1f} degrees of pitch for each metre, ups and downs added."
+        ),
+        (
+            f"Chance of failure is the share of simulated drives of {cost['drive_m']:g} m over such ground that rolled "
+            "over or got stuck. From one half on, the ground counts as not passable."
+        ),
         f"Ground steeper than {cost['slope_limit_deg']:g} degrees counts as not passable.",
-        f"Cost of a metre is what a route planner counts: 1 for the metre itself, {cost['ride_weight_m_per_rad']:g} m "
-        f"for each radian of pitch, and {cost['fail_weight_m']:g} m for one certain failure. A metre that costs 3 is "
-        "worth a detour of 2 m.",
+        (
+            "Cost of a metre is what a route planner counts: 1 for the metre itself, "
+            f"{cost['ride_weight_m_per_rad']:g} m for each radian of pitch, and {cost['fail_weight_m']:g} m for one "
+            "certain failure. A metre that costs 3 is worth a detour of 2 m."
+        ),
     ]
-    return sentences
 
 
 def measured_surfaces() -> Html:
@@ -82,8 +87,8 @@ def measured_surfaces() -> Html:
         ),
         tag(
             "p",
-            f"A real robot ({known['vehicle']}, {known['kind']}, {known['speed']}), not the vehicle of this map and not "
-            "this ground: it shows the size of such numbers, no more. Below "
+            f"A real robot ({known['vehicle']}, {known['kind']}, {known['speed']}), not the vehicle of this map and "
+            "not this ground: it shows the size of such numbers, no more. Below "
             f"{low:g} to {high:g} rad/m the sensor's own noise speaks. Source: {known['source']}; {known['method']}.",
             class_="note",
         ),
@@ -93,15 +98,22 @@ def measured_surfaces() -> Html:
 def limits_of(site: Site) -> list[str]:
     """Return what the map does not know, in sentences."""
     spot, summary = site.tiles.spot, site.summary
+    unknown = share(summary.unknown, summary.tiles)
     known = [
         "The map says how the ground was on the day of the survey.",
-        "It knows shape, not firmness: mud, wet grass, snow, ice and loose sand look like firm ground of the same shape.",
-        f"Ground that is not known ({share(summary.unknown, summary.tiles)} of the tiles with points, and all ground "
-        "without points) is not drivable ground. It is grey and hatched on the map, or white where there is no point.",
-        "Ride cost and chance of failure come from simulated drives of one vehicle, at one speed, on hard ground. They "
-        "hold for no other vehicle, nor for a heavier load or another speed.",
-        f"Every value is that of a tile of {spot.tile_size:g} m. A single stone, wire or hole between the points of the "
-        "survey is not seen.",
+        "It knows shape, not firmness: mud, wet grass, snow, ice and loose sand look like firm ground.",
+        (
+            f"Ground that is not known ({unknown} of the tiles with points, and all ground without points) is not drivable "
+            "ground. It is grey and hatched on the map, or white where there is no point."
+        ),
+        (
+            "Ride cost and chance of failure come from simulated drives of one vehicle, at one speed, on hard ground. "
+            "They hold for no other vehicle, nor for a heavier load or another speed."
+        ),
+        (
+            f"Every value is that of a tile of {spot.tile_size:g} m. A single stone, wire or hole between the points of "
+            "the survey is not seen."
+        ),
     ]
     if site.record.get("ground_only"):
         known.append("Under trees and bushes there are few ground points; much of it may be unknown.")
