@@ -96,7 +96,7 @@ def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
     """Return how bright the light from the north-west leaves each pixel of ``metres``, 0 to 255."""
     if min(heights.shape) < 2:
         return np.full(heights.shape, round(255 * _FLAT), np.uint8)
-    down, east = np.gradient(heights, np.float32(metres))
+    down, east = (np.asarray(np.gradient(heights, metres, axis=axis), np.float32) for axis in (0, 1))
     steep: NDArray[np.float32] = np.hypot(east[::3, ::3], down[::3, ::3])
     few = steep[np.isfinite(steep)]
     typical = float(np.quantile(few, 0.9)) if len(few) else _TYPICAL

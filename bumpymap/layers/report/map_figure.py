@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from bumpymap.core import BARRED_TEXT, CLASS_NAMES, Barred
+import numpy as np
+
+from bumpymap.core import BARRED_TEXT, CLASS_NAMES, NO_CLASS, OBSTACLE, Barred
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS
 from bumpymap.layers.report.charts import swatch
 from bumpymap.layers.report.codes import NOT_KNOWN, ByteGrid
@@ -18,8 +20,9 @@ _GREY = (178, 178, 178)
 _OVERLAYS = (
     ("relief", "Relief", True),
     ("barred", "Not passable (hatched)", False),
-    ("objects", "Obstacles and canopy", True),
 )
+_DENSE = 0.1
+"""From this share of pixels with an obstacle on, as in a forest, obstacles would hide the classes: they start hidden."""
 _NORTH = (
     '<svg class="north" viewBox="0 0 24 40" role="img" aria-label="North is up"><path d="M12 2 20 24 12 19 4 24Z" '
     'fill="#1f2937"/><text x="12" y="38" text-anchor="middle">N</text></svg>'
@@ -36,7 +39,12 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
         tag("label", tag("input", type="radio", name=f"layer-{index}", value=key, checked=key == "class"), f" {name}")
         for key, name in names
     ]
-    overlays = [*_OVERLAYS, *([("ways", "Way", True)] if site.ways else [])]
+    dense = float(np.mean(site.objects[site.objects != NO_CLASS] == OBSTACLE)) if site.objects_known else 0.0
+    overlays = [
+        *_OVERLAYS,
+        ("objects", "Obstacles and canopy", dense < _DENSE),
+        *([("ways", "Way", True)] if site.ways else []),
+    ]
     boxes = [
         tag("label", tag("input", type="checkbox", value=key, checked=checked), f" {name}")
         for key, name, checked in overlays

@@ -113,15 +113,18 @@ def _facts(rows: Sequence[tuple[str, str]]) -> Html:
 def _survey(site: Site) -> Html:
     record, summary, spot = site.record, site.summary, site.tiles.spot
     ground = summary.tiles * site.tile_area
+    kind = " (those of the ground, class 2)" if record.get("ground_only") else ""
+    total = int(record.get("points") or summary.points)
     rows = [
         (
             "points that were measured",
-            f"{whole(summary.points)} of {whole(int(record.get('points') or summary.points))}",
+            f"{whole(summary.points)} of {whole(total)}{kind}",
         ),
         (
             "density",
             (
-                f"{number(summary.points / ground if ground else None, 1)} points per m² on average; "
+                f"{number(total / ground if ground else None, 1)} points per m² on average, "
+                f"{number(summary.points / ground if ground else None, 1)} of them measured; "
                 f"{number(summary.median_count / site.tile_area, 1)} in the median tile"
             ),
         ),

@@ -26,17 +26,17 @@ def class_table(sites: Sequence[Site]) -> Html:
     rows = [
         (
             f"{code} {name}",
-            _range(limits, code),
             *_counted(site, summary.by_class[code]),
+            _range(limits, code),
             number(summary.median_c_r[code], 3),
             number(summary.median_slope[code], 1),
         )
         for code, name in enumerate(CLASS_NAMES)
     ]
     slope = number(summary.median_slope[len(CLASS_NAMES)], 1)
-    rows.append(("not known", DASH, *_counted(site, summary.unknown), DASH, slope))
-    rows.append(("all", "", *_counted(site, summary.tiles), "", ""))
-    head = ("class", "C_r, rad/m", "tiles", "area", "share", "median C_r, rad/m", "median slope, °")
+    rows.append(("not known", *_counted(site, summary.unknown), DASH, DASH, slope))
+    rows.append(("all", *_counted(site, summary.tiles), "", "", ""))
+    head = ("class", "share", "area", "tiles", "C_r, rad/m", "median C_r, rad/m", "median slope, °")
     return table("Classes", head, rows, wide=True)
 
 
@@ -57,7 +57,7 @@ def bar_table(sites: Sequence[Site]) -> Html:
         for code in Barred
         if site.summary.by_bar[code] or code == Barred.NO
     ]
-    return table("What can be crossed", ("ground", "tiles", "area", "share"), rows)
+    return table("What can be crossed", ("ground", "share", "area", "tiles"), rows)
 
 
 def reason_table(sites: Sequence[Site]) -> Html:
@@ -79,7 +79,7 @@ def reason_table(sites: Sequence[Site]) -> Html:
     ]
     if not rows:
         rows = [(_explained("none", "every tile with points has a class"), *_counted(site, 0))]
-    return table("Why ground is not known", ("reason", "tiles", "area", "share"), rows)
+    return table("Why ground is not known", ("reason", "share", "area", "tiles"), rows)
 
 
 _WHY = {
@@ -105,7 +105,7 @@ def _explained(name: str, meaning: str) -> Html:
 
 
 def _counted(site: Site, tiles: int) -> tuple[str, str, str]:
-    return whole(tiles), area(tiles * site.tile_area), share(tiles, site.summary.tiles)
+    return share(tiles, site.summary.tiles), area(tiles * site.tile_area), whole(tiles)
 
 
 def _class_counts(site: Site) -> list[int]:

@@ -55,8 +55,8 @@ def meaning_of(site: Site) -> list[str]:
     return [
         *sentences,
         (
-            "Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = 0.1 rad/m "
-            f"means {math.degrees(0.1):.1f} degrees of pitch for each metre, ups and downs added."
+            "Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = "
+            f"0.1 rad/m means {math.degrees(0.1):.1f} degrees of pitch for each metre, ups and downs added."
         ),
         (
             f"Chance of failure is the share of simulated drives of {cost['drive_m']:g} m over such ground that rolled "
@@ -103,16 +103,16 @@ def limits_of(site: Site) -> list[str]:
         "The map says how the ground was on the day of the survey.",
         "It knows shape, not firmness: mud, wet grass, snow, ice and loose sand look like firm ground.",
         (
-            f"Ground that is not known ({unknown} of the tiles with points, and all ground without points) is not drivable "
-            "ground. It is grey and hatched on the map, or white where there is no point."
+            f"Ground that is not known ({unknown} of the tiles with points, and all ground without points) is not "
+            "drivable ground. It is grey and hatched on the map, or white where there is no point."
         ),
         (
             "Ride cost and chance of failure come from simulated drives of one vehicle, at one speed, on hard ground. "
             "They hold for no other vehicle, nor for a heavier load or another speed."
         ),
         (
-            f"Every value is that of a tile of {spot.tile_size:g} m. A single stone, wire or hole between the points of "
-            "the survey is not seen."
+            f"Every value is that of a tile of {spot.tile_size:g} m. A single stone, wire or hole between the points "
+            "of the survey is not seen."
         ),
     ]
     if site.record.get("ground_only"):
