@@ -10,7 +10,7 @@ from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
-from bumpymap.layers import PRODUCT_NAMES, check_folder, write_products
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, check_folder, write_products
 from bumpytiles import Grid
 
 SIDES = tuple(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))
@@ -33,8 +33,8 @@ def shuffled(cost_map, seed=0):
 def test_all_files_of_a_run(tmp_path, cost_map):
     paths, summary = write(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
-    assert [path.name for path in paths] == list(PRODUCT_NAMES)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *SIDES])
+    assert [path.name for path in paths] == [*PRODUCT_NAMES, *VIEW_NAMES]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *VIEW_NAMES, *SIDES])
     record = json.loads((tmp_path / "run.json").read_text())
     found = hashes(tmp_path)
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
@@ -145,7 +145,7 @@ def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     with pytest.raises(BadInputError, match="`local=True`"):
         write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
-    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES)
+    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES) + len(VIEW_NAMES)
 
 
 def test_single_tile_and_nothing_known(tmp_path, make_map):

@@ -22,7 +22,7 @@ _OVERLAYS = (
     ("barred", "Not passable (hatched)", False),
 )
 _DENSE = 0.1
-"""From this share of pixels with an obstacle on, as in a forest, obstacles would hide the classes: they start hidden."""
+"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _NORTH = (
     '<svg class="north" viewBox="0 0 24 40" role="img" aria-label="North is up"><path d="M12 2 20 24 12 19 4 24Z" '
     'fill="#1f2937"/><text x="12" y="38" text-anchor="middle">N</text></svg>'

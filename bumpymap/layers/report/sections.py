@@ -8,7 +8,7 @@ from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
-from bumpymap.layers.report.ways import Way
+from bumpymap.layers.report.ways import DrawnWay
 from bumpymap.layers.report.words import (
     base_name,
     command_of,
@@ -187,7 +187,7 @@ def _line_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [("flight lines", text)]
 
 
-def _way_table(ways: Sequence[Way]) -> Html:
+def _way_table(ways: Sequence[DrawnWay]) -> Html:
     rows = []
     for key, label, decimals, unit in _FIGURES:
         values = [way.figures.get(key) for way in ways]

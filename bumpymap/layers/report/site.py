@@ -14,7 +14,7 @@ from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.report.codes import ByteGrid, packed
 from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
-from bumpymap.layers.report.ways import Way
+from bumpymap.layers.report.ways import DrawnWay
 from bumpymap.layers.summary import MapSummary
 
 __all__ = ["Site", "plain_name"]
@@ -49,10 +49,10 @@ class Site:
     """Shaded relief, a data URI."""
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
-    ways: tuple[Way, ...] = ()
+    ways: tuple[DrawnWay, ...] = ()
 
     @classmethod
-    def read(cls, folder: Path, record: Mapping[str, Any], ways: tuple[Way, ...] = (), maps: int = 1) -> Self:
+    def read(cls, folder: Path, record: Mapping[str, Any], ways: tuple[DrawnWay, ...] = (), maps: int = 1) -> Self:
         """Read a folder of layers.
 
         Parameters
@@ -61,7 +61,7 @@ class Site:
             Complete layers of a run.
         record : mapping
             The content of its run.json, which may not be there yet.
-        ways : tuple of Way
+        ways : tuple of DrawnWay
             Ways to draw.
         maps : int
             Maps that share the page.

@@ -12,7 +12,7 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core import BadInputError, parse_json
 
-__all__ = ["Way", "read_ways"]
+__all__ = ["DrawnWay", "read_ways"]
 
 _FILE = "route.geojson"
 _MOST_BYTES = 50_000_000
@@ -20,7 +20,7 @@ _DECIMALS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class DrawnWay:
     """One way over the map."""
 
     name: str
@@ -30,7 +30,7 @@ class Way:
     """The properties of its line in route.geojson."""
 
 
-def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[Way, ...]:
+def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     """Read the ways of a folder, or of a file, that `bumpymap route` wrote.
 
     Parameters
@@ -58,7 +58,7 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[Way, ...]:
             raise BadInputError(f"{path} holds no way. {remedy}")
         place = _Place(record)
         return tuple(
-            Way(str(about.get("name") or "way"), tuple(place.metres(part) for part in _parts(geometry)), about)
+            DrawnWay(str(about.get("name") or "way"), tuple(place.metres(part) for part in _parts(geometry)), about)
             for about, geometry in lines
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, ProjError) as error:
