@@ -7,6 +7,7 @@ __all__ = ["DASH", "area", "number", "share", "whole"]
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
+_PERCENT = "\N{NO-BREAK SPACE}%"
 _SQUARE_KILOMETRE = 1e6
 _HECTARE = 1e4
 
@@ -29,10 +30,10 @@ def share(part: float, total: float) -> str:
         return DASH
     percent = 100 * part / total
     if 0 < percent < 1:
-        return "under 1 %"
+        return f"under 1{_PERCENT}"
     if 99 < percent < 100:
-        return "over 99 %"
-    return f"{percent:.0f} %"
+        return f"over 99{_PERCENT}"
+    return f"{percent:.0f}{_PERCENT}"
 
 
 def area(square_metres: float) -> str:

@@ -65,7 +65,9 @@ def render(sites: Sequence[Site]) -> str:
             tag(
                 "section",
                 tag("h2", "Maps" if len(sites) > 1 else "Map", id="map"),
-                tag("p", "Both maps move together." if shared else "", class_="note") if len(sites) > 1 else "",
+                tag("p", "Both maps move together and show the same layers." if shared else "", class_="note")
+                if len(sites) > 1
+                else "",
                 tag("div", *maps, class_="beside maps"),
                 aria_labelledby="map",
             ),

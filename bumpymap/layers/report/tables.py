@@ -121,7 +121,7 @@ def _range(limits: tuple[float, ...], code: int) -> str:
 
 
 def _compared(caption: str, names: tuple[str, ...], counts: Callable[[Site], list[int]], sites: Sequence[Site]) -> Html:
-    """Return a table of areas and shares of two maps, and by how many points of a hundred the share differs."""
+    """Return a table of areas and shares of two maps, and by how many percentage points the share differs."""
     first, second = sites
     rows = []
     for name, one, two in zip(names[1:], counts(first), counts(second), strict=True):
@@ -136,5 +136,5 @@ def _compared(caption: str, names: tuple[str, ...], counts: Callable[[Site], lis
                 f"{points:+.1f}",
             )
         )
-    head = (names[0], "A: area", "A: share", "B: area", "B: share", "B less A, points of 100")
+    head = (names[0], "A: area", "A: share", "B: area", "B: share", "B minus A, percentage points")
     return table(caption, head, rows, wide=True)

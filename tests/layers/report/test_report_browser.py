@@ -164,6 +164,8 @@ def test_two_maps_of_one_place_move_together(visit, pages):
     page.keyboard.press("ArrowLeft")
     first, second = page.evaluate("window.reportMaps.map((map) => [map.scale, ...map.middle])")
     assert first == pytest.approx(second)
+    page.check("figure:nth-of-type(1) input[value=slope]")
+    assert page.evaluate("window.reportMaps.map((map) => map.chosen)") == ["slope", "slope"]
 
 
 def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):

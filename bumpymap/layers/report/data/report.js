@@ -130,11 +130,26 @@
       return this.figure.querySelector(`input[type=checkbox][value=${key}]`)?.checked ?? false;
     }
 
+    show() {
+      for (const legend of this.figure.querySelectorAll(".legend[data-of]")) legend.hidden = legend.dataset.of !== this.chosen;
+      this.draw();
+    }
+
+    /** Show the layers of the other map, as far as there are such. */
+    choose(other) {
+      const same = this.figure.querySelector(`input[type=radio][value=${other.chosen}]`);
+      if (same) same.checked = true;
+      for (const box of this.figure.querySelectorAll("input[type=checkbox]")) {
+        if (other.figure.querySelector(`input[value=${box.value}]`)) box.checked = other.shows(box.value);
+      }
+      this.show();
+    }
+
     listen() {
       const { canvas, figure } = this;
       figure.querySelector(".controls").addEventListener("change", () => {
-        for (const legend of figure.querySelectorAll(".legend[data-of]")) legend.hidden = legend.dataset.of !== this.chosen;
-        this.draw();
+        this.show();
+        for (const other of this.others) other.choose(this);
       });
       figure.querySelector(".zoom").addEventListener("click", (event) => {
         const action = event.target.value;
