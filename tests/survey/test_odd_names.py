@@ -14,7 +14,7 @@ import pytest
 import rasterio
 from pyproj import CRS
 
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -86,7 +86,7 @@ def test_map(folder, tmp_path, locale):
     assert os.fsencode(entry["path"]) == os.fsencode(survey)
     plain = tmp_path / "plain"
     ended(run("map", survey, "--out", plain), 0)
-    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, *NAMES])
+    assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, *VIEW_NAMES, *NAMES])
     for name in (*PRODUCT_NAMES, *NAMES):
         assert name == "run.json" or (out / name).read_bytes() == (plain / name).read_bytes()
 

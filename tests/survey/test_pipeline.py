@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from bumpymap.cli import main
 from bumpymap.core.lock import locked
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -65,7 +65,7 @@ def layers(survey):
 
 def test_every_product_is_there_and_nothing_else(layers):
     assert sorted(path.name for path in layers.iterdir()) == sorted(
-        [*PRODUCT_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
+        [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
     )
 
 

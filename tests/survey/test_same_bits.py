@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow
@@ -21,6 +21,9 @@ CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
 SPAN = (130.0, 70.0)
 """Some three by two blocks of 48 m."""
 OF_THE_CALL = {"surveys", "out", "scratch", "threads", "memory"}
+
+NAMING = {"run.json", "report.html"}
+"""Files that name the files of the survey and the settings."""
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +54,9 @@ def mapped(files, out, *options):
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*PRODUCT_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
+        [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
     )
-    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
+    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in NAMING}
     run = json.loads((out / "run.json").read_text())
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
     kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
