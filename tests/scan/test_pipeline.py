@@ -94,6 +94,7 @@ def test_a_run_writes_every_product_and_nothing_else(mapped):
         "heightmap.tif",
         "obstacle.tif",
         "obstacle.tif.aux.xml",
+        "report.html",
         "roughness.tif",
         "run.json",
     ]
