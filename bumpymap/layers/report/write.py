@@ -6,7 +6,7 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, UsageError, atomic
+from bumpymap.core import OutputError, UsageError, atomic, utf8_path
 from bumpymap.layers.manifest import plain_manifest, read_manifest
 from bumpymap.layers.report.page import render
 from bumpymap.layers.report.site import Site
@@ -82,10 +82,11 @@ def write_reports(
     records = [read_manifest(folder) for folder in folders]
     path = folders[0] / REPORT_NAME if out is None else Path(out)
     _check(path, replace=overwrite or out is None)
-    sites = [
-        Site.read(folder, record, () if route is None else read_ways(Path(route), record), maps=len(folders))
-        for folder, record in zip(folders, records, strict=True)
-    ]
+    sites = []
+    for folder, record in zip(folders, records, strict=True):
+        ways = () if route is None else read_ways(Path(route), record)
+        with utf8_path(folder) as readable:
+            sites.append(Site.read(readable, record, ways, maps=len(folders)))
     _write(sites, path)
     return path
 

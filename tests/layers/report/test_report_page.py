@@ -254,6 +254,11 @@ def test_two_maps_are_compared(site, tmp_path, read_page):
     write_reports([site, other], tmp_path / "two.html", overwrite=True)
 
 
+def test_a_folder_whose_name_is_not_text(site, tmp_path):
+    odd = shutil.copytree(site, tmp_path / "caf\udce9")
+    assert write_reports([odd]).read_bytes() == (site / "report.html").read_bytes()
+
+
 def test_a_link_is_replaced_and_its_target_stays(site, tmp_path):
     twin = shutil.copytree(site, tmp_path / "twin")
     target = tmp_path / "precious.html"
