@@ -1,4 +1,5 @@
 import os
+import shutil
 import subprocess
 import sys
 from functools import cache
@@ -43,14 +44,16 @@ def _why_without_qgis():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that need real data, open3d or QGIS as slow too."""
+    """Mark tests that need real data, open3d, QGIS or a browser as slow too."""
     for item in items:
-        if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis"))):
+        if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis", "chromium"))):
             item.add_marker(pytest.mark.slow)
 
 
 def pytest_runtest_setup(item):
-    """Skip a test that is marked with ``open3d`` or ``qgis`` where it cannot be loaded, and say why."""
+    """Skip a test that is marked with ``open3d``, ``qgis`` or ``chromium`` where that is missing, and say why."""
+    if item.get_closest_marker("chromium") and shutil.which("chromium") is None:
+        pytest.skip("there is no chromium on this machine (Debian: apt-get install chromium)")
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):
         pytest.skip(reason)
     if item.get_closest_marker("qgis") and (reason := _why_without_qgis()):

@@ -33,6 +33,7 @@ __all__ = ["command"]
 def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> None:
     """Map a synthetic quarry as an example."""
     from bumpymap.cli._summary import show
+    from bumpymap.layers import REPORT_NAME
     from bumpymap.survey import map_surveys
 
     set_up_logging(as_json=log_json)
@@ -51,3 +52,4 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     print_line(f"Mapped {survey}")
     show(result, config, as_json=False)
     print_line(f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS.")
+    print_line(f"Open {config.out / REPORT_NAME} in a browser.")

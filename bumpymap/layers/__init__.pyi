@@ -64,7 +64,6 @@ from .gis.styles import (
     write_styles as write_styles,
 )
 from .index_page.page import (
-    REPORT_NAME as REPORT_NAME,
     SurveyView as SurveyView,
     index_page as index_page,
 )
@@ -93,6 +92,7 @@ from .placement import (
 )
 from .products import (
     PRODUCT_NAMES as PRODUCT_NAMES,
+    REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,
     VIEW_NAMES as VIEW_NAMES,
     check_folder as check_folder,
@@ -102,6 +102,10 @@ from .regions import (
 )
 from .remote_folder import (
     RemoteFolder as RemoteFolder,
+)
+from .report.write import (
+    write_report as write_report,
+    write_reports as write_reports,
 )
 from .route.contours import (
     write_isochrones as write_isochrones,

@@ -32,7 +32,15 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 __all__ = ["write_products"]
 
 _log = logging.getLogger(__name__)
-_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project)
+
+
+def _report(folder: Path, record: Mapping[str, Any]) -> None:
+    from bumpymap.layers.report.write import write_report  # Pillow takes some 10 ms to import
+
+    write_report(folder, record)
+
+
+_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project, _report)
 """Write the files of ``VIEW_NAMES`` to a folder, from the layers in it and the record of its run."""
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "complete_manifest",
     "describe_file",
     "describe_input",
+    "plain_manifest",
     "read_manifest",
     "software_versions",
     "write_manifest",
@@ -57,6 +58,11 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
     text = json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def plain_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest as it will be read from its file: dataclasses, paths and arrays as plain JSON."""
+    return {str(key): _plain(value) for key, value in manifest.items()}
 
 
 def complete_manifest(

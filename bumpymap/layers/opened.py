@@ -225,6 +225,38 @@ class Layers:
 
         return export_map(open_map([self.folder]), out, ExportSettings(**settings), overwrite=overwrite)
 
+    def report(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        route: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write the page of this map, as ``bumpymap report`` does.
+
+        Parameters
+        ----------
+        out : path, optional
+            The file; default is report.html in the folder of the layers.
+        route : path, optional
+            A folder that ``bumpymap route`` wrote: its ways are drawn.
+        overwrite : bool
+            Replace ``out`` if it exists.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        BadInputError, OutputError, UsageError
+            See `bumpymap.layers.write_reports`.
+        """
+        from bumpymap.layers.report.write import write_reports
+
+        return write_reports([self.folder], out, route=route, overwrite=overwrite)
+
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
         where = "in memory" if self._in_memory else f"in {self._folder}"

@@ -15,6 +15,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME
 __all__ = [
     "NAMED_RASTERS",
     "PRODUCT_NAMES",
+    "REPORT_NAME",
     "SHEET_FOLDER",
     "SHEET_TABLE_NAME",
     "VIEW_NAMES",
@@ -37,9 +38,12 @@ PRODUCT_NAMES: tuple[str, ...] = (
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""
+REPORT_NAME = "report.html"
+"""The page of a map."""
 VIEW_NAMES: tuple[str, ...] = (
     *(f"{Path(name).stem}.qml" for name in PRODUCT_NAMES if name.endswith((".tif", ".parquet"))),
     "map.qgs",
+    REPORT_NAME,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")

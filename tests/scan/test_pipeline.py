@@ -96,6 +96,7 @@ def test_a_run_writes_every_product_and_nothing_else(mapped):
         "obstacle.tif.aux.xml",
         "reason.tif",
         "reason.tif.aux.xml",
+        "report.html",
         "roughness.tif",
         "run.json",
     ]

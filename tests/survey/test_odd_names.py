@@ -88,7 +88,7 @@ def test_map(folder, tmp_path, locale):
     plain = tmp_path / "plain"
     ended(run("map", survey, "--out", plain), 0)
     assert sorted(path.name for path in out.iterdir()) == sorted([*PRODUCT_NAMES, *VIEW_NAMES, *NAMES])
-    for name in (*PRODUCT_NAMES, *VIEW_NAMES, *NAMES):
+    for name in (*PRODUCT_NAMES, *NAMES):
         assert name == "run.json" or (out / name).read_bytes() == (plain / name).read_bytes()
 
 

@@ -24,6 +24,9 @@ SPAN = (130.0, 70.0)
 """Some three by two blocks of 48 m."""
 OF_THE_CALL = {"surveys", "out", "scratch", "threads", "memory"}
 
+NAMING = {"run.json", "report.html"}
+"""Files that name the files of the survey and the settings."""
+
 
 @pytest.fixture(scope="module")
 def points():
@@ -57,7 +60,7 @@ def mapped(files, out, *options):
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
     )
-    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
+    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in NAMING}
     run = json.loads((out / "run.json").read_text())
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
     kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}

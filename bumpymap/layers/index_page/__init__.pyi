@@ -1,5 +1,4 @@
 from .page import (
-    REPORT_NAME as REPORT_NAME,
     SurveyView as SurveyView,
     index_page as index_page,
 )

@@ -14,8 +14,9 @@ from bumpymap.core import CLASS_NAMES, Barred
 from bumpymap.layers.batch_row import SurveyRow, SurveyStatus
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.index_page.place_map import draw_places
+from bumpymap.layers.products import REPORT_NAME
 
-__all__ = ["REPORT_NAME", "SurveyView", "index_page"]
+__all__ = ["SurveyView", "index_page"]
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
 """What needs a look comes first."""
@@ -29,8 +30,6 @@ _WORDS: dict[SurveyStatus, str] = {
     "failed": "failed",
     "not reached": "not reached",
 }
-REPORT_NAME = "report.html"
-"""The page of one map, which the table links to."""
 _SIDE = 96
 _BAR = 160.0
 _LARGE_AREA = 100_000.0

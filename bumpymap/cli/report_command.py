@@ -1,0 +1,41 @@
+"""``bumpymap report``: the page of a map again, or of two maps side by side."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import given_options, output_options
+from bumpymap.cli._terminal import PATH
+from bumpymap.cli._text import print_json, print_line
+from bumpymap.core import UsageError
+
+__all__ = ["command"]
+
+
+@click.command("report")
+@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@click.option("--out", type=PATH, metavar="FILE", help="File to write [default: LAYERS/report.html].")
+@click.option("--route", type=PATH, metavar="DIR", help="Draw the ways that `bumpymap route` wrote there.")
+@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@output_options("Print nothing.")
+def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
+    """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
+
+    \b
+    bumpymap report layers --route way
+    bumpymap report may_layers june_layers --out may_and_june.html
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    set_up_logging(as_json=log_json)
+    if not layers:
+        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
+    from bumpymap.layers import write_reports
+
+    path = write_reports(layers, **given_options(given))
+    if quiet:
+        return
+    if log_json:
+        print_json({"report": str(path), "bytes": path.stat().st_size})
+    else:
+        print_line(f"Open {path} in a browser.")

@@ -1,0 +1,447 @@
+"use strict";
+(() => {
+  const data = JSON.parse(document.getElementById("report-data").textContent);
+  const codes = data.codes;
+  const NONE = 255;
+
+  const unpack = async (text) => {
+    const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(plain).arrayBuffer());
+  };
+
+  const picture = (uri) => new Promise((resolve, reject) => {
+    const image = new Image();
+    image.onload = () => resolve(image);
+    image.onerror = reject;
+    image.src = uri;
+  });
+
+  const shades = codes.ramp.map((text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16)));
+  const ramp = (part) => {
+    const at = Math.min(Math.max(part, 0), 1) * (shades.length - 1);
+    const low = Math.min(Math.floor(at), shades.length - 2);
+    return [...shades[low].map((value, i) => value + (at - low) * (shades[low + 1][i] - value)), 255];
+  };
+
+  /** A canvas with one pixel for each byte of a grid; colour gives [red, green, blue, alpha] of an index, or null. */
+  const paint = (rows, cols, colour) => {
+    const canvas = document.createElement("canvas");
+    canvas.width = cols;
+    canvas.height = rows;
+    const context = canvas.getContext("2d");
+    const image = context.createImageData(cols, rows);
+    for (let at = 0; at < rows * cols; at += 1) {
+      const found = colour(at);
+      if (found) image.data.set(found, 4 * at);
+    }
+    context.putImageData(image, 0, 0);
+    return canvas;
+  };
+
+  const hatching = (context, colour, rising) => {
+    const side = 8;
+    const canvas = document.createElement("canvas");
+    canvas.width = canvas.height = side;
+    const pen = canvas.getContext("2d");
+    pen.strokeStyle = colour;
+    pen.lineWidth = 1.3;
+    for (const shift of [-side, 0, side]) {
+      pen.beginPath();
+      pen.moveTo(shift, rising ? side : 0);
+      pen.lineTo(shift + side, rising ? 0 : side);
+      pen.stroke();
+    }
+    return context.createPattern(canvas, "repeat");
+  };
+
+  const nice = (metres) => {
+    const power = 10 ** Math.floor(Math.log10(metres));
+    return [5, 2, 1].map((digit) => digit * power).find((length) => length <= metres) ?? power;
+  };
+
+  const grouped = (value, decimals = 0) =>
+    value.toLocaleString("en", { minimumFractionDigits: decimals, maximumFractionDigits: decimals });
+
+  class ReportMap {
+    static async of(figure, about) {
+      const [ground, barred, objects, relief, ...values] = await Promise.all([
+        unpack(about.ground), unpack(about.barred), unpack(about.objects.codes), picture(about.relief),
+        ...about.grids.map((grid) => unpack(grid.codes)),
+      ]);
+      return new ReportMap(figure, about, { ground, barred, objects, relief, values });
+    }
+
+    constructor(figure, about, content) {
+      this.about = about;
+      Object.assign(this, content);
+      this.figure = figure;
+      this.canvas = figure.querySelector("canvas");
+      this.readout = figure.querySelector(".readout");
+      this.context = this.canvas.getContext("2d");
+      this.layers = {};
+      this.pointers = new Map();
+      this.others = [];
+      this.masks = {
+        unknown: this.tiles((at) => this.isUnknown(at) && [178, 178, 178, 255]),
+        barred: this.tiles((at) => barredCode(this.barred[at]) && [0, 0, 0, 255]),
+        objects: paint(about.objects.rows, about.objects.cols, (at) => {
+          const code = this.objects[at];
+          return (code === 1 || code === 2) && codes.objectColours[code];
+        }),
+      };
+      figure.classList.add("live");
+      this.canvas.hidden = false;
+      figure.querySelector(".scale").classList.add("on");
+      this.listen();
+      this.resize();
+      this.showAll();
+    }
+
+    tiles(colour) {
+      return paint(this.about.rows, this.about.cols, colour);
+    }
+
+    isUnknown(at) {
+      return this.ground[at] >= codes.unknownFrom && this.ground[at] !== NONE;
+    }
+
+    layer(key) {
+      if (!(key in this.layers)) this.layers[key] = this.tiles(this.colouring(key));
+      return this.layers[key];
+    }
+
+    colouring(key) {
+      const known = (colour) => (at) => this.ground[at] < codes.unknownFrom && colour(at);
+      if (key === "class") return known((at) => codes.classColours[this.ground[at]]);
+      if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
+      if (key === "none") return known(() => [236, 236, 236, 255]);
+      const values = this.values[this.about.grids.findIndex((grid) => grid.key === key)];
+      const table = Array.from({ length: 255 }, (_, code) => ramp(code / 254));
+      // Ground whose value is not known is not given one: white, not the colour of the least.
+      return known((at) => (values[at] === NONE ? [225, 225, 225, 255] : table[values[at]]));
+    }
+
+    get chosen() {
+      return this.figure.querySelector("input[type=radio]:checked").value;
+    }
+
+    shows(key) {
+      return this.figure.querySelector(`input[type=checkbox][value=${key}]`)?.checked ?? false;
+    }
+
+    show() {
+      for (const legend of this.figure.querySelectorAll(".legend[data-of]")) legend.hidden = legend.dataset.of !== this.chosen;
+      this.draw();
+    }
+
+    /** Show the layers of the other map, as far as there are such. */
+    choose(other) {
+      const same = this.figure.querySelector(`input[type=radio][value=${other.chosen}]`);
+      if (same) same.checked = true;
+      for (const box of this.figure.querySelectorAll("input[type=checkbox]")) {
+        if (other.figure.querySelector(`input[value=${box.value}]`)) box.checked = other.shows(box.value);
+      }
+      this.show();
+    }
+
+    listen() {
+      const { canvas, figure } = this;
+      figure.querySelector(".controls").addEventListener("change", () => {
+        this.show();
+        for (const other of this.others) other.choose(this);
+      });
+      figure.querySelector(".zoom").addEventListener("click", (event) => {
+        const action = event.target.value;
+        if (action === "all") this.showAll();
+        else if (action) this.zoom(action === "in" ? 1.6 : 1 / 1.6);
+        this.share();
+      });
+      canvas.addEventListener("keydown", (event) => this.key(event));
+      canvas.addEventListener("blur", () => { this.crosshair = false; this.draw(); });
+      canvas.addEventListener("wheel", (event) => {
+        if (document.activeElement !== canvas && !event.ctrlKey) return;  // else the page scrolls
+        event.preventDefault();
+        this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0018)), this.at(event));
+        this.share();
+      }, { passive: false });
+      canvas.addEventListener("pointerdown", (event) => {
+        canvas.setPointerCapture(event.pointerId);
+        this.pointers.set(event.pointerId, this.at(event));
+        this.read(this.at(event));
+      });
+      canvas.addEventListener("pointermove", (event) => this.move(event));
+      for (const end of ["pointerup", "pointercancel"]) {
+        canvas.addEventListener(end, (event) => this.pointers.delete(event.pointerId));
+      }
+      new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas.parentElement);
+    }
+
+    at(event) {
+      const box = this.canvas.getBoundingClientRect();
+      return [event.clientX - box.left, event.clientY - box.top];
+    }
+
+    move(event) {
+      const now = this.at(event);
+      this.crosshair = false;
+      const before = this.pointers.get(event.pointerId);
+      if (before) {
+        const others = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
+        this.pan(now[0] - before[0], now[1] - before[1], others.length ? 0.5 : 1);
+        if (others.length) {
+          const length = (place) => Math.hypot(place[0] - others[0][0], place[1] - others[0][1]);
+          this.zoom(length(now) / Math.max(length(before), 1), now.map((value, i) => (value + others[0][i]) / 2));
+        }
+        this.pointers.set(event.pointerId, now);
+        this.share();
+      }
+      this.read(now);
+    }
+
+    key(event) {
+      const steps = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.key in steps) this.pan(...steps[event.key].map((step) => step * 60), 1);
+      else if (event.key === "+" || event.key === "=") this.zoom(1.6);
+      else if (event.key === "-") this.zoom(1 / 1.6);
+      else if (event.key === "0" || event.key === "Home") this.showAll();
+      else return;
+      event.preventDefault();
+      this.crosshair = true;
+      this.share();
+      this.read([this.width / 2, this.height / 2]);
+      this.draw();
+    }
+
+    resize() {
+      const box = this.canvas.parentElement;
+      const dense = window.devicePixelRatio || 1;
+      this.width = box.clientWidth;
+      this.height = box.clientHeight;
+      this.dense = dense;
+      this.canvas.width = Math.round(this.width * dense);
+      this.canvas.height = Math.round(this.height * dense);
+      this.unknownPattern = hatching(this.context, "#5b5b5b", true);
+      this.barredPattern = hatching(this.context, "#111", false);
+      if (this.atAll) this.fit();
+    }
+
+    fit() {
+      const margin = 0.96;
+      this.scale = margin * Math.min(this.width / this.about.width, this.height / this.about.height);
+      this.middle = [this.about.width / 2, this.about.height / 2];
+    }
+
+    showAll() {
+      this.atAll = true;
+      this.fit();
+      this.draw();
+    }
+
+    pan(right, down, part) {
+      this.atAll = false;
+      this.middle = [this.middle[0] - (part * right) / this.scale, this.middle[1] - (part * down) / this.scale];
+      this.hold();
+      this.draw();
+    }
+
+    zoom(factor, around = [this.width / 2, this.height / 2]) {
+      const fixed = this.place(around);
+      const whole = Math.min(this.width / this.about.width, this.height / this.about.height);
+      this.scale = Math.min(Math.max(this.scale * factor, whole / 4), 200);
+      const moved = this.place(around);
+      this.atAll = false;
+      this.middle = this.middle.map((value, i) => value + fixed[i] - moved[i]);
+      this.hold();
+      this.draw();
+    }
+
+    /** Keep the middle of the view on the map. */
+    hold() {
+      const { width, height } = this.about;
+      this.middle = [Math.min(Math.max(this.middle[0], 0), width), Math.min(Math.max(this.middle[1], 0), height)];
+    }
+
+    /** Show the same ground in the other map. */
+    share() {
+      for (const other of this.others) {
+        other.atAll = false;
+        other.scale = this.scale;
+        other.middle = [
+          this.middle[0] + this.about.west - other.about.west,
+          this.middle[1] - this.about.north + other.about.north,
+        ];
+        other.draw();
+      }
+    }
+
+    /** Metres right of the west edge and below the north edge. */
+    place([right, down]) {
+      return [
+        this.middle[0] + (right - this.width / 2) / this.scale,
+        this.middle[1] + (down - this.height / 2) / this.scale,
+      ];
+    }
+
+    read(where) {
+      const [right, down] = this.place(where);
+      const { about } = this;
+      const east = (about.west + right) / about.unit;
+      const north = (about.north - down) / about.unit;
+      const words = [`E ${grouped(east, 1)}, N ${grouped(north, 1)}`];
+      const col = Math.floor(right / about.metres);
+      const row = Math.floor(down / about.metres);
+      const inside = col >= 0 && row >= 0 && col < about.cols && row < about.rows;
+      const at = row * about.cols + col;
+      const code = inside ? this.ground[at] : NONE;
+      if (code === NONE) {
+        words.push("no points: not known");
+      } else {
+        words.push(code < codes.unknownFrom ? `class ${code} ${codes.classes[code]}`
+          : `not known: ${codes.reasons[code - codes.unknownFrom]}`);
+        about.grids.forEach((grid, number) => {
+          const found = this.values[number][at];
+          if (found === NONE) return;
+          const plain = grid.low + grid.step * found;
+          const value = grid.scale === "log" ? Math.exp(plain) : plain;
+          words.push(`${grid.label} ${grouped(value, grid.decimals)}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
+        });
+        const bar = this.barred[at];
+        if (code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
+        const object = this.objectAt(right, down);
+        if (object === 1 || object === 2) words.push(codes.objects[object]);
+      }
+      this.readout.textContent = words.join(" · ");
+    }
+
+    objectAt(right, down) {
+      const { rows, cols } = this.about.objects;
+      const { metres } = this.about;
+      const col = Math.floor((right / (this.about.cols * metres)) * cols);
+      const row = Math.floor((down / (this.about.rows * metres)) * rows);
+      return this.objects[row * cols + col];
+    }
+
+    draw() {
+      if (!this.canvas.width || !this.canvas.height) return;  // not laid out yet
+      const { context, about, dense } = this;
+      this.canvas.classList.toggle("moved", !this.atAll);
+      context.setTransform(1, 0, 0, 1, 0, 0);
+      context.fillStyle = "#fff";
+      context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+      const left = (this.width / 2 - this.middle[0] * this.scale) * dense;
+      const top = (this.height / 2 - this.middle[1] * this.scale) * dense;
+      const box = [left, top, about.cols * about.metres * this.scale * dense, about.rows * about.metres * this.scale * dense];
+      const layer = (canvas) => context.drawImage(canvas, ...box);
+      const sharp = box[2] > about.cols;
+      context.imageSmoothingEnabled = !sharp;
+      layer(this.layer(this.chosen));
+      layer(this.masks.unknown);
+      if (this.shows("relief")) {
+        context.globalCompositeOperation = "multiply";
+        context.imageSmoothingEnabled = true;
+        layer(this.relief);
+        context.imageSmoothingEnabled = !sharp;
+        context.globalCompositeOperation = "source-over";
+      }
+      if (this.shows("objects")) layer(this.masks.objects);
+      this.hatch(this.masks.unknown, this.unknownPattern, box);
+      if (this.shows("barred")) this.hatch(this.masks.barred, this.barredPattern, box);
+      this.white(box);
+      if (this.shows("ways")) this.drawWays(left, top);
+      if (this.crosshair) this.drawCrosshair();
+      this.drawScale();
+    }
+
+    /** Ground without points stays white, whatever the relief says. */
+    white(box) {
+      this.blank ??= this.tiles((at) => this.ground[at] === NONE && [255, 255, 255, 255]);
+      this.context.drawImage(this.blank, ...box);
+    }
+
+    hatch(mask, pattern, box) {
+      const over = (this.over ??= document.createElement("canvas"));
+      over.width = this.canvas.width;
+      over.height = this.canvas.height;
+      const pen = over.getContext("2d");
+      pen.imageSmoothingEnabled = false;
+      pen.drawImage(mask, ...box);
+      pen.globalCompositeOperation = "source-in";
+      pen.fillStyle = pattern;
+      pen.fillRect(0, 0, over.width, over.height);
+      this.context.drawImage(over, 0, 0);
+    }
+
+    drawWays(left, top) {
+      const { context, about, dense } = this;
+      const on = ([east, north]) => [
+        left + (east - about.west) * this.scale * dense,
+        top + (about.north - north) * this.scale * dense,
+      ];
+      context.lineJoin = context.lineCap = "round";
+      for (const way of about.ways) {
+        for (const line of way.lines) {
+          for (const [colour, width] of [["#fff", 7], ["#d60093", 3.5]]) {
+            context.strokeStyle = colour;
+            context.lineWidth = width * dense;
+            context.beginPath();
+            line.forEach((corner) => context.lineTo(...on(corner)));
+            context.stroke();
+          }
+        }
+        this.label("start", on(way.lines[0][0]));
+        this.label("goal", on(way.lines.at(-1).at(-1)));
+      }
+    }
+
+    label(text, [x, y]) {
+      const { context, dense } = this;
+      context.font = `600 ${13 * dense}px system-ui, sans-serif`;
+      context.lineWidth = 4 * dense;
+      context.strokeStyle = "#fff";
+      context.fillStyle = "#1f2937";
+      context.beginPath();
+      context.arc(x, y, 5 * dense, 0, 2 * Math.PI);
+      context.stroke();
+      context.fill();
+      context.strokeText(text, x + 9 * dense, y + 5 * dense);
+      context.fillText(text, x + 9 * dense, y + 5 * dense);
+    }
+
+    drawCrosshair() {
+      const { context, dense } = this;
+      const [x, y] = [(this.width / 2) * dense, (this.height / 2) * dense];
+      for (const [colour, width] of [["#fff", 5], ["#111", 2]]) {
+        context.strokeStyle = colour;
+        context.lineWidth = width * dense;
+        context.beginPath();
+        for (const [right, down] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+          context.moveTo(x + 4 * right * dense, y + 4 * down * dense);
+          context.lineTo(x + 14 * right * dense, y + 14 * down * dense);
+        }
+        context.stroke();
+      }
+    }
+
+    drawScale() {
+      const length = nice(Math.min(this.width * 0.3, 180) / this.scale);
+      this.figure.querySelector(".scale .bar").style.width = `${length * this.scale}px`;
+      const text = length >= 1000 ? `${grouped(length / 1000)} km` : `${length >= 1 ? grouped(length) : grouped(length, 2)} m`;
+      this.figure.querySelector(".scale .length").textContent = text;
+    }
+  }
+
+  const barredCode = (code) => code !== 0 && code !== 1 && code !== NONE;
+
+  const start = async () => {
+    const figures = [...document.querySelectorAll("figure.map")];
+    const maps = await Promise.all(figures.map((figure, at) => ReportMap.of(figure, data.maps[at])));
+    if (data.together) for (const map of maps) map.others = maps.filter((other) => other !== map);
+    document.documentElement.dataset.ready = "yes";
+    window.reportMaps = maps;
+  };
+
+  // An old browser keeps the still picture.
+  if (typeof DecompressionStream === "function") start();
+})();

@@ -1,0 +1,45 @@
+"""Numbers as the page shows them."""
+
+import math
+from typing import Any
+
+__all__ = ["DASH", "area", "number", "share", "whole"]
+
+DASH = "\N{EN DASH}"
+"""Stands where nothing is known."""
+_PERCENT = "\N{NO-BREAK SPACE}%"
+_SQUARE_KILOMETRE = 1e6
+_HECTARE = 1e4
+
+
+def number(value: Any, decimals: int, unit: str = "") -> str:
+    """Return a number with its unit; a dash if it is not known."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return DASH
+    return f"{value:,.{decimals}f}{unit}"
+
+
+def whole(value: int) -> str:
+    """Return a whole number with its thousands apart."""
+    return f"{value:,}"
+
+
+def share(part: float, total: float) -> str:
+    """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
+    if not total:
+        return DASH
+    percent = 100 * part / total
+    if 0 < percent < 1:
+        return f"under 1{_PERCENT}"
+    if 99 < percent < 100:
+        return f"over 99{_PERCENT}"
+    return f"{percent:.0f}{_PERCENT}"
+
+
+def area(square_metres: float) -> str:
+    """Return an area in m2, ha or km2."""
+    if square_metres >= _SQUARE_KILOMETRE:
+        return f"{square_metres / _SQUARE_KILOMETRE:,.2f} km²"
+    if square_metres >= _HECTARE:
+        return f"{square_metres / _HECTARE:,.2f} ha"
+    return f"{square_metres:,.0f} m²"

@@ -1,0 +1,233 @@
+"""The sections of a page, beside its maps."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
+from bumpymap.layers.report.markup import Html, join, table, tag
+from bumpymap.layers.report.numbers import DASH, area, number, share, whole
+from bumpymap.layers.report.site import Site
+from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
+from bumpymap.layers.report.ways import DrawnWay
+from bumpymap.layers.report.words import (
+    base_name,
+    command_of,
+    limits_of,
+    meaning_of,
+    measured_surfaces,
+    settings_of,
+)
+
+__all__ = [
+    "ground_section",
+    "lettered",
+    "limit_section",
+    "repeat_section",
+    "summary_line",
+    "survey_section",
+    "vehicle_section",
+    "way_section",
+]
+
+_FIGURES = (
+    # key, label, decimals, unit
+    ("length_m", "length", 0, " m"),
+    ("detour", "length over the straight line", 2, ""),
+    ("seconds", "time at the vehicle's speed", 0, " s"),
+    ("c_r_mean", "mean C_r", 3, " rad/m"),
+    ("c_r_max", "largest C_r", 3, " rad/m"),
+    ("p_arrives", "chance to arrive", 2, ""),
+    ("unknown_m", "on ground that is not known", 0, " m"),
+    ("climb_m", "climb", 1, " m"),
+    ("descent_m", "descent", 1, " m"),
+)
+_DIGEST = 16
+"""Digits of a checksum that a table shows."""
+
+
+def ground_section(sites: Sequence[Site]) -> Html:
+    """Return the tables of classes, bars and reasons, and the histograms."""
+    charts = [
+        tag(
+            "div",
+            tag("h3", f"{letter}: {site.name}") if letter else "",
+            c_r_chart(site.tiles.c_r_bins, class_limits(site), f"ride-{at}"),
+            slope_chart(site.tiles.slope_bins, site.record["cost"]["slope_limit_deg"], f"slope-{at}"),
+            class_="charts",
+        )
+        for at, (letter, site) in enumerate(lettered(sites))
+    ]
+    tables = (class_table(sites), bar_table(sites), reason_table(sites))
+    return _section("The ground", "ground", *tables, tag("div", *charts, class_="beside"))
+
+
+def survey_section(sites: Sequence[Site]) -> Html:
+    """Return what was surveyed, how densely, where, when, and the files."""
+    return _section("The survey", "survey", *_each(sites, _survey))
+
+
+def vehicle_section(sites: Sequence[Site]) -> Html:
+    """Return the vehicle and what its numbers mean."""
+    parts = _each(sites, lambda site: join(tag("h3", site.vehicle), *(tag("p", line) for line in meaning_of(site))))
+    return _section("The vehicle, and what its numbers mean", "vehicle", *parts, measured_surfaces())
+
+
+def way_section(sites: Sequence[Site]) -> Html:
+    """Return the figures of ways; empty if there are none."""
+    ways = [way for site in sites for way in site.ways]
+    return _section("The way", "way", _way_table(ways)) if ways else Html()
+
+
+def limit_section(sites: Sequence[Site]) -> Html:
+    """Return what the map does not know."""
+    return _section("What this map does not know", "limits", *_each(sites, lambda site: lines_of(*limits_of(site))))
+
+
+def repeat_section(sites: Sequence[Site]) -> Html:
+    """Return what is needed to make the layers again."""
+    return _section("To make these layers again", "again", *_each(sites, _repeat))
+
+
+def lettered(sites: Sequence[Site]) -> list[tuple[str, Site]]:
+    """Return the maps with the letters by which the page names them; a single one needs none."""
+    return list(zip(("A", "B") if len(sites) > 1 else ("",), sites, strict=True))
+
+
+def _each(sites: Sequence[Site], part: Any) -> list[Html]:
+    """Return one block for each map, side by side; what two maps share is said once."""
+    blocks = [(letter, site, part(site)) for letter, site in lettered(sites)]
+    if len(blocks) > 1 and blocks[0][2] == blocks[1][2]:
+        return [blocks[0][2]]
+    found = [tag("div", tag("h3", f"{letter}: {site.name}") if letter else "", text) for letter, site, text in blocks]
+    return [tag("div", *found, class_="beside")] if len(found) > 1 else found
+
+
+def _section(title: str, key: str, *parts: str) -> Html:
+    return tag("section", tag("h2", title, id=key), *parts, aria_labelledby=key)
+
+
+def _facts(rows: Sequence[tuple[str, str]]) -> Html:
+    return tag("dl", *(join(tag("dt", name), tag("dd", text)) for name, text in rows))
+
+
+def _survey(site: Site) -> Html:
+    record, summary, spot = site.record, site.summary, site.tiles.spot
+    ground = summary.tiles * site.tile_area
+    kind = " (those of the ground, class 2)" if record.get("ground_only") else ""
+    total = int(record.get("points") or summary.points)
+    rows = [
+        (
+            "points that were measured",
+            f"{whole(summary.points)} of {whole(total)}{kind}",
+        ),
+        (
+            "density",
+            (
+                f"{number(total / ground if ground else None, 1)} points per m² on average, "
+                f"{number(summary.points / ground if ground else None, 1)} of them measured; "
+                f"{number(summary.median_count / site.tile_area, 1)} in the median tile"
+            ),
+        ),
+        ("ground with points", f"{area(ground)} in {whole(summary.tiles)} tiles of {spot.tile_size:g} m"),
+        ("extent", f"{spot.cols * spot.tile_size:,.0f} m x {spot.rows * spot.tile_size:,.0f} m"),
+        *_crs_facts(record),
+        *_date_facts(record),
+        *_line_facts(record),
+    ]
+    inputs = [item for item in record.get("inputs") or [] if isinstance(item, Mapping)]
+    files = [
+        (
+            base_name(str(item.get("path", ""))),
+            str(item.get("format", DASH)),
+            whole(int(item.get("points") or 0)),
+            number(float(item["bytes"]) / 1e6, 1, " MB") if item.get("bytes") is not None else DASH,
+            _short(str(item.get("checksum") or item.get("sha256") or DASH)),
+        )
+        for item in inputs
+    ]
+    head = ("file", "format", "points", "size", "checksum (first digits)")
+    listed = table("Files of the survey", head, files, texts=2, wide=True) if files else Html()
+    skipped = record.get("skipped")
+    left = [tag("p", f"Left out, because it could not be read: {base_name(str(path))}.") for path in skipped or ()]
+    return join(_facts(rows), listed, *left)
+
+
+def _crs_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    crs, units = record.get("crs"), record.get("metres_per_unit") or {}
+    if crs is None:
+        return [("coordinates", "local, no CRS")]
+    horizontal, _, vertical = str(crs["name"]).partition(" + ")
+    code = f" ({crs['code']})" if crs.get("code") else ""
+    rows = [("CRS", f"{horizontal}{code}"), ("heights", vertical or "not stated by the survey")]
+    if units and (units.get("horizontal"), units.get("vertical")) != (1.0, 1.0):
+        rows.append(("units", f"{units['horizontal']:g} m horizontally, {units['vertical']:g} m vertically"))
+    return rows
+
+
+def _date_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    survey = record.get("survey")
+    dates = survey.get("dates") if isinstance(survey, Mapping) else None
+    if not dates:
+        return [("date", "not stated by the files")]
+    first, last = str(dates[0]), str(dates[-1])
+    return [("date of the files", first if first == last else f"{first} to {last}")]
+
+
+def _line_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    lines = record.get("flight_lines")
+    if not isinstance(lines, Mapping) or not lines.get("lines"):
+        return []
+    pairs = [pair for pair in lines.get("pairs") or [] if isinstance(pair, Mapping)]
+    text = whole(int(lines["lines"]))
+    if pairs:
+        largest = max(abs(float(pair.get("largest") or 0.0)) for pair in pairs)
+        text += f"; {len(pairs)} pairs overlap, largest height step between them {100 * largest:.1f} cm"
+    if lines.get("method") not in {None, "none"}:
+        text += f"; heights of the lines were adjusted ({lines['method']})"
+    return [("flight lines", text)]
+
+
+def _way_table(ways: Sequence[DrawnWay]) -> Html:
+    rows = []
+    for key, label, decimals, unit in _FIGURES:
+        values = [way.figures.get(key) for way in ways]
+        if any(value is not None for value in values):
+            rows.append((label, *(number(value, decimals, unit) for value in values)))
+    return table("Figures of the way", ("figure", *(way.name for way in ways)), rows, wide=len(ways) > 2)
+
+
+def _repeat(site: Site) -> Html:
+    record = site.record
+    command = command_of(record)
+    known = record.get("calibration")
+    identity = known.get("id") if isinstance(known, Mapping) else known
+    rows = [("calibration", f"{identity} ({site.vehicle})"), ("texture model", str(record.get("model") or DASH))]
+    rows += settings_of(record)
+    versions = record.get("versions") or {}
+    listed = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
+    parts = [
+        tag("p", "With the files of the survey, the versions and the settings below:") if command else Html(),
+        tag("pre", tag("code", command), tabindex="0") if command else Html(),
+        _facts([*rows, ("versions", listed)]),
+        tag("p", "run.json beside this page holds all of it, with the checksums of the layers.", class_="note"),
+    ]
+    return join(*parts)
+
+
+def _short(checksum: str) -> str:
+    kind, _, digits = checksum.rpartition(":")
+    return f"{kind}:{digits[:_DIGEST]}" if kind else digits[:_DIGEST]
+
+
+def summary_line(site: Site) -> str:
+    """Return vehicle, area, points and CRS in one line, for the head of the page."""
+    ground = site.summary.tiles * site.tile_area
+    return " · ".join(
+        (
+            f"vehicle {site.vehicle}",
+            f"{area(ground)} with points",
+            f"{whole(site.summary.points)} points",
+            f"{share(site.summary.passable, site.summary.tiles)} passable",
+            site.crs_name,
+        )
+    )

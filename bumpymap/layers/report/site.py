@@ -1,0 +1,194 @@
+"""What a page shows of one folder of layers, read from its files and the record of its run."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.layers.report.codes import ByteGrid, packed
+from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
+from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
+from bumpymap.layers.report.ways import DrawnWay
+from bumpymap.layers.summary import MapSummary
+
+__all__ = ["Site", "plain_name"]
+
+_BUDGET = 1_700_000
+"""Characters for the maps of a page; its text takes some 60,000 more."""
+_SIDE = 1_500
+"""Most pixels of a grid of tiles, or of objects, along a side."""
+_RELIEF_SIDE = 1_000
+"""Most pixels of the relief along a side: what GDAL reads from an overview then takes half the time of 1500."""
+_TILES = 220_000
+"""Most pixels with a tile in the grids: six bytes or so each."""
+_STILL_SIDE = 700
+_UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """One map of a page."""
+
+    name: str
+    record: Mapping[str, Any]
+    """The content of run.json."""
+    summary: MapSummary
+    tiles: PageTiles
+    grids: tuple[ByteGrid, ...]
+    """Values of tiles."""
+    objects: NDArray[np.uint8]
+    """See `object_grid`."""
+    packed_objects: str
+    relief: str
+    """Shaded relief, a data URI."""
+    still: str
+    """The classes over the relief, a data URI: for readers and printers without scripts."""
+    ways: tuple[DrawnWay, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any], ways: tuple[DrawnWay, ...] = (), maps: int = 1) -> Self:
+        """Read a folder of layers.
+
+        Parameters
+        ----------
+        folder : Path
+            Complete layers of a run.
+        record : mapping
+            The content of its run.json, which may not be there yet.
+        ways : tuple of DrawnWay
+            Ways to draw.
+        maps : int
+            Maps that share the page.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, damaged, or was written by an earlier version.
+        """
+        try:
+            summary = MapSummary.of(record["counts"])
+            spot = Spot.of(folder, record, _SIDE)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise BadInputError(
+                f"run.json of {folder} is not that of a map of this version: {error!r}. Map the survey again"
+            ) from error
+        budget = _BUDGET // maps
+        step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles * maps / _TILES))))
+        while True:
+            spot = Spot(spot.west, spot.north, spot.tile_size, spot.pixels, spot.cols, spot.rows, step, spot.unit)
+            tiles = PageTiles.read(folder, record, spot)
+            heights = read_heights(folder, spot, _RELIEF_SIDE)
+            grids = _grids(tiles, tile_heights(heights, spot))
+            taken = sum(len(packed(grid.codes)) for grid in grids)
+            if taken < 0.7 * budget or max(spot.shape) < 100:
+                break
+            step *= 2
+        light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
+        relief, _ = jpeg(light, int(0.2 * budget))
+        side = _SIDE
+        while True:
+            objects = object_grid(folder, tiles, side)
+            text = packed(objects)
+            if len(text) < 0.2 * budget or side < 100:
+                break
+            side //= 2
+        still = _still(tiles, light)
+        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways)
+
+    @property
+    def vehicle(self) -> str:
+        """Name of the vehicle."""
+        known = self.record.get("calibration")
+        named = known.get("vehicle") if isinstance(known, Mapping) else None
+        return str(named or (self.record.get("vehicle") or {}).get("name") or "vehicle")
+
+    @property
+    def crs_name(self) -> str:
+        """Name of the CRS."""
+        crs = self.record.get("crs")
+        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+
+    @property
+    def tile_area(self) -> float:
+        """Area of a tile, m2."""
+        return self.tiles.spot.tile_size**2
+
+    @property
+    def objects_known(self) -> bool:
+        """Whether anything is known to be free of objects or to hold one."""
+        return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
+
+    def map_record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        spot = self.tiles.spot
+        rows, cols = spot.shape
+        return {
+            "name": self.name,
+            "crs": self.crs_name,
+            "west": spot.west,
+            "north": spot.north,
+            "unit": spot.unit,
+            "metres": spot.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": spot.cols * spot.tile_size,
+            "height": spot.rows * spot.tile_size,
+            "ground": packed(self.tiles.ground),
+            "barred": packed(self.tiles.barred),
+            "grids": [grid.record() for grid in self.grids],
+            "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
+            "relief": self.relief,
+            "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+        }
+
+
+def plain_name(record: Mapping[str, Any]) -> str:
+    """Return the name of a survey: as recorded, else from its files, without their folders."""
+    survey = record.get("survey")
+    if isinstance(survey, Mapping) and survey.get("name"):
+        return str(survey["name"])
+    settings = record.get("settings")
+    given = settings.get("surveys") if isinstance(settings, Mapping) else None
+    paths = [str(path) for path in given or [item.get("path", "") for item in record.get("inputs") or []]]
+    stems = [PurePosixPath(PureWindowsPath(path).as_posix()).stem for path in paths if path]
+    if not stems:
+        return "Survey"
+    return stems[0] if len(stems) == 1 else f"{stems[0]} and {len(stems) - 1} more"
+
+
+def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ...]:
+    return (
+        ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
+        ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
+        ByteGrid.of(("slope", "slope", "°", 1), tiles.slope),
+        ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
+        ByteGrid.of(("height", "height", "m", 1), heights),
+    )
+
+
+def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
+    """Return the classes over the relief as one picture: unknown ground grey, nothing where there are no points."""
+    colours = np.full((256, 3), _UNKNOWN_GREY, np.float32)
+    for code, colour in CLASS_COLOURS.items():
+        if code != NO_CLASS:
+            colours[code] = colour[:3]
+    colours[NO_POINTS] = _BLANK
+    factor = max(1, _STILL_SIDE // max(tiles.spot.shape))
+    rows, cols = (side * factor for side in tiles.spot.shape)
+    size = (min(cols, _STILL_SIDE * cols // max(rows, cols)), min(rows, _STILL_SIDE * rows // max(rows, cols)))
+    width, height = (max(1, side) for side in (size if max(rows, cols) > _STILL_SIDE else (cols, rows)))
+    line = (np.arange(height) + 0.5) * tiles.spot.shape[0] / height
+    column = (np.arange(width) + 0.5) * tiles.spot.shape[1] / width
+    ground = tiles.ground[np.ix_(line.astype(int), column.astype(int))]
+    bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
+    bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
+    hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
+    hatch &= (np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1
+    bright[hatch] *= 0.7
+    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)[0]

@@ -1,0 +1,195 @@
+"""The tiles of a map as a page shows them: small grids in which the worst tile decides, and histograms of all."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+
+from bumpymap.core import BARRED_TEXT, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
+from bumpymap.layers.colours import UNKNOWN_OBJECT
+
+__all__ = ["C_R_EDGES", "NO_POINTS", "SLOPE_EDGES", "UNKNOWN_FROM", "PageTiles", "Spot"]
+
+UNKNOWN_FROM = 16
+"""``ground`` of an unknown tile is this plus its `Reason`."""
+NO_POINTS = 255
+"""``ground`` and ``barred`` where no tile holds a point."""
+C_R_EDGES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 25), [np.inf]])
+"""Limits of the bins of the ride cost, rad/m: eight for each factor of ten."""
+SLOPE_EDGES = np.arange(0.0, 92.5, 2.5)
+"""Limits of the bins of the slope, degrees."""
+_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
+_COLUMNS = ("col", "row", "class", "reason", "barred", *_NUMBERS)
+_AGAIN = "Map the survey again"
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a map lies, and the grid on which a page shows it."""
+
+    west: float
+    """m, in the survey's CRS: its units times metres per unit."""
+    north: float
+    tile_size: float
+    """m."""
+    pixels: int
+    """Pixels of heightmap.tif along a side of a tile."""
+    cols: int
+    """Tiles."""
+    rows: int
+    step: int
+    """Tiles along a side of a pixel of the page."""
+    unit: float
+    """Metres per unit of the CRS."""
+
+    @classmethod
+    def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
+        """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
+        path = folder / "class.tif"
+        try:
+            with rasterio.open(path) as file:
+                place, width, height = file.transform, file.width, file.height
+        except RasterioError as error:
+            raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+        unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
+        grid = record["grid"]
+        step = max(1, math.ceil(max(width, height) / side))
+        tile, pixels = float(grid["tile_size_m"]), int(grid["pixels"])
+        return cls(place.c * unit, place.f * unit, tile, pixels, width, height, step, unit)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the page's grid."""
+        return -(-self.rows // self.step), -(-self.cols // self.step)
+
+    @property
+    def metres(self) -> float:
+        """Side of a pixel of the page's grid, m."""
+        return self.tile_size * self.step
+
+
+@dataclass(frozen=True, slots=True)
+class PageTiles:
+    """The tiles on the grid of a page, (rows, cols), north row first, and counts over all of them."""
+
+    spot: Spot
+    ground: NDArray[np.uint8]
+    """Class 0 to 3, ``UNKNOWN_FROM`` plus a `Reason`, or ``NO_POINTS``. A pixel of several tiles is unknown if one of
+    them is unknown or, at the survey's edge or in a hole, holds no point; else it has the roughest class."""
+    barred: NDArray[np.uint8]
+    """A `Barred`, or ``NO_POINTS``; not passable if one tile is not."""
+    objects: NDArray[np.uint8]
+    """OBSTACLE where a tile holds one, FREE where none does, UNKNOWN_OBJECT where that is not known, else 255."""
+    c_r: NDArray[np.float32]
+    """rad/m, the largest; NaN where the pixel is unknown (so are the next two)."""
+    p_fail: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    cost: NDArray[np.float32]
+    """Factor on distance, the largest; NaN where a tile is not passable."""
+    c_r_bins: NDArray[np.int64]
+    """Tiles in each bin of ``C_R_EDGES``."""
+    slope_bins: NDArray[np.int64]
+    """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
+        """Read tiles.parquet, some thousand tiles at a time.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing, damaged, or was written by an earlier version.
+        """
+        shape = spot.shape
+        # One more than the code, so that 0 stands for no points and the largest is the worst.
+        ground, barred = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
+        numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
+        bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
+        rule = _rule(record)
+        for found in _groups(folder / "tiles.parquet"):
+            place = _place(found, spot)
+            np.maximum.at(ground, place, _ground(found) + 1)
+            np.maximum.at(barred, place, found["barred"] + 1)
+            np.add.at(known, place, 1)
+            found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
+            for name, canvas in numbers.items():
+                np.fmax.at(canvas, place, found[name])
+            for name, edges in (("c_r", C_R_EDGES), ("slope", SLOPE_EDGES)):
+                bins[name] += np.histogram(found[name][np.isfinite(found[name])], edges)[0]
+        empty = known == 0
+        part = ~empty & (known < _tiles_of(spot))  # next to tiles without points
+        ground[part] = np.maximum(ground[part], UNKNOWN_FROM + Reason.NO_POINTS + 1)
+        barred[part] = np.maximum(barred[part], Barred.UNKNOWN + 1)
+        ground, barred = (ground - 1).astype(np.uint8), (barred - 1).astype(np.uint8)  # 0 becomes 255
+        for name, canvas in numbers.items():
+            canvas[(canvas < 0) | ((ground >= UNKNOWN_FROM) & (name != "obstacle"))] = np.nan
+        numbers["cost"][barred != Barred.NO] = np.nan
+        share = numbers.pop("obstacle")
+        objects = np.select(
+            [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
+        ).astype(np.uint8)
+        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"])
+
+
+def _groups(path: Path) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown."""
+    try:
+        with pq.ParquetFile(path) as file:
+            missing = set(_COLUMNS) - set(file.schema_arrow.names)
+            if missing:
+                raise BadInputError(f"{path} has no column {min(missing)}: an earlier version wrote it. {_AGAIN}")
+            for group in range(file.num_row_groups):
+                yield _arrays(file.read_row_group(group, columns=list(_COLUMNS), use_threads=False))
+    except (OSError, pa.ArrowException) as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+
+
+def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:
+    codes = {text: int(code) for code, text in BARRED_TEXT.items()}
+    words = table["barred"].combine_chunks()
+    words = words if pa.types.is_dictionary(words.type) else words.dictionary_encode()
+    names = np.array([*(codes.get(name, Barred.UNKNOWN) for name in words.dictionary.to_pylist()), Barred.NO], np.uint8)
+    index = words.indices.fill_null(len(names) - 1).to_numpy(zero_copy_only=False)
+    whole = {name: table[name].to_numpy() for name in ("col", "row", "reason")}
+    numbers = {name: table[name].to_numpy().astype(np.float32) for name in _NUMBERS}
+    classes = table["class"].cast(pa.int16()).fill_null(NO_CLASS).to_numpy().astype(np.uint8)
+    return whole | numbers | {"class": classes, "barred": names[index]}
+
+
+def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns on the grid of the page."""
+    col = found["col"].astype(np.intp) - round(spot.west / spot.tile_size)
+    line = round(spot.north / spot.tile_size) - 1 - found["row"].astype(np.intp)
+    inside = len(col) == 0 or (col.min() >= 0 and line.min() >= 0 and col.max() < spot.cols and line.max() < spot.rows)
+    if not inside:
+        raise BadInputError(f"tiles.parquet holds tiles outside of class.tif: they are not of one run. {_AGAIN}")
+    return line // spot.step, col // spot.step
+
+
+def _ground(found: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
+    return np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)
+
+
+def _tiles_of(spot: Spot) -> NDArray[np.int64]:
+    """Return how many tiles each pixel of the page spans, (rows, cols): fewer at the south and east edges."""
+    sides = [
+        np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
+        for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
+    ]
+    return np.asarray(sides[0][:, None] * sides[1][None, :], dtype=np.int64)
+
+
+def _rule(record: Mapping[str, Any]) -> CostRule:
+    cost = record["cost"]
+    names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+    return CostRule(*(float(cost[name]) for name in names))

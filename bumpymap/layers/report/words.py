@@ -1,0 +1,178 @@
+"""What a page says in sentences: the result, the numbers of the vehicle, and what the map does not know."""
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from bumpymap.core import MapConfig, parse_json
+from bumpymap.layers.report.markup import Html, join, table, tag
+from bumpymap.layers.report.numbers import number, share
+from bumpymap.layers.report.site import Site
+
+__all__ = ["base_name", "command_of", "headline", "limits_of", "meaning_of", "measured_surfaces", "settings_of"]
+
+_SURFACES = Path(__file__).with_name("data") / "surfaces.json"
+_PRIVATE = {
+    *("surveys", "out", "threads", "memory", "scratch", "workers", "scheduler", "tls_config", "overwrite", "resume"),
+    *("features", "csf"),
+}
+"""Settings that do not change the layers, or that are tables of their own."""
+
+
+def headline(site: Site) -> str:
+    """Return the result in one or two sentences: shares of the tiles that hold points."""
+    summary = site.summary
+    barred = sum(summary.bars.values()) - summary.bars.get("unknown ground", 0)
+    unknown = summary.bars.get("unknown ground", 0)
+    calm = sum(summary.by_class[:2])
+    named, total = site.vehicle, summary.tiles
+    text = f"A {named} can cross {share(summary.passable, total)} of the surveyed ground"
+    if barred:
+        text += f" and cannot cross {share(barred, total)}"
+    if unknown:
+        text += f"; {share(unknown, total)} is not known"
+    return f"{text}. {_capital(share(calm, total))} of the ground is smooth or fair to ride on."
+
+
+def meaning_of(site: Site) -> list[str]:
+    """Return what the numbers of the vehicle mean, in sentences."""
+    vehicle: Mapping[str, Any] = site.record.get("vehicle") or {}
+    cost = site.record["cost"]
+    known = site.record.get("calibration")
+    about = (known.get("preferences") or {}).get("description") if isinstance(known, Mapping) else None
+    sentences = []
+    if about:
+        sentences.append(f"The vehicle: {about}.")
+    if vehicle:
+        sizes = {key: number(vehicle.get(key), 2, " m") for key in ("width_m", "height_m", "clearance_m")}
+        sentences.append(
+            f"It is {sizes['width_m']} wide and {sizes['height_m']} high, with {sizes['clearance_m']} under its belly, "
+            f"and was driven in simulation at {number(vehicle.get('speed_mps'), 1, ' m/s')}."
+        )
+    return [
+        *sentences,
+        (
+            "Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = "
+            f"0.1 rad/m means {math.degrees(0.1):.1f} degrees of pitch for each metre, ups and downs added."
+        ),
+        (
+            f"Chance of failure is the share of simulated drives of {cost['drive_m']:g} m over such ground that rolled "
+            "over or got stuck. From one half on, the ground counts as not passable."
+        ),
+        f"Ground steeper than {cost['slope_limit_deg']:g} degrees counts as not passable.",
+        (
+            "Cost of a metre is what a route planner counts: 1 for the metre itself, "
+            f"{cost['ride_weight_m_per_rad']:g} m for each radian of pitch, and {cost['fail_weight_m']:g} m for one "
+            "certain failure. A metre that costs 3 is worth a detour of 2 m."
+        ),
+    ]
+
+
+def measured_surfaces() -> Html:
+    """Return measured ride costs of named surfaces, with where they come from."""
+    known = parse_json(_SURFACES.read_text(encoding="utf-8"))
+    rows = [
+        (one["name"], f"{one['c_r']:.3f}", f"{math.degrees(one['c_r']):.1f}")
+        for one in sorted(known["surfaces"], key=lambda one: float(one["c_r"]))
+    ]
+    low, high = known["floor"]
+    return join(
+        table(
+            f"Measured on real ground with a {known['vehicle']}",
+            ("surface", "C_r, rad/m", "degrees of pitch per metre"),
+            rows,
+        ),
+        tag(
+            "p",
+            f"A real robot ({known['vehicle']}, {known['kind']}, {known['speed']}), not the vehicle of this map and "
+            "not this ground: it shows the size of such numbers, no more. Below "
+            f"{low:g} to {high:g} rad/m the sensor's own noise speaks. Source: {known['source']}; {known['method']}.",
+            class_="note",
+        ),
+    )
+
+
+def limits_of(site: Site) -> list[str]:
+    """Return what the map does not know, in sentences."""
+    spot, summary = site.tiles.spot, site.summary
+    unknown = share(summary.unknown, summary.tiles)
+    known = [
+        "The map says how the ground was on the day of the survey.",
+        "It knows shape, not firmness: mud, wet grass, snow, ice and loose sand look like firm ground.",
+        (
+            f"Ground that is not known ({unknown} of the tiles with points, and all ground without points) is not "
+            "drivable ground. It is grey and hatched on the map, or white where there is no point."
+        ),
+        (
+            "Ride cost and chance of failure come from simulated drives of one vehicle, at one speed, on hard ground. "
+            "They hold for no other vehicle, nor for a heavier load or another speed."
+        ),
+        (
+            f"Every value is that of a tile of {spot.tile_size:g} m. A single stone, wire or hole between the points "
+            "of the survey is not seen."
+        ),
+    ]
+    if site.record.get("ground_only"):
+        known.append("Under trees and bushes there are few ground points; much of it may be unknown.")
+    elif "ground_only" in site.record:
+        known.append(
+            "All points count as ground here: grass, bushes and whatever else stood there are part of the relief, and "
+            "obstacles are not told apart from it."
+        )
+    if site.record.get("crs") is None:
+        known.append("The survey has no CRS: the map has shapes and distances, but no place on Earth.")
+    return known
+
+
+def command_of(record: Mapping[str, Any]) -> str | None:
+    """Return the command that makes these layers again, without the folders of the machine; None if not of `map`."""
+    settings = record.get("settings")
+    if not isinstance(settings, Mapping) or not settings.get("surveys"):
+        return None
+    words = ["bumpymap map", *(_quoted(base_name(str(path))) for path in settings["surveys"]), "--out LAYERS"]
+    for name, value in _changed(settings).items():
+        option = f"--{name.replace('_', '-')}"
+        words.append(option if value is True else f"{option} {_quoted(base_name(str(value)))}")
+    return " ".join(words)
+
+
+def settings_of(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return names and values of the settings that have no option of their own: how tiles are measured."""
+    settings = record.get("settings")
+    settings = settings if isinstance(settings, Mapping) else {}
+    tables = {
+        "features": settings.get("features"),
+        "csf": settings.get("csf") if settings.get("ground") == "csf" else None,
+    }
+    return [
+        (f"{group}.{name}", str(value))
+        for group, values in tables.items()
+        if isinstance(values, Mapping)
+        for name, value in values.items()
+    ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def base_name(path: str) -> str:
+    """Return the last part of a path or URL: folders are private."""
+    return PurePosixPath(PureWindowsPath(path.partition("?")[0]).as_posix()).name or path
+
+
+def _changed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that differ from their defaults and that change the layers."""
+    defaults = {one.name: one.default for one in fields(MapConfig) if one.name not in _PRIVATE}
+    return {
+        name: settings[name]
+        for name, usual in defaults.items()
+        if name in settings and settings[name] != usual and settings[name] not in {None, False}
+    }
+
+
+def _quoted(word: str) -> str:
+    return shlex.quote(word)

@@ -1,0 +1,109 @@
+"""Write report.html: as a view of a run that is just ending, or again for layers that are there."""
+
+import os
+from collections.abc import Mapping, Sequence
+from os.path import lexists
+from pathlib import Path
+from typing import Any
+
+from bumpymap.core import OutputError, UsageError, atomic, utf8_path
+from bumpymap.layers.manifest import plain_manifest, read_manifest
+from bumpymap.layers.products import REPORT_NAME
+from bumpymap.layers.report.page import render
+from bumpymap.layers.report.site import Site
+from bumpymap.layers.report.ways import read_ways
+
+__all__ = ["write_report", "write_reports"]
+
+_MOST = 2
+"""Maps that a page can show."""
+_SUFFIXES = {".html", ".htm"}
+
+
+def write_report(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write report.html to a folder of complete layers.
+
+    Parameters
+    ----------
+    folder : Path
+        The layers.
+    record : mapping
+        The content of run.json, which need not be there yet.
+
+    Raises
+    ------
+    BadInputError
+        A layer cannot be read.
+    OutputError
+        The page cannot be written.
+    """
+    _write([Site.read(folder, plain_manifest(record))], folder / REPORT_NAME)
+
+
+def write_reports(
+    layers: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    route: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write the page of one map again, or one page that compares two maps.
+
+    Parameters
+    ----------
+    layers : sequence of path
+        One or two folders that `bumpymap map` wrote.
+    out : path, optional
+        The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
+    route : path, optional
+        A folder that `bumpymap route` wrote: its ways are drawn.
+    overwrite : bool
+        Replace ``out`` if it exists.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        No layers or more than two, two without ``out``, or ``out`` is not named like a page.
+    BadInputError
+        A folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
+    OutputError
+        The page cannot be written, or exists.
+    """
+    folders = [Path(folder) for folder in layers]
+    if not 1 <= len(folders) <= _MOST:
+        raise UsageError(f"{len(folders)} folders of layers given; a report shows one, or compares two")
+    if out is None and len(folders) > 1:
+        raise UsageError("a page that compares two maps belongs to neither folder: name the file with `out`")
+    records = [read_manifest(folder) for folder in folders]
+    path = folders[0] / REPORT_NAME if out is None else Path(out)
+    _check(path, replace=overwrite or out is None)
+    sites = []
+    for folder, record in zip(folders, records, strict=True):
+        ways = () if route is None else read_ways(Path(route), record)
+        with utf8_path(folder) as readable:
+            sites.append(Site.read(readable, record, ways, maps=len(folders)))
+    _write(sites, path)
+    return path
+
+
+def _check(path: Path, *, replace: bool) -> None:
+    """Refuse, before anything is read, what cannot be written. A link is replaced as a link, never followed."""
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path} is not named like a page. Give a file that ends in .html as `out`")
+    if path.is_dir() and not path.is_symlink():
+        raise OutputError(f"cannot write {path}: it is a folder. Name a file with `out`, such as {path / REPORT_NAME}")
+    if not path.parent.is_dir():
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Create it, or choose another `out`")
+    if lexists(path) and not replace:
+        raise OutputError(f"{path} exists. Choose another `out`, or pass `overwrite=True` to replace it")
+
+
+def _write(sites: Sequence[Site], path: Path) -> None:
+    text = render(sites)
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,68 @@
+"""Maps with pages: a made-up one, and one as `bumpymap map` leaves it."""
+
+import json
+import re
+import zlib
+from base64 import b64decode
+
+import numpy as np
+import pytest
+from route_maps import write_folder
+
+from bumpymap.core import BARRED_TEXT, CANOPY, FREE, OBSTACLE, ObjectStack
+
+
+class ReadPage:
+    """What a page holds, read as a browser would."""
+
+    def __init__(self, path):
+        self.text = path.read_text(encoding="utf-8")
+        self.data = json.loads(
+            re.search(r'<script type="application/json" id="report-data">(.*?)</script>', self.text)[1]
+        )
+
+    def codes(self, name, at=0):
+        about = self.data["maps"][at]
+        return self.bytes_of(about[name], about)
+
+    @staticmethod
+    def bytes_of(text, about):
+        return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
+
+    def values(self, key, at=0):
+        about = self.data["maps"][at]
+        (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
+        codes = self.bytes_of(grid["codes"], about).astype(float)
+        plain = grid["low"] + grid["step"] * codes
+        values = np.exp(plain) if grid["scale"] == "log" else plain
+        return np.where(codes == 255, np.nan, values), grid
+
+
+@pytest.fixture(name="read_page", scope="session")
+def read_page_fixture():
+    return ReadPage
+
+
+def with_objects(cost_map, share=0.02, seed=1):
+    """The same map with things that stand on its ground."""
+    from dataclasses import replace
+
+    rng = np.random.default_rng(seed)
+    heights = cost_map.patches.heights
+    objects = rng.choice(np.array([FREE, OBSTACLE, CANOPY], np.uint8), heights.shape, p=[1 - 2 * share, share, share])
+    part = (objects == OBSTACLE).mean(axis=(1, 2)).astype(np.float32)
+    tiles = len(part)
+    unknown = np.full(tiles, np.nan, np.float32)
+    stack = ObjectStack(objects, part, unknown, unknown, np.zeros(tiles, np.float32))
+    return replace(cost_map, objects=stack)
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory, make_field):
+    """Layers of 40 x 30 tiles with every class and reason, and objects."""
+    return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
+
+
+@pytest.fixture(scope="session")
+def barred_codes():
+    return {text: int(code) for code, text in BARRED_TEXT.items()}

@@ -1,0 +1,182 @@
+"""report.html in a real browser: no error, no request, nothing that a screen reader trips over, usable by keyboard."""
+
+import shutil
+
+import numpy as np
+import pytest
+from route_maps import copy_folder
+
+from bumpymap.layers import write_reports
+
+pytestmark = pytest.mark.chromium
+WIDE, PHONE = (1400, 900), (400, 800)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        # in a container Chromium cannot make a sandbox of its own
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def visit(browser):
+    """Return a function that opens a page and gives it with what it complained about and asked for."""
+    contexts = []
+
+    def open_page(path, size=WIDE, **options):
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.complaints, page.requests = [], []
+        page.on("console", lambda message: page.complaints.append(message.text))
+        page.on("pageerror", lambda error: page.complaints.append(str(error)))
+        page.on("request", lambda request: page.requests.append(request.url))
+        page.goto(path.as_uri())
+        if options.get("java_script_enabled", True):
+            page.wait_for_selector("html[data-ready]")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture(scope="module")
+def pages(site, tmp_path_factory):
+    """The page of a map, one of two maps, and one whose names are markup."""
+    folder = tmp_path_factory.mktemp("pages")
+    bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
+    odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
+    return {
+        "one": site / "report.html",
+        "two": write_reports([site, odd], folder / "two.html"),
+        "odd": write_reports([odd]),
+    }
+
+
+def outside(page):
+    return [url for url in page.requests if not url.startswith(("file:", "data:"))]
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+@pytest.mark.parametrize("name", ["one", "two", "odd"])
+def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
+    from axe_playwright_python.sync_playwright import Axe
+
+    page = visit(pages[name], size)
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    assert page.complaints == []
+    assert outside(page) == []
+    assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
+    assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+
+
+def test_the_policy_of_the_page_stops_requests(visit, pages):
+    """That no request is seen means something: one that is tried is refused, and complained about."""
+    page = visit(pages["one"])
+    refused = page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')")
+    assert refused == "refused"
+    assert any("Content Security Policy" in text for text in page.complaints)
+    assert outside(page) == []
+
+
+def test_the_map_goes_by_keyboard(visit, pages):
+    page = visit(pages["one"])
+    view = "(() => { const map = window.reportMaps[0]; return [map.scale, ...map.middle]; })()"
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.tagName") == "CANVAS":
+            break
+    assert page.evaluate("document.activeElement.tagName") == "CANVAS"
+    start = page.evaluate(view)
+    page.keyboard.press("+")
+    closer = page.evaluate(view)
+    assert closer[0] > start[0]
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowDown")
+    moved = page.evaluate(view)
+    assert moved[1] > closer[1]
+    assert moved[2] > closer[2]
+    assert "class" in page.inner_text(".readout") or "not known" in page.inner_text(".readout")
+    page.keyboard.press("-")
+    assert page.evaluate(view)[0] == pytest.approx(start[0])
+    page.keyboard.press("0")
+    assert page.evaluate(view) == pytest.approx(start)
+
+
+def test_layers_change_by_keyboard_with_their_legends(visit, pages):
+    page = visit(pages["one"])
+    pixels = "window.reportMaps[0].canvas.toDataURL().length + window.reportMaps[0].canvas.toDataURL().slice(-4000)"
+    page.focus("input[type=radio][value=class]")
+    seen = set()
+    for _ in range(7):
+        chosen = page.evaluate("document.querySelector('input[type=radio]:checked').value")
+        legends = page.evaluate(
+            "[...document.querySelectorAll('.legend[data-of]:not([hidden])')].map(e => e.dataset.of)"
+        )
+        assert legends == ([] if chosen == "none" else [chosen])
+        seen.add((chosen, page.evaluate(pixels)))
+        page.keyboard.press("ArrowDown")
+    assert len({chosen for chosen, _ in seen}) == len({picture for _, picture in seen}) == 7
+
+
+def test_the_pointer_reads_what_the_grids_hold(visit, pages, read_page):
+    page = visit(pages["one"])
+    about = read_page(pages["one"])
+    ground, (c_r, _) = about.codes("ground"), about.values("c_r")
+    row, col = (int(place[0]) for place in np.nonzero(ground == 2))
+    text = page.evaluate(
+        """([col, row]) => { const map = window.reportMaps[0];
+        const metres = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres];
+        map.read([0, 1].map((i) => (metres[i] - map.middle[i]) * map.scale + [map.width, map.height][i] / 2));
+        return map.readout.textContent; }""",
+        [col, row],
+    )
+    assert "class 2 rough" in text
+    assert f"ride cost C_r {c_r[row, col]:.3f} rad/m" in text
+    unknown = [int(place[0]) for place in np.nonzero((ground >= 16) & (ground < 255))]
+    colour = page.evaluate(
+        """([row, col]) => { const map = window.reportMaps[0];
+        for (const box of document.querySelectorAll('input[type=checkbox]')) box.checked = false;
+        for (const key of ['class', 'c_r', 'slope', 'barred', 'none']) {
+          document.querySelector(`input[value=${key}]`).checked = true;
+          map.draw();
+          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
+          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
+          const found = map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data;
+          if (Math.max(...found.slice(0, 3)) - Math.min(...found.slice(0, 3)) > 2) return key;
+        } return 'grey'; }""",
+        unknown,
+    )
+    assert colour == "grey", f"unknown ground has a colour in the layer {colour}"
+
+
+def test_two_maps_of_one_place_move_together(visit, pages):
+    page = visit(pages["two"])
+    page.focus("canvas")
+    page.keyboard.press("+")
+    page.keyboard.press("ArrowLeft")
+    first, second = page.evaluate("window.reportMaps.map((map) => [map.scale, ...map.middle])")
+    assert first == pytest.approx(second)
+    page.check("figure:nth-of-type(1) input[value=slope]")
+    assert page.evaluate("window.reportMaps.map((map) => map.chosen)") == ["slope", "slope"]
+
+
+def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
+    page = visit(pages["one"], java_script_enabled=False)
+    assert page.is_visible("img.still")
+    assert not page.is_visible("canvas")
+    assert not page.is_visible(".controls")
+    assert page.is_visible("table")
+
+
+def test_it_prints_on_a_few_sheets(visit, pages):
+    printed = visit(pages["one"]).pdf(format="A4", print_background=True)
+    assert printed.startswith(b"%PDF")
+    assert 2 <= printed.count(b"/Type /Page\n") <= 8
