@@ -28,7 +28,7 @@ except ImportError:  # not on Windows
 
 from bumpymap.core import atomic
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
-from bumpymap.layers._raster_spec import BandSpec, RasterSpec, open_raster
+from bumpymap.layers._raster_spec import SCRATCH_BLOCK, BandSpec, RasterSpec, open_raster
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
 from bumpymap.layers.placement import Placement, RasterWindow
 
@@ -83,7 +83,7 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
-        if size <= SMALL and not sparse:
+        if _in_blocks(placement, spec) <= SMALL and not sparse:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 for _ in _write_scratch(scratch.name, placement, spec, paint, side):
                     pass  # memory loses nothing
@@ -112,6 +112,13 @@ def write_cog(
             raise OSError("the class names could not be written to its .aux.xml file; the disk may be full")
         if spec.colours:
             _extra_band_is_no_alpha(temporary)
+
+
+def _in_blocks(placement: Placement, spec: RasterSpec) -> int:
+    """Return the bytes of a raster in whole blocks, as GDAL keeps it: a raster of 15 lines takes those of 512."""
+    block = max(spec.block, SCRATCH_BLOCK)
+    across, down = (-(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows))
+    return across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
 
 
 def _copy_names(layer: str, temporary: Path, spec: RasterSpec) -> None:

@@ -20,8 +20,9 @@ _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
-_STRIP_COPIES = 3
-"""Copies of the heightmaps of a row of blocks that are in memory while layers are written, several at a time."""
+_RASTER_BLOCK, _RASTER_IN_MEMORY = 512, 128 << 20
+"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels, and largest raster that it keeps in memory, with
+about the same again for its overviews, bytes."""
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
@@ -78,8 +79,6 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
     waiting = sum(info.point_count * _point_bytes(info.format) for info in infos)
     scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
-    cols = max((_sides(box, grid)[0] for box in _around(boxes)), default=0)
-    strip = _STRIP_COPIES * BLOCK_TILES * grid.pixels**2 * 4 * min(cols, points)
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
@@ -87,7 +86,10 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     return Estimate(
         points=points,
         tiles=most,
-        memory=max(_READING_BASE + further * _DECODER + budget.most_bytes(points, waiting), _WRITING_BASE + strip),
+        memory=max(
+            _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting),
+            _WRITING_BASE + _rasters(boxes, grid),
+        ),
         scratch=scratch,
         out=None if most is None else most * tile_bytes,
         seconds=_seconds(infos, points if scratch else 0, most or 0, budget.threads),
@@ -103,6 +105,15 @@ def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int |
         cols, rows = _sides(box, grid)
         total += cols * rows
     return min(total, points)
+
+
+def _rasters(boxes: Sequence[Bounds | None], grid: Grid) -> int:
+    """Return the most bytes of a raster in memory, in whole blocks, with its overviews, while layers are written."""
+    sides = [_sides(box, grid) for box in _around(boxes)]
+    if not sides:
+        return 2 * _RASTER_IN_MEMORY
+    across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in sides[0])
+    return 2 * min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
 
 
 def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
