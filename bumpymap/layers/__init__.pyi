@@ -187,6 +187,12 @@ from .scan.table import (
     open_table as open_table,
     sector_rows as sector_rows,
 )
+from .stac.catalog import (
+    write_catalog as write_catalog,
+)
+from .stac.item import (
+    write_item as write_item,
+)
 from .summary import (
     MapSummary as MapSummary,
     summarise as summarise,

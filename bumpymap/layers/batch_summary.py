@@ -11,6 +11,7 @@ from types import NoneType
 from typing import Any, Literal, TypeAlias, get_args
 
 from bumpymap.core import OutputError, parse_json, utf8_path, write_together
+from bumpymap.layers.products import CATALOG_NAME
 
 __all__ = ["BATCH_LOG", "BATCH_NAMES", "SurveyRow", "SurveyStatus", "check_batch_out", "write_batch_summary"]
 
@@ -18,7 +19,7 @@ SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed"
 """``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
 BATCH_LOG = "log.jsonl"
 _CSV, _PARQUET = "summary.csv", "summary.parquet"
-BATCH_NAMES = (_CSV, _PARQUET, BATCH_LOG)
+BATCH_NAMES = (_CSV, _PARQUET, CATALOG_NAME, BATCH_LOG)
 """Files of a batch in its folder, beside the folders of the surveys."""
 _MAP = "run.json"
 _MOST_LINE = 100_000

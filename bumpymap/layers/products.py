@@ -11,8 +11,12 @@ from bumpymap.core import STAGED, OutputError, remove_path
 from bumpymap.layers._replacing import refuse_blocked
 from bumpymap.layers.manifest import MANIFEST_NAME
 
-__all__ = ["NAMED_RASTERS", "PRODUCT_NAMES", "VIEW_NAMES", "check_folder"]
+__all__ = ["CATALOG_NAME", "ITEM_NAME", "NAMED_RASTERS", "PRODUCT_NAMES", "VIEW_NAMES", "check_folder"]
 
+ITEM_NAME = "item.json"
+"""The map as a STAC item."""
+CATALOG_NAME = "catalog.json"
+"""A STAC catalogue of the maps of many surveys."""
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
@@ -23,6 +27,7 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "tiles.parquet",
     "cost.geojson",
     "cost.fgb",
+    ITEM_NAME,
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from bumpymap.core import locked, remove_empty_on_error
-from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out, write_batch_summary
+from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out, write_batch_summary, write_catalog
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
 from bumpymap.survey.batch.settings import BatchConfig
@@ -95,6 +95,8 @@ def map_batch(
         finally:
             result = BatchResult(tuple(rows[survey.name] for survey in surveys))
             write_batch_summary(result.rows, config.out)
+            mapped = [row.name for row in result.rows if row.status != "failed"]
+            write_catalog(config.out, mapped, title=config.out.absolute().name)
             counts = {status: len(result.with_status(status)) for status in sorted({row.status for row in result.rows})}
             log.write("end", counts=counts, exit_code=result.exit_code)
     return result
