@@ -20,9 +20,11 @@ _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
-_RASTER_BLOCK, _RASTER_IN_MEMORY = 512, 128 << 20
-"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels, and largest raster that it keeps in memory, with
-about the same again for its overviews, bytes."""
+_RASTER_BLOCK, _RASTER_IN_MEMORY, _RASTER_COPIES = 512, 128 << 20, 7 / 3
+"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels; largest raster that it keeps in memory, bytes;
+copies of it there: the scratch raster, the finished one, if nothing can be compressed, and the overviews."""
+_ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
+"""Tiles of a row group of tiles.parquet, which is written at the same time, and copies of their heightmaps."""
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
@@ -88,7 +90,7 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
         tiles=most,
         memory=max(
             _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting),
-            _WRITING_BASE + _rasters(boxes, grid),
+            _WRITING_BASE + _writing(boxes, points, grid),
         ),
         scratch=scratch,
         out=None if most is None else most * tile_bytes,
@@ -107,13 +109,14 @@ def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int |
     return min(total, points)
 
 
-def _rasters(boxes: Sequence[Bounds | None], grid: Grid) -> int:
-    """Return the most bytes of a raster in memory, in whole blocks, with its overviews, while layers are written."""
-    sides = [_sides(box, grid) for box in _around(boxes)]
-    if not sides:
-        return 2 * _RASTER_IN_MEMORY
-    across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in sides[0])
-    return 2 * min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
+def _writing(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int:
+    """Return the most bytes of heightmaps in memory while layers are written: a raster in whole blocks, a row group."""
+    raster = _RASTER_IN_MEMORY
+    for box in _around(boxes):
+        across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in _sides(box, grid))
+        raster = min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
+    rows = _ROW_GROUP_COPIES * min(points, _ROW_GROUP) * grid.pixels**2 * 4
+    return int(_RASTER_COPIES * raster) + rows
 
 
 def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
