@@ -75,7 +75,7 @@ def _survey_name(record: Mapping[str, Any]) -> str:
     survey, inputs = record.get("survey"), record.get("inputs")
     if isinstance(survey, Mapping) and survey.get("name"):
         return str(survey["name"])
-    return PurePosixPath(str(inputs[0]["path"])).stem if inputs else "map"
+    return min((PurePosixPath(str(file["path"])).stem for file in inputs or ()), default="map")
 
 
 def _description(record: Mapping[str, Any]) -> str:
