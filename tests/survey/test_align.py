@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.survey.engine.checkpoints import Checkpoints
 
 pytestmark = pytest.mark.slow
@@ -52,7 +52,7 @@ def mapped(out, *words):
 
 
 def layers_of(out):
-    return {name: (out / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+    return layer_bytes(out)
 
 
 def lines_of(out):

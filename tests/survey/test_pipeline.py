@@ -11,6 +11,7 @@ import pyogrio
 import pytest
 import rasterio
 from click.testing import CliRunner
+from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -91,12 +92,7 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
 
 
 def product_bytes(folder):
-    """The layers, and their item but for what it says of the survey's files."""
-    item = json.loads((folder / "item.json").read_text(encoding="utf-8"))
-    for key in ("title", "bumpymap:survey_checksum"):
-        item["properties"].pop(key, None)
-    layers = [name for name in PRODUCT_NAMES if name not in {"run.json", "item.json"}]
-    return {name: (folder / name).read_bytes() for name in layers} | {"item.json": item | {"id": None}}
+    return layer_bytes(folder)
 
 
 def test_splitting_order_format_offset_and_threads_change_no_bit(layers, site, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
+from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -53,8 +54,9 @@ def mapped(files, out, *options):
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [*PRODUCT_NAMES, *(f"{name}.tif.aux.xml" for name in ("class", "barred", "obstacle"))]
     )
-    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "run.json"}
+    content = layer_bytes(out) | {path.name: path.read_bytes() for path in out.glob("*.aux.xml")}
     run = json.loads((out / "run.json").read_text())
+    run["files"] = [file for file in run["files"] if file["path"] != "item.json"]  # it names the survey
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
     kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
     return content, kept | {"settings": settings_of_the_map}
