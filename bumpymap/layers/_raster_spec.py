@@ -8,9 +8,9 @@ from pyproj import CRS
 
 from bumpymap.layers.placement import Placement
 
-__all__ = ["BandSpec", "RasterSpec", "open_raster"]
+__all__ = ["SCRATCH_BLOCK", "BandSpec", "RasterSpec", "open_raster"]
 
-_SCRATCH_BLOCK = 256
+SCRATCH_BLOCK = 256
 """Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
 of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 
@@ -68,8 +68,8 @@ def open_raster(
         transform=placement.transform(spec.pixels),
         tiled=True,
         interleave="band",
-        blockxsize=_SCRATCH_BLOCK,
-        blockysize=_SCRATCH_BLOCK,
+        blockxsize=SCRATCH_BLOCK,
+        blockysize=SCRATCH_BLOCK,
         sparse_ok=True,
         bigtiff=bigtiff,
         photometric="MINISBLACK",
