@@ -94,10 +94,10 @@ def write_products(
         finally:
             background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, layers)
-        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         for view in _VIEWS:
             view(staged, record)
         write_item(staged, record)
+        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
