@@ -47,6 +47,8 @@ class RasterSpec:
     """Metadata of the file."""
     worst: tuple[int, ...] = ()
     """All values, the worst first: of four pixels, the overviews that `write_sparse_cog` makes keep the worst."""
+    counts_nodata: bool = False
+    """In overviews nodata is a value among others: for rasters of one pixel a tile whose nodata means unknown."""
     level: int = 6
     """DEFLATE compression level, 1 to 9."""
 

@@ -120,7 +120,9 @@ def test_rasters_are_described_as_they_are(item, folder):
                 values = raster.read(number, masked=True)
                 if raster.dtypes[number - 1] == "float32":
                     values = np.ma.masked_invalid(values)
-                if values.count():
+                if name in {"class.tif", "reason.tif", "barred.tif"}:  # a mean of codes says nothing
+                    assert "statistics" not in band
+                elif values.count():
                     assert band["statistics"]["maximum"] == pytest.approx(float(values.max()), rel=1e-6)
                     assert band["statistics"]["mean"] == pytest.approx(float(values.mean()), rel=1e-5)
 
