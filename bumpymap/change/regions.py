@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.change.compare import CODES
-from bumpymap.core import NO_CLASS, Barred
+from bumpymap.core import CHANGE_KINDS, NO_CLASS, Barred
 from bumpymap.layers import SurveyTiles, label
 
 __all__ = ["connect", "describe_regions"]
@@ -21,7 +20,7 @@ def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64],
     Parameters
     ----------
     code : array (rows, cols)
-        A position in ``CODES``; NaN where not compared.
+        A position in ``CHANGE_KINDS``; NaN where not compared.
     least : int
 
     Returns
@@ -83,7 +82,8 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
     return {
         "tiles": len(kinds),
         "area_m2": round(len(kinds) * area_m2, 3),
-        **{CODES[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
+        "kind": _kind(kinds),
+        **{CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
         "d_height_highest": _number(heights.max()),
@@ -95,7 +95,16 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
     }
 
 
-_KINDS = range(1, len(CODES))
+_KINDS = range(1, len(CHANGE_KINDS))
+_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = _KINDS
+
+
+def _kind(kinds: NDArray[np.floating]) -> str:
+    """Return what has become of the ride over a place; a rougher or smoother tile counts before the others."""
+    rougher, smoother = ((kinds == kind).sum() for kind in (_ROUGHER, _SMOOTHER))
+    if rougher or smoother:
+        return CHANGE_KINDS[_ROUGHER if rougher >= smoother else _SMOOTHER]
+    return CHANGE_KINDS[_UNKNOWN if (kinds == _UNKNOWN).any() else _AS_BEFORE]
 
 
 def _number(value: float) -> float | None:

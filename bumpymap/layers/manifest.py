@@ -26,6 +26,7 @@ __all__ = [
     "complete_manifest",
     "describe_file",
     "describe_input",
+    "place_entries",
     "plain_manifest",
     "read_manifest",
     "software_versions",
@@ -89,16 +90,12 @@ def complete_manifest(
     dict
         Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``.
     """
-    place, grid = table.georeference, table.tiles.grid
-    crs = Placement(place, grid, table.tiles.window).height_crs
     return {
         "format": MANIFEST_FORMAT,
         "version": _VERSION,
         **manifest,
         "versions": software_versions() | dict(manifest.get("versions", {})),
-        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
-        "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
-        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+        **place_entries(Placement(table.georeference, table.tiles.grid, table.tiles.window)),
         "cost": {
             "ride_weight_m_per_rad": table.rule.ride_weight,
             "fail_weight_m": table.rule.fail_weight,
@@ -120,6 +117,16 @@ def complete_manifest(
             "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
         },
         "files": [dict(file) for file in files],
+    }
+
+
+def place_entries(placement: Placement) -> dict[str, Any]:
+    """Return the entries of a manifest that say where its files lie: ``crs``, ``metres_per_unit`` and ``grid``."""
+    place, grid, crs = placement.georeference, placement.grid, placement.height_crs
+    return {
+        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
+        "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
+        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
     }
 
 
