@@ -6,7 +6,7 @@ Open both, find which tiles both have, compare heights and ride costs, decide, c
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,19 @@ from bumpymap.change.regions import connect, describe_regions
 from bumpymap.change.ride import ride_z
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
-from bumpymap.layers import ChangeField, RouteMap, SurveyPair, SurveyTiles, check_change_out, open_pair, write_change
+from bumpymap.layers import (
+    ChangeField,
+    RouteMap,
+    SurveyPair,
+    SurveyTiles,
+    change_regions,
+    check_change_out,
+    open_pair,
+    write_change,
+)
+
+if TYPE_CHECKING:
+    import geopandas
 
 __all__ = ["ChangeResult", "find_changes"]
 
@@ -41,6 +53,27 @@ class ChangeResult:
     """What was written."""
     notes: tuple[str, ...]
     """Remarks and warnings."""
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the files; None if none were written."""
+        return self.files[0].parent if self.files else None
+
+    def regions(self) -> "geopandas.GeoDataFrame":
+        """Return the connected changes.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each, by its number in change.geojson, with the properties there; the geometry is its outline,
+            in the survey's CRS.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        """
+        return change_regions(self.field)
 
 
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:

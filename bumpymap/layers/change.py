@@ -165,7 +165,7 @@ def change_regions(field: ChangeField) -> "geopandas.GeoDataFrame":
     """
     geopandas = import_notebook("geopandas")
     place, numbers = field.placement, range(1, len(field.regions) + 1)
-    traced = trace_labels(field.area, field.window, slice(0, field.window.rows), numbers) if numbers else []
+    traced = trace_labels(field.area, field.window, slice(0, field.window.rows), numbers) if numbers else ()
     outlines = [shapely.transform(outline, place.to_crs) for outline in traced]
     columns = {name: [about[name] for about in field.regions] for name in (field.regions[0] if numbers else ())}
     index = import_notebook("pandas").RangeIndex(1, len(numbers) + 1, name="id")

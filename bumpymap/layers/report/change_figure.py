@@ -61,6 +61,7 @@ def _notes(site: ChangeSite, grids: list[ByteGrid]) -> str:
         )
     else:
         size = f"One square of the map is a tile of {site.tile_size:g} m."
-    text = f"{size} Differences are those of all tiles, changed or not: most are noise."
+    text = f"{size} Differences are those of all tiles, changed or not: most are noise. "
+    text += "Colours go with the square root of a difference, so that small ones are seen."
     rounding = "; ".join(grid.rounding for grid in grids)
-    return f"{text} They are rounded for this page ({rounding}); change.tif holds them in full." if grids else size
+    return f"{text} Values are rounded for this page ({rounding}); change.tif holds them in full." if grids else size

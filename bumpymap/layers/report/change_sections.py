@@ -72,7 +72,7 @@ def kind_section(site: ChangeSite) -> Html:
     """Return the table of what became of the tiles."""
     counts = site.record["counts"]
     compared, both = int(counts["compared"]), int(counts["in_both"])
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             join(name, tag("span", _MEANING[name], class_="meaning")),
             *_amount(site, int(counts["by_change"][name]), compared),
@@ -133,8 +133,9 @@ def place_section(site: ChangeSite) -> Html:
     left = total - len(rows)
     more = f" The {whole(left)} smaller ones are in change.geojson." if left else ""
     note = (
-        "The largest first; numbers are those on the map and the ids in change.geojson. Heights and C_r are means over "
-        f"the place, after minus before; a positive volume was heaped up.{more}"
+        "The largest first, with what became of the ride in how many of its tiles. Numbers are those on the map and "
+        "the ids in change.geojson. Heights and C_r are means over the place,"
+        f" after minus before; a positive volume was heaped up.{more}"
     )
     return _section(
         "Places", "places", table("Places that have changed", head, rows, texts=2, wide=True), tag("p", note)
@@ -144,11 +145,10 @@ def place_section(site: ChangeSite) -> Html:
 def surveys_section(site: ChangeSite) -> Html:
     """Return the two surveys side by side, and what is to be known of how they fit each other."""
     fit = site.record["fit"]
-    names = titles(site)
     runs = [_run(site, side) for side in _SIDES]
     inputs = [[item for item in run.get("inputs") or () if isinstance(item, Mapping)] for run in runs]
     rows = [
-        ("name", *names),
+        ("name", *map(plain_name, runs)),
         ("dates in the files", *(_dates(run) or "not stated" for run in runs)),
         ("files", *(whole(len(items)) for items in inputs)),
         ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),
@@ -161,7 +161,9 @@ def surveys_section(site: ChangeSite) -> Html:
     remarks = [f"{text[:1].upper()}{text[1:]}." for text in map(str, site.record.get("remarks") or ())]
     head = tag("h3", "What to know before the changes are believed")
     parts = join(head, lines_of(*remarks)) if remarks else Html()
-    return _section("The two surveys", "surveys", table("The two surveys", ("", "before", "after"), rows), parts)
+    return _section(
+        "The two surveys", "surveys", table("Before and after", ("of the survey", "before", "after"), rows), parts
+    )
 
 
 def settings_section(site: ChangeSite) -> Html:
@@ -261,9 +263,12 @@ def _amount(site: ChangeSite, tiles: int, total: int = 0) -> tuple[str, str, str
 def _place_row(site: ChangeSite, place: ChangedPlace, decimals: int) -> tuple[str, ...]:
     about = place.about
     tiles = int(about["tiles"])
-    kinds = [(name, int(about[name.replace(",", "").replace(" ", "_")])) for name in CHANGE_KINDS[1:]]
+    kinds = [
+        (name.removeprefix("ground changed, ride "), int(about[name.replace(",", "").replace(" ", "_")]))
+        for name in CHANGE_KINDS[1:]
+    ]
     found = [(name, count) for name, count in kinds if count]
-    ride = found[0][0] if len(found) == 1 else ", ".join(f"{name}: {whole(count)}" for name, count in found)
+    ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
     low, high = (_signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
     return (
         str(place.number),
@@ -283,4 +288,6 @@ def _place_row(site: ChangeSite, place: ChangedPlace, decimals: int) -> tuple[st
 def _signed(value: Any, decimals: int) -> str:
     """Return a difference with its sign."""
     text = number(value, decimals)
-    return text if text == DASH or value <= 0 else f"+{text}"
+    if text == DASH or not text.strip("-0."):
+        return text.removeprefix("-")
+    return f"+{text}" if value > 0 else text

@@ -54,8 +54,8 @@ class ChangedPlace:
     east: float
     """m, in the survey's CRS: the middle of its extent."""
     north: float
-    reach: float
-    """m, from its middle to the corners of its extent."""
+    size: tuple[float, float]
+    """Extent from west to east and from south to north, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class ChangeSite:
             "ground": packed(self.kinds),
             "grids": [grid.record() for grid in self.grids],
             "places": [
-                {"name": str(place.number), "east": place.east, "north": place.north, "reach": place.reach}
+                {"name": str(place.number), "east": place.east, "north": place.north, "size": place.size}
                 for place in self.places
             ],
         }
@@ -225,11 +225,11 @@ def _placed(features: list[Any], forward: Transformer | None, unit: float) -> It
         corners = corners * unit
         low, high = corners.min(axis=0), corners.max(axis=0)
         east, north = ((low + high) / 2).round(2).tolist()
-        reach = round(float(np.hypot(*(high - low)) / 2), 2)
-        if not math.isfinite(reach):
+        width, height = (high - low).round(2).tolist()
+        if not math.isfinite(width + height):
             raise ValueError("a place of change.geojson has no coordinates in the CRS")
         where = (float(inside.x), float(inside.y))
-        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, reach)
+        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, (width, height))
 
 
 def _still(kinds: NDArray[np.uint8]) -> str:

@@ -80,7 +80,7 @@ class ByteGrid:
     def span(self) -> tuple[float, float, float]:
         """Return the least value of the scale, that in its middle, and the largest."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        least, middle, most = (float(self._value(np.array(end))) for end in ends)
+        least, middle, most = (float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends)
         return least, middle, most
 
     def values(self) -> NDArray[np.float64]:

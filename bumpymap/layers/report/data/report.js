@@ -322,7 +322,7 @@
           const plain = grid.low + grid.step * found;
           const value = grid.scale === "log" ? Math.exp(plain) : grid.scale === "root" ? plain * Math.abs(plain) : plain;
           const sign = this.about.differences && value > 0 ? "+" : "";
-          words.push(`${grid.label} ${sign}${grouped(value, grid.decimals)}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
+          words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
         const bar = this.barred?.[at];
         if (this.barred && code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
@@ -414,21 +414,19 @@
       }
     }
 
-    /** A ring around each place, so that it is seen however small it is, and its number. */
+    /** A frame around each place, so that it is seen however small it is, and its number. */
     drawPlaces(left, top) {
       const { context, about, dense } = this;
-      for (const { name, east, north, reach } of about.places) {
-        const x = left + (east - about.west) * this.scale * dense;
-        const y = top + (about.north - north) * this.scale * dense;
-        const radius = Math.max(9, reach * this.scale + 5) * dense;
-        for (const [colour, width] of [["#fff", 4], ["#1f2937", 1.6]]) {
+      for (const { name, east, north, size } of about.places) {
+        const [width, height] = size.map((metres) => Math.max(14, metres * this.scale + 8) * dense);
+        const x = left + (east - about.west) * this.scale * dense - width / 2;
+        const y = top + (about.north - north) * this.scale * dense - height / 2;
+        for (const [colour, line] of [["#fff", 4], ["#1f2937", 1.6]]) {
           context.strokeStyle = colour;
-          context.lineWidth = width * dense;
-          context.beginPath();
-          context.arc(x, y, radius, 0, 2 * Math.PI);
-          context.stroke();
+          context.lineWidth = line * dense;
+          context.strokeRect(x, y, width, height);
         }
-        this.write(name, x + radius * 0.72 + 3 * dense, y - radius * 0.72);
+        this.write(name, x + width + 4 * dense, y + 6 * dense);
       }
     }
 
