@@ -62,6 +62,6 @@ def diff_surveys(
     >>> change.counts["changed"], len(change.regions())
     (0, 0)
     """
-    places = [site.folder if isinstance(site, Layers) else Path(site) for site in (before, after)]
+    first, second = (site.folder if isinstance(site, Layers) else Path(site) for site in (before, after))
     target = None if out is None else Path(out)
-    return find_changes(DiffConfig(*places, target, fdr, min_tiles, offset, overwrite))
+    return find_changes(DiffConfig(first, second, target, fdr, min_tiles, offset, overwrite))

@@ -15,7 +15,7 @@ from bumpymap.change.compare import Decision, decide
 from bumpymap.change.ground import GroundChange
 from bumpymap.change.heights import cell_pixels, ground_changes, height_offset
 from bumpymap.change.notes import remarks
-from bumpymap.change.regions import connect, describe_regions
+from bumpymap.change.regions import connect, describe_regions, region_names
 from bumpymap.change.ride import ride_z
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
@@ -73,7 +73,7 @@ class ChangeResult:
         UsageError
             The extra ``notebook`` is not installed.
         """
-        return change_regions(self.field)
+        return change_regions(self.field, region_names())
 
 
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:

@@ -1,5 +1,6 @@
 """Connected changes: small ones are left out, the others are described."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CHANGE_KINDS, NO_CLASS, Barred
 from bumpymap.layers import SurveyTiles, label
 
-__all__ = ["connect", "describe_regions"]
+__all__ = ["connect", "describe_regions", "region_names"]
 
 _DECIMALS = 4
 
@@ -76,6 +77,11 @@ def describe_regions(
     return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
 
 
+def region_names() -> tuple[str, ...]:
+    """Return the names of the properties that `describe_regions` gives, also where nothing has changed."""
+    return tuple(_describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0))
+
+
 def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
     """Return the properties of one change from the values of its tiles, (n,) each."""
     heights, kinds = tiles["d_height"], tiles["kind"]
@@ -96,15 +102,14 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
 
 
 _KINDS = range(1, len(CHANGE_KINDS))
-_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = _KINDS
+_FIRST = (2, 4, 3, 1)
+"""Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
 
 
 def _kind(kinds: NDArray[np.floating]) -> str:
-    """Return what has become of the ride over a place; a rougher or smoother tile counts before the others."""
-    rougher, smoother = ((kinds == kind).sum() for kind in (_ROUGHER, _SMOOTHER))
-    if rougher or smoother:
-        return CHANGE_KINDS[_ROUGHER if rougher >= smoother else _SMOOTHER]
-    return CHANGE_KINDS[_UNKNOWN if (kinds == _UNKNOWN).any() else _AS_BEFORE]
+    """Return the kind of most tiles."""
+    count = np.bincount(kinds.astype(np.int64), minlength=len(CHANGE_KINDS))
+    return CHANGE_KINDS[max(_FIRST, key=lambda kind: int(count[kind]))]
 
 
 def _number(value: float) -> float | None:

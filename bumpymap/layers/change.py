@@ -1,7 +1,7 @@
 """Write what has changed between two surveys: change.tif, change.geojson, their views and change.json, or nothing."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
@@ -155,8 +155,8 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
     return [out / name for name in (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)]
 
 
-def change_regions(field: ChangeField) -> "geopandas.GeoDataFrame":
-    """Return the connected changes as a table: outlines in the survey's CRS, and the properties of change.geojson.
+def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
+    """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def change_regions(field: ChangeField) -> "geopandas.GeoDataFrame":
     place, numbers = field.placement, range(1, len(field.regions) + 1)
     traced = trace_labels(field.area, field.window, slice(0, field.window.rows), numbers) if numbers else ()
     outlines = [shapely.transform(outline, place.to_crs) for outline in traced]
-    columns = {name: [about[name] for about in field.regions] for name in (field.regions[0] if numbers else ())}
+    columns = {name: [about[name] for about in field.regions] for name in names}
     index = import_notebook("pandas").RangeIndex(1, len(numbers) + 1, name="id")
     return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 

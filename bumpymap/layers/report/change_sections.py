@@ -27,7 +27,7 @@ _ROUGHER, _SMOOTHER = "rougher", "smoother"
 _USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
 """Settings of a comparison that `--out` alone gives."""
 _MEANING = {
-    "not changed": "no change was found; one that is smaller than the noise is not",
+    "not changed": "no change was found; one smaller than the noise stays unseen",
     "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
     "rougher": "the ground has changed and is rougher to ride on",
     "smoother": "the ground has changed and is smoother to ride on",
@@ -58,14 +58,10 @@ def change_headline(site: ChangeSite) -> str:
         f"{area(site.area_of(compared))} compared"
     )
     tiles = counts["by_change"]
-    parts = [
-        f"{area(site.area_of(int(tiles[kind])))} became {kind} to ride on"
-        for kind in (_ROUGHER, _SMOOTHER)
-        if tiles[kind]
-    ]
-    if not parts:
+    rides = [(kind, area(site.area_of(int(tiles[kind])))) for kind in (_ROUGHER, _SMOOTHER) if tiles[kind]]
+    if not rides:
         return f"{text}; no change of the ride was found there."
-    return f"{text}; {' and '.join(parts)}."
+    return f"{text}; {' and '.join(f'{size} became {kind}' for kind, size in rides)} to ride on."
 
 
 def kind_section(site: ChangeSite) -> Html:
@@ -126,7 +122,7 @@ def place_section(site: ChangeSite) -> Html:
         return _section("Places", "places", tag("p", "No place was found that has changed."))
     x, y, decimals = ("longitude, °", "latitude, °", 6) if site.degrees else ("x", "y", 1)
     head = (
-        *("place", "ride", "area", "tiles", "height, m", "lowest to highest, m", "volume, m³"),
+        *("place, and its ride", "area", "tiles", "height, m", "lowest to highest, m", "volume, m³"),
         *("C_r before, rad/m", "C_r after, rad/m", "difference, rad/m", x, y),
     )
     rows = [_place_row(site, place, decimals) for place in site.places]
@@ -137,9 +133,7 @@ def place_section(site: ChangeSite) -> Html:
         "the ids in change.geojson. Heights and C_r are means over the place,"
         f" after minus before; a positive volume was heaped up.{more}"
     )
-    return _section(
-        "Places", "places", table("Places that have changed", head, rows, texts=2, wide=True), tag("p", note)
-    )
+    return _section("Places", "places", table("Places that have changed", head, rows, wide=True), tag("p", note))
 
 
 def surveys_section(site: ChangeSite) -> Html:
@@ -171,13 +165,13 @@ def settings_section(site: ChangeSite) -> Html:
     settings, fit, counts = site.record["settings"], site.record["fit"], site.record["counts"]
     fdr, least = float(settings["fdr"]), int(settings["min_tiles"])
     changed = int(counts["changed"])
-    widened = ", ".join(f"{name} {float(factor):.2f} times" for name, factor in fit["widened"].items())
+    widened = ", ".join(f"{float(factor):.2f} times ({name})" for name, factor in fit["widened"].items())
     rows = [
         ("false discoveries", f"at most {100 * fdr:g} % of what is found, on average"),
         ("smallest change", f"{least} tiles that share sides, {area(site.area_of(least))}"),
         ("height taken off the later survey", number(fit["offset_taken_off_m"], 3, " m")),
         ("heights compared in squares of", f"{float(fit['cell_m']):g} m"),
-        ("noise taken larger than measured by", widened),
+        ("noise taken as", f"{widened} what the points show"),
         ("vehicle, calibration", f"{site.record['vehicle']}, {site.record['calibration']}"),
     ]
     expected = f" Of the {whole(changed)} changed tiles here, that is some {fdr * changed:.0f}." if changed else ""
@@ -261,6 +255,7 @@ def _amount(site: ChangeSite, tiles: int, total: int = 0) -> tuple[str, str, str
 
 
 def _place_row(site: ChangeSite, place: ChangedPlace, decimals: int) -> tuple[str, ...]:
+    """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
     about = place.about
     tiles = int(about["tiles"])
     kinds = [
@@ -271,8 +266,7 @@ def _place_row(site: ChangeSite, place: ChangedPlace, decimals: int) -> tuple[st
     ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
     low, high = (_signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
     return (
-        str(place.number),
-        ride,
+        join(str(place.number), tag("span", ride, class_="meaning")),
         area(site.area_of(tiles)),
         whole(tiles),
         _signed(about["d_height"], 2),
