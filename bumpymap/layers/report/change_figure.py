@@ -56,12 +56,15 @@ def _notes(site: ChangeSite, grids: list[ByteGrid]) -> str:
     if site.step > 1:
         size = (
             f"One pixel of the map is {site.metres:g} m, {site.step} x {site.step} tiles of {site.tile_size:g} m. It "
-            "shows a change if one of its tiles has changed, and is not compared if one of the others is not; its "
-            "differences are those farthest from 0."
+            "shows a change if one of its tiles has changed; else it counts as not compared if one of them was not. "
+            "Its differences are those farthest from 0."
         )
     else:
         size = f"One square of the map is a tile of {site.tile_size:g} m."
     text = f"{size} Differences are those of all tiles, changed or not: most are noise. "
     text += "Colours go with the square root of a difference, so that small ones are seen."
+    left = site.record["counts"]["regions"] - len(site.places)
+    if left:
+        text += f" The {len(site.places)} largest places are framed, {left:,} are not."
     rounding = "; ".join(grid.rounding for grid in grids)
     return f"{text} Values are rounded for this page ({rounding}); change.tif holds them in full." if grids else size

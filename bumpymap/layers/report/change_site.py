@@ -31,7 +31,9 @@ _SIDE = 1_500
 """Most pixels of the grids along a side."""
 _BUDGET = 1_300_000
 """Most characters of the grids."""
-_STRIP_TILES = 4_000_000
+_COMPARED = 400_000
+"""Most pixels of the grids with a value: some three bytes of the page each."""
+_STRIP_TILES = 1_000_000
 """Most tiles to read at a time."""
 _STILL_SIDE = 700
 _GREY = (178, 178, 178)
@@ -105,7 +107,10 @@ class ChangeSite:
         try:
             unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
             with rasterio.open(path) as file:
-                step = max(1, math.ceil(max(file.width, file.height) / _SIDE))
+                compared = int(record["counts"]["compared"])
+                step = max(
+                    1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))
+                )
                 while True:
                     kinds, d_height, d_c_r = _read(file, step)
                     grids = (

@@ -141,7 +141,7 @@ def scale_of(grid: ByteGrid, ramp: Sequence[str], ends: tuple[str, str] = ("ligh
     ]
     values = grid.span()
     unit = grid.unit and f" {grid.unit}"
-    words = [f"{value:.{grid.decimals}f}{unit}" for value in values]
+    words = [f"{value:.{grid.decimals}f}{unit}" if value else "0" for value in values]
     texts = "".join(
         f'<text x="{x}" y="{height + 14}" text-anchor="{anchor}">{word}</text>'
         for x, anchor, word in zip((0, width / 2, width), ("start", "middle", "end"), words, strict=True)

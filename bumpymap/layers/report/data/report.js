@@ -414,9 +414,10 @@
       }
     }
 
-    /** A frame around each place, so that it is seen however small it is, and its number. */
+    /** A frame around each place, so that it is seen however small it is; its number where no larger place has one. */
     drawPlaces(left, top) {
       const { context, about, dense } = this;
+      const taken = [];
       for (const { name, east, north, size } of about.places) {
         const [width, height] = size.map((metres) => Math.max(14, metres * this.scale + 8) * dense);
         const x = left + (east - about.west) * this.scale * dense - width / 2;
@@ -426,7 +427,11 @@
           context.lineWidth = line * dense;
           context.strokeRect(x, y, width, height);
         }
-        this.write(name, x + width + 4 * dense, y + 6 * dense);
+        const [right, foot] = [x + width + 4 * dense, y + 6 * dense];
+        const near = ([other, line]) => Math.abs(other - right) < 30 * dense && Math.abs(line - foot) < 14 * dense;
+        if (taken.some(near)) continue;
+        taken.push([right, foot]);
+        this.write(name, right, foot);
       }
     }
 
