@@ -47,8 +47,8 @@ def visit(browser):
 
 
 @pytest.fixture(scope="module")
-def pages(site, tmp_path_factory):
-    """The page of a map, one of two maps, and one whose names are markup."""
+def pages(site, comparison, tmp_path_factory):
+    """The page of a map, of two maps, of one whose names are markup, and of what has changed."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
@@ -56,6 +56,7 @@ def pages(site, tmp_path_factory):
         "one": site / "report.html",
         "two": write_reports([site, odd], folder / "two.html"),
         "odd": write_reports([odd]),
+        "change": comparison / "report.html",
     }
 
 
@@ -64,7 +65,7 @@ def outside(page):
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "two", "odd"])
+@pytest.mark.parametrize("name", ["one", "two", "odd", "change"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -180,3 +181,41 @@ def test_it_prints_on_a_few_sheets(visit, pages):
     printed = visit(pages["one"]).pdf(format="A4", print_background=True)
     assert printed.startswith(b"%PDF")
     assert 2 <= printed.count(b"/Type /Page\n") <= 8
+
+
+POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
+    document.querySelector(`input[value=${key}]`).click();
+    document.querySelector('input[value=places]').checked = false;
+    map.draw();
+    const at = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres]
+      .map((metres, i) => (metres - map.middle[i]) * map.scale + [map.width, map.height][i] / 2);
+    map.read(at);
+    const pixel = map.context.getImageData(Math.round(at[0] * map.dense), Math.round(at[1] * map.dense), 1, 1).data;
+    return [map.readout.textContent, [...pixel.slice(0, 3)]]; }"""
+
+
+def test_the_pointer_reads_what_has_changed(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
+    row, col = (int(place[0]) for place in np.nonzero(kinds == 2))
+    text, colour = page.evaluate(POINT_AT, [row, col, "changed"])
+    assert "· rougher ·" in text
+    assert f"height after minus before {heights[row, col]:.2f} m" in text
+    assert f"ride cost C_r after minus before +{rides[row, col]:.3f} rad/m" in text
+    assert colour == about.data["codes"]["classColours"][2][:3]
+    calm = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isfinite(rides))]
+    assert page.evaluate(POINT_AT, [*calm, "changed"])[1] == about.data["codes"]["classColours"][0][:3]
+
+
+def test_ground_that_is_not_compared_never_looks_unchanged(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (rides, _) = about.codes("ground"), about.values("d_c_r")
+    left_out = [int(place[0]) for place in np.nonzero(kinds == 16)]
+    no_ride = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isnan(rides))]
+    for place, key in ((left_out, "changed"), (left_out, "d_height"), (left_out, "d_c_r"), (no_ride, "d_c_r")):
+        text, colour = page.evaluate(POINT_AT, [*place, key])
+        assert max(colour) - min(colour) <= 2, key  # grey
+        assert max(colour) <= 180, key  # darker than white, which means no difference
+        if place == left_out:
+            assert "not compared: may have changed or not" in text
+            assert "not changed" not in text

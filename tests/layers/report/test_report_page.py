@@ -1,15 +1,14 @@
 """report.html holds what the layers hold, says it in tables, asks nobody for anything, and trusts no name."""
 
-import html.parser
 import json
 import re
 import shutil
-from collections import defaultdict
 
 import numpy as np
 import pytest
 import rasterio
 from cost_maps import make_field
+from page_outline import Outline
 from route_maps import VEHICLE, copy_folder, write_folder
 
 import bumpymap
@@ -18,52 +17,6 @@ from bumpymap.layers import write_report, write_reports
 from bumpymap.layers.report.codes import ByteGrid
 from bumpymap.layers.report.numbers import area, number, share
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
-
-VOID = {"meta", "img", "input", "br"}
-
-
-class Outline(html.parser.HTMLParser):
-    """Tables, ids and elements of a page; fails where elements do not nest."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.ids, self.tables, self.attributes = [], [], {}, defaultdict(list)
-        self.cells = self.caption = None
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        attrs = dict(attrs)
-        self.ids += [attrs["id"]] if "id" in attrs else []
-        for key, value in attrs.items():
-            self.attributes[key].append(value)
-        if tag in VOID:
-            return
-        self.open.append(tag)
-        if tag == "table":
-            self.cells = []
-        elif tag == "tr":
-            self.cells.append([])
-        elif tag in {"td", "th"}:
-            self.cells[-1].append("")
-        elif tag == "caption":
-            self.caption = ""
-
-    def handle_startendtag(self, tag, attrs):
-        self.attributes["self-closed"].append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        if tag == "table":
-            self.tables[self.caption] = self.cells
-            self.cells = None
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] == "caption":
-            self.caption += data
-        elif self.cells and self.cells[-1] and self.open[-1] in {"td", "th"}:
-            self.cells[-1][-1] += data
 
 
 def raster(folder, name, band=1):
