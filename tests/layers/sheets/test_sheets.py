@@ -15,9 +15,12 @@ from route_maps import RUN, copy_folder
 from route_sites import place, site
 
 import bumpymap
+from bumpymap.core import REASON_TEXT
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import (
+    PRODUCT_NAMES,
+    VIEW_NAMES,
     SheetLayout,
     SheetRun,
     check_folder,
@@ -31,7 +34,7 @@ from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES, Grid
 
 SMALL = Grid(3.0, 5)
-RASTERS = ("roughness", "class", "cost", "barred", "heightmap", "obstacle")
+RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "obstacle")
 
 
 def write(cost_map, folder, *, blocks=1, keep=False, key="k"):
@@ -95,6 +98,7 @@ def categories(path):
 
 def test_values_have_their_names(sheets):
     assert categories(sheets / "class.vrt") == ["smooth", "fair", "rough", "very rough"]
+    assert categories(sheets / "reason.vrt") == list(REASON_TEXT.values())
     assert categories(sheets / "obstacle.vrt") == ["free", "obstacle", "canopy", "unknown"]
 
 
@@ -148,7 +152,8 @@ def test_same_map_same_bytes(made, sheets, tmp_path):
     shuffled = part_of(made, np.random.default_rng(1).permutation(len(made.class_id)))
     write(shuffled, tmp_path / "again", blocks=4)
     files = [path.relative_to(sheets) for path in sorted(sheets.rglob("*")) if path.is_file()]
-    assert len(files) == 4 * 13 + 8
+    sidecars = 4
+    assert len(files) == 4 * (len(PRODUCT_NAMES) + len(VIEW_NAMES) + sidecars) + len(RASTERS) + 2
     for file in files:
         if file.name != "run.json":
             assert (sheets / file).read_bytes() == (tmp_path / "again" / file).read_bytes(), file
@@ -171,7 +176,9 @@ def test_sites_far_apart_need_no_room_between(tmp_path):
         assert file.shape == (333_334, 333_334)
         assert file.read(1, window=((333_333, 333_334), (0, 1)))[0, 0] == 0
         assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == 1
-        assert file.read(2, window=((500, 502), (500, 502))).tolist() == [[1, 1], [1, 1]]  # no points
+    with rasterio.open(tmp_path / "reason.vrt") as file:
+        assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == Reason.OK
+        assert file.read(1, window=((500, 502), (500, 502))).tolist() == [[255, 255], [255, 255]]  # no points
 
 
 def test_ground_without_a_crs(tmp_path):
