@@ -26,7 +26,7 @@ _DARKEST, _BRIGHTEST = 0.45, 1.2
 
 
 def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
-    """Return a PNG of a complete map; empty if none is small enough.
+    """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 

@@ -13,6 +13,7 @@ import rasterio.shutil
 from rasterio.errors import RasterioError
 
 from bumpymap.core import BadInputError, atomic
+from bumpymap.layers._value_table import sum_counts
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileWindow
 
@@ -75,6 +76,9 @@ def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[
         tree.remove(domain)
     for band in tree.iter("VRTRasterBand"):
         _fill_band(band, sources)
+        table = band.find("GDALRasterAttributeTable")
+        if table is not None and not sum_counts(table, [root / source.path for source in sources]):
+            band.remove(table)  # better none than the counts of one sheet
     ET.indent(tree)
     with atomic(path) as temporary:
         temporary.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")
