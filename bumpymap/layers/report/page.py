@@ -70,6 +70,7 @@ def render(sites: Sequence[Site]) -> str:
                 if len(sites) > 1
                 else "",
                 tag("div", *maps, class_="beside maps"),
+                *_to_sheets(sites),
                 aria_labelledby="map",
             ),
             way_section(sites),
@@ -85,6 +86,13 @@ def render(sites: Sequence[Site]) -> str:
         raw(f"<script>{script}</script>"),
     )
     return f"<!DOCTYPE html>\n{tag('html', head, body, lang='en')}\n"
+
+
+def _to_sheets(sites: Sequence[Site]) -> list[Html]:
+    """Return a line that leads to the table of sheets, if they have pages that can be opened from this one."""
+    if not any(site.has_links and site.record.get("sheets") for site in sites):
+        return []
+    return [tag("p", "Each of ", tag("a", "the sheets", href="#sheets"), " has a page that shows it larger.")]
 
 
 def _headings(sites: Sequence[Site], name: str) -> list[Html]:
