@@ -13,6 +13,8 @@ __all__ = ["sheet_table"]
 
 _MOST = 500
 """Rows of the table: 10,000 of them would take more room than the maps."""
+_METRES = 1000.0
+"""Sides below are given in metres."""
 _HEAD = ("sheet", "area", "passable", "not known", "points", "west", "south")
 
 
@@ -23,9 +25,8 @@ def sheet_table(site: Site) -> Html:
         return Html()
     shown = sheets[:_MOST]
     side = float(site.record["sheet_side_m"])
-    about = (
-        f"The layers are in {whole(len(sheets))} sheets of {side / 1000:g} km, each a folder with a page of its own."
-    )
+    size = f"{side:g} m" if side < _METRES else f"{side / 1000:g} km"
+    about = f"The layers are in {whole(len(sheets))} sheets of {size}, each a folder with a page of its own."
     listed = "every sheet" if len(shown) == len(sheets) else f"all of them; the table below the first {whole(_MOST)}"
     file = tag("a", SHEET_TABLE_NAME, href=SHEET_TABLE_NAME) if site.has_links else SHEET_TABLE_NAME
     return join(

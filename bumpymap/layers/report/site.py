@@ -162,7 +162,13 @@ class Site:
 
 
 def plain_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders."""
+    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
+    sheet = record.get("sheet")
+    name = sheet.get("name") if isinstance(sheet, Mapping) else None
+    return f"{_survey_name(record)}, sheet {name}" if name else _survey_name(record)
+
+
+def _survey_name(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     if isinstance(survey, Mapping) and survey.get("name"):
         return str(survey["name"])

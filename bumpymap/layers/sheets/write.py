@@ -153,7 +153,7 @@ def write_sheets(
 
 def _write_sheet(table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, local: bool) -> None:
     """Write one sheet, unless an interrupted run has finished it."""
-    about = {"column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
+    about = {"name": sheet.name, "column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
     if run.keep and is_finished(sheet, about):
         return
     own = {**run.manifest_of(table.tiles.window), "sheet": about, "points": _points(table.tiles), "seconds": {}}

@@ -283,6 +283,27 @@ class TestUnfinished:
             assert (folder / name).read_bytes() == (sheets / name).read_bytes() or name == "sheets.csv"
         assert bumpymap.open(folder).dataset().equals(bumpymap.open(sheets).dataset())
 
+    def test_without_room_for_the_page_it_is_no_map_and_goes_on(self, made, sheets, tmp_path, monkeypatch):
+        """Everything is there then but what the last step writes."""
+
+        def full(*_):
+            raise OutputError("no space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(writing, "_INDEXES", (full,))
+            with pytest.raises(OutputError, match="no space left"):
+                write(made, tmp_path / "out", blocks=4)
+        assert (tmp_path / "out" / "class.vrt").exists()
+        with pytest.raises(BadInputError, match=r"sheets are not complete.*resume=True"):
+            bumpymap.open(tmp_path / "out")
+        check_folder(tmp_path / "out", overwrite=False, resume=True)
+        written = []
+        monkeypatch.setattr(writing, "write_products", lambda *_, **__: written.append(1))
+        write(made, tmp_path / "out", blocks=4, keep=True)
+        assert not written
+        for name in ("report.html", "class.vrt", "map.qgs"):
+            assert (tmp_path / "out" / name).read_bytes() == (sheets / name).read_bytes()
+
     def test_a_sheet_that_has_changed_is_written_again(self, killed, made, sheets):
         folder, written = killed
         with (folder / "sheets" / names_in(sheets)[1] / "cost.tif").open("ab") as file:

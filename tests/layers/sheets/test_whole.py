@@ -93,6 +93,11 @@ class TestPage:
         assert 'href="#sheets"' in page
         assert 'id="sheets"' in page
 
+    def test_the_page_of_a_sheet_says_which_it_is(self, sheets):
+        for folder in sheet_folders(sheets):
+            assert f"<h1>Survey, sheet {folder.name}</h1>" in (folder / "report.html").read_text()
+        assert "<h1>Survey</h1>" in (sheets / "report.html").read_text()
+
     def test_it_is_made_again(self, sheets):
         before = (sheets / "report.html").read_bytes()
         (sheets / "report.html").write_text("")
