@@ -230,6 +230,12 @@ from .sheets.write import (
     SheetRun as SheetRun,
     write_sheets as write_sheets,
 )
+from .stac.catalog import (
+    write_catalog as write_catalog,
+)
+from .stac.item import (
+    write_item as write_item,
+)
 from .summary import (
     MapSummary as MapSummary,
     summarise as summarise,

@@ -15,6 +15,7 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
@@ -26,7 +27,7 @@ except ImportError:  # not on Windows
 
 from bumpymap.core import atomic
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
-from bumpymap.layers._raster_spec import BandSpec, RasterSpec, open_raster
+from bumpymap.layers._raster_spec import SCRATCH_BLOCK, BandSpec, RasterSpec, open_raster
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
 from bumpymap.layers._value_table import count_values, write_value_table
 from bumpymap.layers.placement import Placement, RasterWindow
@@ -81,7 +82,7 @@ def write_cog(
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
         counts = np.zeros(256, np.int64)
-        if size <= SMALL and not sparse:
+        if _in_blocks(placement, spec) <= SMALL and not sparse:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 for _, canvas in _write_scratch(scratch.name, placement, spec, paint, side):
                     _count(canvas, spec, counts)  # no checksum: memory loses nothing
@@ -113,6 +114,13 @@ def write_cog(
                 write_value_table(temporary, band.categories, spec.colours, counts)
 
 
+def _in_blocks(placement: Placement, spec: RasterSpec) -> int:
+    """Return the bytes of a raster in whole blocks, as GDAL keeps it: a raster of 15 lines takes those of 512."""
+    block = max(spec.block, SCRATCH_BLOCK)
+    across, down = (-(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows))
+    return across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
+
+
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:
     """Add pixels that were painted to the counts of each value, if the values have names."""
     if any(band.categories for band in spec.bands):
@@ -130,9 +138,29 @@ def _copy_side_file(layer: str, temporary: Path) -> None:
 def _convert(scratch: str, layer: str, spec: RasterSpec) -> None:
     """Convert the scratch raster to the COG ``layer``."""
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
-    options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block), "STATISTICS": "YES"}
+    options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block)}
+    if spec.counts_nodata:
+        _build_overviews(scratch, spec)
+        options["OVERVIEWS"] = "FORCE_USE_EXISTING"
+    else:
+        options["STATISTICS"] = "YES"  # with it GDAL (3.10) makes overviews again; a mean of codes says nothing anyway
     options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "YES"}
     rasterio.shutil.copy(scratch, layer, driver="COG", **options)
+
+
+def _build_overviews(scratch: str, spec: RasterSpec) -> None:
+    """Give the scratch raster overviews in which nodata is a value among others; GDAL's COG driver takes them over.
+
+    By itself GDAL leaves nodata out of the count: three unknown tiles and a smooth one would be smooth.
+    """
+    with rasterio.open(scratch, "r+") as file:
+        longest, factors = max(file.shape), [2]
+        while -(-longest // factors[-1]) > spec.block:
+            factors.append(2 * factors[-1])
+        if longest > spec.block:
+            file.nodata = None
+            file.build_overviews(factors, Resampling[spec.overviews.lower()])
+            file.nodata = spec.nodata
 
 
 def gdal_threads() -> str:
@@ -173,6 +201,8 @@ def _write_scratch(
     with open_raster(scratch, placement, spec, size) as file:
         for window in placement.windows(side, aligned=True):
             canvas = paint(window)
+            if canvas is None and spec.counts_nodata:  # a block that is not written has no value but nodata
+                canvas = np.full((len(spec.bands), window.tiles.rows, window.tiles.cols), spec.nodata, spec.dtype)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
                 place = Window(window.column * pixels, window.line * pixels, across, down)

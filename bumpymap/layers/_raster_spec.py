@@ -8,9 +8,9 @@ from pyproj import CRS
 
 from bumpymap.layers.placement import Placement
 
-__all__ = ["BandSpec", "RasterSpec", "open_raster"]
+__all__ = ["SCRATCH_BLOCK", "BandSpec", "RasterSpec", "open_raster"]
 
-_SCRATCH_BLOCK = 256
+SCRATCH_BLOCK = 256
 """Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
 of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 
@@ -47,6 +47,8 @@ class RasterSpec:
     """Metadata of the file."""
     worst: tuple[int, ...] = ()
     """All values, the worst first: of four pixels, the overviews that `write_sparse_cog` makes keep the worst."""
+    counts_nodata: bool = False
+    """In overviews nodata is a value among others: for rasters of one pixel a tile whose nodata means unknown."""
     level: int = 6
     """DEFLATE compression level, 1 to 9."""
 
@@ -68,8 +70,8 @@ def open_raster(
         transform=placement.transform(spec.pixels),
         tiled=True,
         interleave="band",
-        blockxsize=_SCRATCH_BLOCK,
-        blockysize=_SCRATCH_BLOCK,
+        blockxsize=SCRATCH_BLOCK,
+        blockysize=SCRATCH_BLOCK,
         sparse_ok=True,
         bigtiff=bigtiff,
         photometric="MINISBLACK",

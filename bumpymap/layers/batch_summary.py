@@ -13,12 +13,13 @@ from typing import Any, get_args
 from bumpymap.core import OutputError, parse_json, utf8_path, write_together
 from bumpymap.layers.batch_row import SurveyRow
 from bumpymap.layers.index_page.page import SurveyView, index_page
+from bumpymap.layers.products import CATALOG_NAME
 
 __all__ = ["BATCH_LOG", "BATCH_NAMES", "check_batch_out", "write_batch_summary"]
 
 BATCH_LOG = "log.jsonl"
-_CSV, _PARQUET, _PAGE, _CATALOGUE = "summary.csv", "summary.parquet", "index.html", "catalog.json"
-BATCH_NAMES = (_CSV, _PARQUET, _PAGE, BATCH_LOG, _CATALOGUE)
+_CSV, _PARQUET, _PAGE = "summary.csv", "summary.parquet", "index.html"
+BATCH_NAMES = (_CSV, _PARQUET, _PAGE, CATALOG_NAME, BATCH_LOG)
 """Files of a batch in its folder, beside the folders of the surveys."""
 _MAP = "run.json"
 _MOST_LINE = 100_000
@@ -59,7 +60,7 @@ def write_batch_summary(
     OutputError
         The files cannot be written.
     """
-    links = [_CSV, _PARQUET, *(name for name in (BATCH_LOG, _CATALOGUE) if (folder / name).is_file())]
+    links = [_CSV, _PARQUET, *(name for name in (BATCH_LOG, CATALOG_NAME) if (folder / name).is_file())]
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:
             (path / _CSV).write_bytes(_csv_text(rows).encode("utf-8", "backslashreplace"))

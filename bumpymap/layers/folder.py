@@ -23,8 +23,9 @@ from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import ITEM_NAME, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
+from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
@@ -93,8 +94,10 @@ def write_products(
         finally:
             background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, layers)
-        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_views(staged, record)
+        write_item(staged, record)
+        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
+        record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     return [folder / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)], summary

@@ -222,6 +222,7 @@ def _write_codes(
         block=_TILE_BLOCK,
         colours=dict(colours),
         tags=tags,
+        counts_nodata=True,
     )
     write_cog(path, place, spec, _painter(table.tiles, {column: NO_CLASS}, "uint8"), _TILE_WINDOW)
 

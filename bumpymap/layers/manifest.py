@@ -26,7 +26,6 @@ __all__ = [
     "complete_manifest",
     "describe_file",
     "describe_input",
-    "plain_manifest",
     "read_manifest",
     "software_versions",
     "write_manifest",
@@ -60,11 +59,6 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
-def plain_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a manifest as it will be read from its file: dataclasses, paths and arrays as plain JSON."""
-    return {str(key): _plain(value) for key, value in manifest.items()}
-
-
 def complete_manifest(
     manifest: Mapping[str, Any],
     table: CostTable,
@@ -87,40 +81,44 @@ def complete_manifest(
     Returns
     -------
     dict
-        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``.
+        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``; all as
+        plain JSON, as it will be read again.
     """
     place, grid = table.georeference, table.tiles.grid
     crs = Placement(place, grid, table.tiles.window).height_crs
-    return {
-        "format": MANIFEST_FORMAT,
-        "version": _VERSION,
-        **manifest,
-        "versions": software_versions() | dict(manifest.get("versions", {})),
-        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
-        "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
-        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
-        "cost": {
-            "ride_weight_m_per_rad": table.rule.ride_weight,
-            "fail_weight_m": table.rule.fail_weight,
-            "drive_m": table.rule.drive_m,
-            "slope_limit_deg": table.rule.slope_limit_deg,
-        },
-        "counts": {
-            "tiles": summary.tiles,
-            "classified": summary.tiles - summary.unknown,
-            "unknown": summary.unknown,
-            "passable": summary.passable,
-            "barred": summary.bars,
-            "points": summary.points,
-            "by_class": summary.classes,
-            "by_reason": summary.reasons,
-            "median_c_r": summary.median_c_r,
-            "median_slope": summary.median_slope,
-            "median_count": summary.median_count,
-            "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
-        },
-        "files": [dict(file) for file in files],
-    }
+    record: dict[str, Any] = _plain(
+        {
+            "format": MANIFEST_FORMAT,
+            "version": _VERSION,
+            **manifest,
+            "versions": software_versions() | dict(manifest.get("versions", {})),
+            "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
+            "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
+            "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+            "cost": {
+                "ride_weight_m_per_rad": table.rule.ride_weight,
+                "fail_weight_m": table.rule.fail_weight,
+                "drive_m": table.rule.drive_m,
+                "slope_limit_deg": table.rule.slope_limit_deg,
+            },
+            "counts": {
+                "tiles": summary.tiles,
+                "classified": summary.tiles - summary.unknown,
+                "unknown": summary.unknown,
+                "passable": summary.passable,
+                "barred": summary.bars,
+                "points": summary.points,
+                "by_class": summary.classes,
+                "by_reason": summary.reasons,
+                "median_c_r": summary.median_c_r,
+                "median_slope": summary.median_slope,
+                "median_count": summary.median_count,
+                "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
+            },
+            "files": [dict(file) for file in files],
+        }
+    )
+    return record
 
 
 def software_versions() -> dict[str, str]:

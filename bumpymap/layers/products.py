@@ -13,6 +13,8 @@ from bumpymap.layers._replacing import refuse_blocked
 from bumpymap.layers.manifest import MANIFEST_NAME
 
 __all__ = [
+    "CATALOG_NAME",
+    "ITEM_NAME",
     "NAMED_RASTERS",
     "PRODUCT_NAMES",
     "REPORT_NAME",
@@ -24,6 +26,10 @@ __all__ = [
     "sheets_in",
 ]
 
+ITEM_NAME = "item.json"
+"""The map as a STAC item."""
+CATALOG_NAME = "catalog.json"
+"""A STAC catalogue of the maps of many surveys."""
 PRODUCT_NAMES: tuple[str, ...] = (
     "roughness.tif",
     "class.tif",
@@ -35,6 +41,7 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "tiles.parquet",
     "cost.geojson",
     "cost.fgb",
+    ITEM_NAME,
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""

@@ -140,6 +140,41 @@ def test_no_instant_gives_a_traceback(tmp_path):
         assert not list((tmp_path / "tmp").glob("*")), "points were left"
 
 
+# The signal comes while the folder for waiting points is made, or removed.
+WITH_FOLDER = """
+import os, shutil, signal, sys
+from types import SimpleNamespace
+from bumpymap.__main__ import run
+from bumpymap.survey.engine import workspace
+
+make = workspace.mkdtemp
+
+def mkdtemp(**settings):
+    folder = make(**settings)
+    os.kill(os.getpid(), signal.SIGTERM)
+    return folder
+
+def rmtree(folder, **settings):
+    os.kill(os.getpid(), signal.SIGTERM)
+    shutil.rmtree(folder, **settings)
+
+if sys.argv.pop(1) == "made":
+    workspace.mkdtemp = mkdtemp
+else:
+    workspace.shutil = SimpleNamespace(rmtree=rmtree)
+run()
+"""
+
+
+@pytest.mark.parametrize("when", ["made", "removed"])
+def test_no_folder_for_points_is_left_by_a_signal(tmp_path, when):
+    options = ["map", str(QUARRY), "--out", str(tmp_path / "out"), "--scratch", str(tmp_path / "tmp"), "--quiet"]
+    command = [sys.executable, "-c", WITH_FOLDER, when, *options]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert run.returncode == 143, run.stderr
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
 # Drives that take for ever, all but the first; each says in whose process it is.
 SLOW = """
 import os, time

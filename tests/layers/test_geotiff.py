@@ -30,6 +30,7 @@ from bumpymap.layers import (
     CLASS_COLOURS,
     OBJECT_COLOURS,
     REASON_COLOURS,
+    _cog,
     write_barred,
     write_classes,
     write_cost,
@@ -298,10 +299,32 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
         small = file.read(1)
         assert [kind.name for kind in file.colorinterp] == ["palette"]
     blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
-    counts = np.stack([(blocks == value).sum(axis=2) for value in range(4)])
-    decided = (counts.max(axis=0) > 0) & ((counts == counts.max(axis=0)).sum(axis=0) == 1)
+    counts = np.stack([(blocks == value).sum(axis=2) for value in (*range(4), NO_CLASS)])
+    decided = (counts == counts.max(axis=0)).sum(axis=0) == 1
     assert decided.mean() > 0.5
-    np.testing.assert_array_equal(small[decided], counts.argmax(axis=0)[decided])
+    np.testing.assert_array_equal(small[decided], np.array([*range(4), NO_CLASS])[counts.argmax(axis=0)[decided]])
+
+
+@pytest.mark.parametrize("scratch", [0, 1 << 30], ids=["on disk", "in memory"])
+def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field, monkeypatch, scratch):
+    # One tile in four has a class. GDAL's own overviews leave nodata out of the count: all of them would have one.
+    monkeypatch.setattr(_cog, "SMALL", scratch)
+    cost_map = make_field(700, 700, grid=Grid(3.0, 1), holes=0.0)
+    col, row = cost_map.patches.col, cost_map.patches.row
+    known = (col % 2 == 0) & (row % 2 == 0)
+    class_id = np.where(known, 0, NO_CLASS).astype(np.uint8)
+    reason = np.where(known, Reason.OK, Reason.TOO_FEW_POINTS).astype(np.uint8)
+    cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
+    WRITERS["class"](cost_map, tmp_path / "class.tif")
+    assert cog_validate(tmp_path / "class.tif", strict=True)[:2] == (True, [])
+    with rasterio.open(tmp_path / "class.tif") as file:
+        assert file.nodata == NO_CLASS
+        assert (file.read(1) == 0).sum() == known.sum()
+        levels = len(file.overviews(1))
+        assert levels == 3
+    for level in range(levels):
+        with rasterio.open(tmp_path / "class.tif", overview_level=level) as file:
+            assert (file.read(1) == NO_CLASS).all()
 
 
 def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):

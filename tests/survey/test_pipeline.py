@@ -12,6 +12,7 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
+from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -93,7 +94,7 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
 
 
 def product_bytes(folder):
-    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+    return layer_bytes(folder)
 
 
 def test_splitting_order_format_offset_and_threads_change_no_bit(survey, site, tmp_path):
@@ -469,7 +470,8 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
     for _ in range(2):
         result = run("demo", "--survey", QUARRY, "--out", tmp_path)
         assert result.exit_code == 0, result.output
-        assert str(tmp_path / "layers" / "class.tif") in result.output
+        assert str(tmp_path / "layers" / "map.qgs") in result.output
+        assert str(tmp_path / "layers" / "report.html") in result.output
     with rasterio.open(tmp_path / "layers" / "class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         counts = np.bincount(raster.read(1).ravel(), minlength=256)

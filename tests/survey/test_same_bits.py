@@ -62,6 +62,7 @@ def mapped(files, out, *options):
     )
     content = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in NAMING}
     run = json.loads((out / "run.json").read_text())
+    run["files"] = [file for file in run["files"] if file["path"] != "item.json"]  # it names the survey
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
     kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
     return content, kept | {"settings": settings_of_the_map}

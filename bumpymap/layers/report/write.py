@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import OutputError, UsageError, atomic, utf8_path
-from bumpymap.layers.manifest import plain_manifest, read_manifest
+from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.products import REPORT_NAME
 from bumpymap.layers.report.page import render
 from bumpymap.layers.report.site import Site
@@ -37,7 +37,7 @@ def write_report(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The page cannot be written.
     """
-    _write([Site.read(folder, plain_manifest(record))], folder / REPORT_NAME)
+    _write([Site.read(folder, record)], folder / REPORT_NAME)
 
 
 def write_reports(

@@ -9,7 +9,7 @@ from pathlib import Path
 from time import monotonic
 
 from bumpymap.core import BumpymapError, OutputError
-from bumpymap.layers import SurveyRow, SurveyView, is_complete, map_facts, write_batch_summary
+from bumpymap.layers import SurveyRow, SurveyView, is_complete, map_facts, write_batch_summary, write_catalog
 from bumpymap.survey.batch.one_survey import MapTask, look_at
 
 __all__ = ["Results"]
@@ -28,7 +28,7 @@ class Results:
     ----------
     tasks : sequence of MapTask
     folder : Path
-        Gets summary.csv, summary.parquet and index.html.
+        Gets summary.csv, summary.parquet, index.html and, unless the layers go to a server, catalog.json.
     title : str
         Of the page.
     """
@@ -74,6 +74,8 @@ class Results:
                     facts = map_facts(task.config.out)
                     self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
                     self._views[name] = look_at(task.config.out, task.thumbnail_bytes)
+        if all(task.remote is None for task in self._tasks.values()):
+            write_catalog(self._folder, [row.name for row in self.rows if row.status != "failed"], title=self._title)
         self._write()
 
     def _write(self, when: str = "") -> None:

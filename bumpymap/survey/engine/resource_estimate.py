@@ -20,8 +20,11 @@ _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
 _WRITING_BASE = 620 << 20
 """The same while layers are written, with the caches of the libraries that write them, bytes."""
-_STRIP_COPIES = 3
-"""Copies of the heightmaps of a row of blocks that are in memory while layers are written, several at a time."""
+_RASTER_BLOCK, _RASTER_IN_MEMORY, _RASTER_COPIES = 512, 128 << 20, 7 / 3
+"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels; largest raster that it keeps in memory, bytes;
+copies of it there: the scratch raster, the finished one, if nothing can be compressed, and the overviews."""
+_ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
+"""Tiles of a row group of tiles.parquet, which is written at the same time, and copies of their heightmaps."""
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
@@ -78,8 +81,6 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
     waiting = sum(info.point_count * _point_bytes(info.format) for info in infos)
     scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
-    cols = max((_sides(box, grid)[0] for box in _around(boxes)), default=0)
-    strip = _STRIP_COPIES * BLOCK_TILES * grid.pixels**2 * 4 * min(cols, points)
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
@@ -87,7 +88,10 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     return Estimate(
         points=points,
         tiles=most,
-        memory=max(_READING_BASE + further * _DECODER + budget.most_bytes(points, waiting), _WRITING_BASE + strip),
+        memory=max(
+            _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting),
+            _WRITING_BASE + _writing(boxes, points, grid),
+        ),
         scratch=scratch,
         out=None if most is None else most * tile_bytes,
         seconds=_seconds(infos, points if scratch else 0, most or 0, budget.threads),
@@ -103,6 +107,16 @@ def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int |
         cols, rows = _sides(box, grid)
         total += cols * rows
     return min(total, points)
+
+
+def _writing(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int:
+    """Return the most bytes of heightmaps in memory while layers are written: a raster in whole blocks, a row group."""
+    raster = _RASTER_IN_MEMORY
+    for box in _around(boxes):
+        across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in _sides(box, grid))
+        raster = min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
+    rows = _ROW_GROUP_COPIES * min(points, _ROW_GROUP) * grid.pixels**2 * 4
+    return int(_RASTER_COPIES * raster) + rows
 
 
 def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:

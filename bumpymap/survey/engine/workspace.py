@@ -14,7 +14,17 @@ from tempfile import mkdtemp
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import Kept, RunFolder, atomic, clean_folder, is_own_folder, read_record, what_to_keep, writing_to
+from bumpymap.core import (
+    Kept,
+    RunFolder,
+    atomic,
+    clean_folder,
+    is_own_folder,
+    read_record,
+    shielded,
+    what_to_keep,
+    writing_to,
+)
 from bumpytiles import Pack, PackError
 
 __all__ = ["ADVICE", "Workspace"]
@@ -63,17 +73,20 @@ class Workspace:
             keep=(_SCRATCH,),
         ) as run:
             _drop_damaged(run.path)
-            with writing_to(scratch or run.path, "`out` or `scratch`"):
-                waiting = _choose_points_folder(run, out, scratch)
+            waiting: Path | None = None
             try:
+                # A signal between making a folder and noting its name would leave the folder behind.
+                with shielded(), writing_to(scratch or run.path, "`out` or `scratch`"):
+                    waiting = _choose_points_folder(run, out, scratch)
                 space = cls(run.path, waiting, run.run_spec)
                 space._make_folders()
                 yield space
             except BaseException as end:
-                if what_to_keep(end) is not Kept.ALL or not _holds_work(run.path, out):
+                if waiting is not None and (what_to_keep(end) is not Kept.ALL or not _holds_work(run.path, out)):
                     shutil.rmtree(waiting, ignore_errors=True)
                 raise
-            shutil.rmtree(waiting, ignore_errors=True)
+            with shielded():
+                shutil.rmtree(waiting, ignore_errors=True)
 
     def _make_folders(self) -> None:
         shutil.rmtree(self.new_tiles, ignore_errors=True)  # leftovers of an earlier run
@@ -157,9 +170,13 @@ def _choose_points_folder(run: RunFolder, out: Path, scratch: Path | None) -> Pa
         scratch.mkdir(parents=True, exist_ok=True)
         waiting = Path(mkdtemp(prefix=_PREFIX, dir=scratch.absolute()))
         owner = {"out": str(out.resolve()), "word": uuid4().hex}
-        for path, record in ((run.path / _SCRATCH, {**owner, "path": str(waiting)}), (waiting / _OWNER, owner)):
-            with atomic(path) as temporary:
-                temporary.write_text(json.dumps(record), encoding="utf-8")
+        try:
+            for path, record in ((run.path / _SCRATCH, {**owner, "path": str(waiting)}), (waiting / _OWNER, owner)):
+                with atomic(path) as temporary:
+                    temporary.write_text(json.dumps(record), encoding="utf-8")
+        except BaseException:
+            shutil.rmtree(waiting, ignore_errors=True)
+            raise
     for left in (inside, earlier):
         if left is not None and left != waiting:
             shutil.rmtree(left, ignore_errors=True)

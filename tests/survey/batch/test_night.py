@@ -113,8 +113,10 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path, jobs):
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
     assert {name for name, status in found.items() if status == "failed"} == {"broken", "empty", "nothing", "nowhere"}
     assert sorted(path.name for path in night.iterdir()) == sorted(
-        [*GOOD, "summary.csv", "summary.parquet", "index.html", "log.jsonl"]
+        [*GOOD, "summary.csv", "summary.parquet", "index.html", "catalog.json", "log.jsonl"]
     )
+    links = json.loads((night / "catalog.json").read_text(encoding="utf-8"))["links"]
+    assert [link["href"] for link in links if link["rel"] == "item"] == [f"./{name}/item.json" for name in GOOD]
     assert [event["event"] for event in events(night)].count("start") == 3
     assert events(night)[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
 

@@ -116,14 +116,21 @@ def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkey
 
 
 def a_line(folder):
-    """20,000 tiles from west to east, one point in each: nothing to hold but a row of blocks of heightmaps."""
+    """20,000 tiles from west to east, one point in each: little to hold but whole blocks of a raster of 15 lines."""
     points = np.column_stack([np.arange(20_000) * 3.0 + 1.5, np.full(20_000, 1.5), np.zeros(20_000)])
     return write_las(folder / "line.las", points + np.array([500_001, 4_000_002, 0]))
 
 
+def a_field(folder):
+    """80,000 tiles with a point in each: a raster that is just made in memory while the table of tiles is written."""
+    col, row = np.meshgrid(np.arange(500) * 3.0 + 1.5, np.arange(160) * 3.0 + 1.5)
+    points = np.column_stack([col.ravel(), row.ravel(), np.zeros(col.size)])
+    return write_las(folder / "field.las", points + np.array([500_001, 4_000_002, 0]))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's own account of a process")
-@pytest.mark.parametrize("make", [lambda _: QUARRY, a_line], ids=["quarry", "line"])
+@pytest.mark.parametrize("make", [lambda _: QUARRY, a_line, a_field], ids=["quarry", "line", "field"])
 def test_a_run_takes_more_than_half_of_the_memory_that_was_said_and_no_more(tmp_path, make):
     # What the system says of a child when it has ended (ru_maxrss) may be the size of the parent that started it.
     code = """

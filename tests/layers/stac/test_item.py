@@ -1,0 +1,290 @@
+"""item.json: valid by the schemas of STAC, true to the files, the same for the same map."""
+
+import copy
+import hashlib
+import json
+import shutil
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import rasterio
+import shapely
+from pyproj import CRS, Transformer
+from stac_check import faults
+
+from bumpymap.core.types import CostTable, Georeference
+from bumpymap.layers import CLASS_COLOURS, PRODUCT_NAMES, write_item, write_products
+
+CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]}
+RUN = {
+    "calibration": CALIBRATION,
+    "model": "m1",
+    "settings": {"rating": "ride"},
+    "inputs": [{"path": "/some/where/old quarry (1).laz"}],
+}
+SURVEY = {"name": "Grube Süd", "checksum": "blake3:00", "dates": ["2024-05-03", "2024-05-04"]}
+
+
+def item_of(folder):
+    return json.loads((folder / "item.json").read_text(encoding="utf-8"))
+
+
+def write(cost_map, folder, *, local=False, **entries):
+    folder.mkdir()
+    write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN | entries)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, cost_map):
+    return write(cost_map, tmp_path_factory.mktemp("stac") / "layers", survey=SURVEY)
+
+
+@pytest.fixture(name="item")
+def item_fixture(folder):
+    return item_of(folder)
+
+
+def described(folder, place, **entries):
+    """The item of the same layers where run.json has other entries."""
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8")) | entries
+    shutil.copytree(folder, place)
+    write_item(place, record)
+    return item_of(place)
+
+
+def assets_with(item, key):
+    return {name: asset for name, asset in item["assets"].items() if key in asset}
+
+
+def test_an_item_is_valid(item):
+    assert faults(item) == []
+    assert {name.split("/")[3] for name in item["stac_extensions"]} == {
+        *("projection", "file", "classification", "processing", "table"),
+    }
+
+
+BREAKS = {
+    "no time": lambda item: item["properties"].pop("datetime"),
+    "checksum": lambda item: item["assets"]["cost.fgb"].update({"file:checksum": "SHA256:12"}),
+    "class": lambda item: item["assets"]["barred.tif"]["classification:classes"][0].update(name="two words"),
+    "software": lambda item: item["properties"].update({"processing:software": "bumpymap"}),
+    "transform": lambda item: item["properties"].update({"proj:transform": [1, 2]}),
+    "columns": lambda item: item["assets"]["tiles.parquet"]["table:columns"].append({"type": "int32"}),
+    "unit": lambda item: item["assets"]["roughness.tif"]["bands"][0].update(unit=3),
+    "box": lambda item: item.pop("bbox"),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_a_broken_item_is_not(item, name):
+    broken = copy.deepcopy(item)
+    BREAKS[name](broken)
+    assert faults(broken)
+
+
+def test_every_file_is_an_asset_with_its_size_and_checksum(item, folder):
+    present = {path.name for path in folder.iterdir()} - {"item.json"}
+    assert set(item["assets"]) == present
+    with_checksum = assets_with(item, "file:checksum")
+    assert set(with_checksum) == set(PRODUCT_NAMES) - {"item.json", "run.json"}
+    for name, asset in with_checksum.items():
+        content = (folder / name).read_bytes()
+        assert asset["href"] == f"./{name}"
+        assert asset["file:size"] == len(content)
+        assert bytes.fromhex(asset["file:checksum"]) == b"\x12\x20" + hashlib.sha256(content).digest()
+        assert asset["roles"] == ["data"]
+    assert item["assets"]["run.json"]["roles"] == ["metadata"]
+
+
+def test_run_json_lists_the_item(folder):
+    listed = {file["path"]: file for file in json.loads((folder / "run.json").read_text())["files"]}
+    content = (folder / "item.json").read_bytes()
+    assert listed["item.json"]["sha256"] == hashlib.sha256(content).hexdigest()
+
+
+def test_rasters_are_described_as_they_are(item, folder):
+    assert set(assets_with(item, "bands")) == {name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    for name, asset in assets_with(item, "bands").items():
+        with rasterio.open(folder / name) as raster:
+            assert asset["proj:shape"] == list(raster.shape)
+            assert asset["proj:transform"] == list(raster.transform)[:6]
+            assert asset["proj:bbox"] == list(raster.bounds)
+            assert tuple(band["name"] for band in asset["bands"]) == raster.descriptions
+            assert tuple(band.get("unit") for band in asset["bands"]) == raster.units
+            assert tuple(band["data_type"] for band in asset["bands"]) == raster.dtypes
+            for number, band in enumerate(asset["bands"], 1):
+                nodata = raster.nodatavals[number - 1]
+                assert band["nodata"] == ("nan" if np.isnan(nodata) else nodata)
+                values = raster.read(number, masked=True)
+                if raster.dtypes[number - 1] == "float32":
+                    values = np.ma.masked_invalid(values)
+                if name in {"class.tif", "reason.tif", "barred.tif"}:  # a mean of codes says nothing
+                    assert "statistics" not in band
+                elif values.count():
+                    assert band["statistics"]["maximum"] == pytest.approx(float(values.max()), rel=1e-6)
+                    assert band["statistics"]["mean"] == pytest.approx(float(values.mean()), rel=1e-5)
+
+
+def classes(item, name, band):
+    asset = item["assets"][name]
+    (own,) = [one for one in asset["bands"] if one["name"] == band]
+    return own.get("classification:classes") or asset["classification:classes"]
+
+
+def test_codes_have_names_meanings_and_the_colours_of_the_raster(item, folder):
+    found = classes(item, "class.tif", "class")
+    assert [one["title"] for one in found] == ["smooth", "fair", "rough", "very rough", "no data"]
+    assert [one["description"] for one in found[:4]] == [
+        *("c_r below 0.1 rad/m", "c_r 0.1 to 0.2 rad/m", "c_r 0.2 to 0.4 rad/m", "c_r from 0.4 rad/m"),
+    ]
+    assert found[4] == {"value": 255, "name": "nodata", "title": "no data", "nodata": True}
+    for name, band in (("class.tif", "class"), ("barred.tif", "barred"), ("obstacle.tif", "obstacle")):
+        with rasterio.open(folder / name) as raster:
+            colours = raster.colormap(1)
+            held = set(np.unique(raster.read(1)).tolist())
+        listed = {one["value"]: one for one in classes(item, name, band)}
+        assert held <= set(listed)
+        hints = {value: one["color_hint"] for value, one in listed.items() if "color_hint" in one}
+        assert hints == {value: "{:02X}{:02X}{:02X}".format(*colours[value]) for value in hints}
+    assert classes(item, "class.tif", "class")[3]["color_hint"] == "{:02X}{:02X}{:02X}".format(*CLASS_COLOURS[3])
+    assert not assets_with(item, "classification:classes").keys() & {"roughness.tif", "cost.tif", "heightmap.tif"}
+    assert all("classification:classes" not in band for band in item["assets"]["roughness.tif"]["bands"])
+
+
+def test_classes_that_a_table_of_textures_made_have_no_limits(folder, tmp_path):
+    item = described(folder, tmp_path / "a", settings={"rating": "table"})
+    assert all("description" not in one for one in classes(item, "class.tif", "class"))
+
+
+def test_columns_are_those_of_the_table(item, folder):
+    asset, schema = item["assets"]["tiles.parquet"], pq.read_schema(folder / "tiles.parquet")
+    assert [column["name"] for column in asset["table:columns"]] == schema.names
+    assert asset["table:row_count"] == pq.read_metadata(folder / "tiles.parquet").num_rows
+    assert asset["table:columns"][0] == {
+        "name": "col",
+        "type": "int32",
+        "description": "tile column: floor(x / tile_size), x in metres",
+    }
+
+
+def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
+    outline = shapely.geometry.shape(item["geometry"])
+    with rasterio.open(folder / "class.tif") as raster:
+        to_degrees = Transformer.from_crs(raster.crs, 4326, always_xy=True)
+        left, bottom, right, top = raster.bounds
+    around = np.linspace(0, 1, 50)
+    x = np.concatenate([left + (right - left) * around, np.full(50, left)])
+    y = np.concatenate([np.full(50, bottom), bottom + (top - bottom) * around])
+    edge = shapely.linestrings(np.column_stack(to_degrees.transform(x[:50], y[:50])))
+    assert shapely.hausdorff_distance(edge, shapely.intersection(outline.exterior, edge.buffer(1e-7))) < 1e-6
+    assert item["bbox"] == pytest.approx(outline.bounds, abs=1e-9)
+    assert item["properties"]["proj:code"] == "EPSG:32614"
+    assert "proj:wkt2" not in item["properties"]
+
+
+def test_name_dates_vehicle_and_software(item):
+    properties = item["properties"]
+    assert (item["id"], properties["title"]) == ("Grube-S-d", "Grube Süd")
+    assert properties["datetime"] is None
+    assert properties["start_datetime"] == "2024-05-03T00:00:00Z"
+    assert properties["end_datetime"] == "2024-05-04T23:59:59Z"
+    assert properties["bumpymap:dates_known"] is True
+    assert (properties["bumpymap:vehicle"], properties["bumpymap:calibration"]) == ("warthog", "c0ffee")
+    assert properties["bumpymap:class_limits"] == [0.1, 0.2, 0.4]
+    assert properties["bumpymap:survey_checksum"] == "blake3:00"
+    assert {"bumpymap", "GDAL", "PROJ"} == set(properties["processing:software"])
+    assert properties["gsd"] == 3
+    assert item["assets"]["heightmap.tif"]["gsd"] == 0.2
+
+
+@pytest.mark.parametrize("dates", [None, [], ["", ""], ["unknown"], ["2024-13-01", "2024-01-01"], [None, None]])
+def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dates):
+    item = described(folder, tmp_path / "a", survey=SURVEY | {"dates": dates})
+    properties = item["properties"]
+    assert properties["bumpymap:dates_known"] is False
+    assert (properties["start_datetime"], properties["end_datetime"]) == (
+        "1970-01-01T00:00:00Z",
+        "2099-12-31T23:59:59Z",
+    )
+    assert faults(item) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"),
+    [("", "old-quarry-1"), ("測量", "survey-ecea53ea"), ("a\udce9/b", "a-udce9-b"), ("..", "survey-5ec1f7e7")],
+)
+def test_ids_of_odd_names(folder, tmp_path, name, identifier):
+    item = described(folder, tmp_path / "a", survey=SURVEY | {"name": name})
+    assert item["id"] == identifier
+    assert faults(item) == []
+
+
+def test_a_survey_without_a_crs_has_no_geometry(make_field, tmp_path):
+    item = item_of(write(make_field(9, 7, georeference=Georeference(None)), tmp_path / "a", local=True))
+    assert item["geometry"] is None
+    assert "bbox" not in item
+    assert item["properties"]["proj:code"] is None
+    assert item["properties"]["proj:shape"] == [7, 9]
+    assert faults(item) == []
+
+
+def test_feet_and_heights_of_a_compound_crs(make_field, tmp_path):
+    crs = CRS("EPSG:6339+5703")  # NAD83(2011) / UTM zone 10N, heights in metres
+    item = item_of(
+        write(make_field(9, 7, west=166_000, south=1_400_000, georeference=Georeference(crs)), tmp_path / "a")
+    )
+    assert item["properties"]["proj:code"] == "EPSG:6339"
+    for name, asset in item["assets"].items():
+        if name in {"heightmap.tif", "tiles.parquet"}:
+            assert asset["proj:code"] is None
+            assert CRS.from_wkt(asset["proj:wkt2"]).is_compound
+        else:
+            assert "proj:code" not in asset
+    feet = Georeference(CRS("EPSG:2263"), 1200 / 3937, 1200 / 3937)
+    item = item_of(write(make_field(9, 7, west=100_000, south=20_000, georeference=feet), tmp_path / "b"))
+    assert faults(item) == []
+    assert item["properties"]["gsd"] == 3
+    assert item["assets"]["class.tif"]["gsd"] == 3
+    assert item["properties"]["proj:transform"][0] == pytest.approx(3 * 3937 / 1200)
+    assert shapely.geometry.shape(item["geometry"]).area > 0
+
+
+def test_a_crs_without_a_code_is_written_out(make_field, tmp_path):
+    crs = CRS("+proj=tmerc +lat_0=40 +lon_0=-99.3 +x_0=500000 +y_0=100000 +ellps=GRS80 +units=m")
+    item = item_of(write(make_field(9, 7, west=166_000, south=30_000, georeference=Georeference(crs)), tmp_path / "a"))
+    assert item["properties"]["proj:code"] is None
+    assert CRS.from_wkt(item["properties"]["proj:wkt2"]) == crs
+    assert faults(item) == []
+
+
+def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
+    crs = CRS("+proj=tmerc +lat_0=0 +lon_0=180 +x_0=500000 +y_0=0 +ellps=WGS84 +units=m")
+    field = make_field(9, 7, west=500_000 // 3 - 4, south=400_000, georeference=Georeference(crs))
+    item = item_of(write(field, tmp_path / "a"))
+    assert item["geometry"]["type"] == "MultiPolygon"
+    west, _, east, _ = item["bbox"]
+    assert west > 179
+    assert east < -179
+    assert faults(item) == []
+
+
+def test_files_to_look_at_are_assets_without_a_checksum(folder, tmp_path, monkeypatch):
+    names = ("class.qml", "map.qgs", "report.html")
+    monkeypatch.setattr("bumpymap.layers.stac.assets.VIEW_NAMES", (*names, "not_there.qml"))
+    shutil.copytree(folder, tmp_path / "b")
+    for name in names:
+        (tmp_path / "b" / name).write_text("x")
+    item = described(tmp_path / "b", tmp_path / "a")
+    assert faults(item) == []
+    roles = {name: item["assets"][name]["roles"] for name in names}
+    assert roles == {"class.qml": ["metadata"], "map.qgs": ["overview"], "report.html": ["overview"]}
+    assert not assets_with(item, "file:checksum").keys() & set(names)
+    assert "not_there.qml" not in item["assets"]
+
+
+def test_the_same_map_has_the_same_item_wherever_it_lies(folder, cost_map, tmp_path):
+    again = write(cost_map, tmp_path / "other place", survey=SURVEY, seconds={"read": 12.5})
+    assert (again / "item.json").read_bytes() == (folder / "item.json").read_bytes()
+    assert b"/some" not in (again / "item.json").read_bytes()

@@ -1,0 +1,87 @@
+"""The container and the conda package are made of what pyproject.toml names."""
+
+import ast
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[1]
+CONDA = {"lazrs": "lazrs-python", "lazy-loader": "lazy_loader"}
+"""Packages that have another name on conda-forge."""
+
+
+@pytest.fixture(name="project", scope="module")
+def project_fixture():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(name="recipe", scope="module")
+def recipe_fixture():
+    return yaml.safe_load((ROOT / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(name="containerfile", scope="module")
+def containerfile_fixture():
+    return (ROOT / "docker" / "Containerfile").read_text(encoding="utf-8")
+
+
+def test_the_conda_package_needs_what_the_wheel_needs(project, recipe):
+    wanted = {f"python {project['project']['requires-python']}"}
+    for line in project["project"]["dependencies"]:
+        one = Requirement(line)
+        wanted.add(f"{CONDA.get(one.name, one.name)} {one.specifier}")
+        wanted |= {CONDA.get(extra, extra) for extra in one.extras}  # conda has no extras: laspy[lazrs] is two packages
+    assert set(recipe["requirements"]["run"]) == wanted
+    assert project["build-system"]["requires"] == [recipe["requirements"]["host"][-1].replace(" ", "")]
+
+
+def test_the_conda_package_has_version_licence_and_command_of_the_wheel(project, recipe):
+    own = project["project"]
+    assert recipe["context"] == {"name": own["name"], "version": own["version"]}
+    assert recipe["about"]["license"] == own["license"]
+    assert [recipe["about"]["license_file"]] == own["license-files"]
+    commands = [f"{name} = {place}" for name, place in own["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == commands
+
+
+def test_the_container_copies_what_the_wheel_is_built_from(project, containerfile):
+    copied = " ".join(re.findall(r"^COPY (?!--from)(.*) \S+$", containerfile, re.MULTILINE)).split()
+    assert all((ROOT / name).exists() for name in copied)
+    own = project["project"]
+    packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/constraints.txt"} <= set(copied)
+    assert {package.split("/")[0] for package in packages} <= set(copied)
+
+
+def test_the_container_runs_the_command_as_another_user_than_root(containerfile):
+    last = containerfile.rsplit("\nFROM ", 1)[1]
+    assert re.findall(r"^USER (\S+)", last, re.MULTILINE) == ["10001:10001"]
+    assert 'ENTRYPOINT ["bumpymap"]' in last
+    for folder in ("HOME", "XDG_CACHE_HOME"):
+        assert re.search(rf"{folder}=/tmp\b", last), f"with a read-only root, only /tmp can be written: {folder}"
+
+
+def test_the_container_keeps_every_kernel_compiled(containerfile, monkeypatch):
+    (command,) = re.findall(r"^RUN (\[.*?\])$", containerfile.replace("\\\n", ""), re.MULTILINE)
+    python, option, code = json.loads(command)
+    assert (python, option) == ("/opt/bumpymap/bin/python", "-c")
+    compiled = []
+    monkeypatch.setattr("bumpytiles.native.compile_modules", lambda *names: compiled.extend(names))
+    exec(code, {})  # noqa: S102 (our own file)
+    sources = [*(ROOT / "bumpymap").rglob("*.py"), *(ROOT / "tiles" / "bumpytiles").rglob("*.py")]
+    with_kernels = {path.stem for path in sources if _decorated(path)}
+    assert {name.rpartition(".")[2] for name in compiled} == with_kernels
+    assert len(with_kernels) > 10
+    assert len(compiled) == sum(map(_decorated, sources))
+
+
+def _decorated(path):
+    """Whether a file has functions under ``@kernel``."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    return any(ast.unparse(one) == "kernel" for node in functions for one in node.decorator_list)
