@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 
 from bumpymap.core import CLASS_NAMES, OutputError
 from bumpymap.layers.ride_scale import RideScale, class_limits
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["StyleFacts"]
 
@@ -42,7 +43,7 @@ class StyleFacts:
             roughness.tif cannot be read.
         """
         limits = class_limits(record)
-        sample = np.empty(0) if limits else _c_r_sample(folder / "roughness.tif")
+        sample = np.empty(0) if limits else _c_r_sample(raster_in(folder, "roughness.tif"))
         units = record.get("metres_per_unit")
         metres = units.get("horizontal") if isinstance(units, Mapping) else None
         return cls(

@@ -17,6 +17,7 @@ from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, 
 from bumpymap.layers.gis.raster_style import MULTIPLY
 from bumpymap.layers.gis.styles import layer_style
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, plain_text, write_qgis
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["write_project"]
 
@@ -52,7 +53,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers. The project lists those that are there.
+        The folder of the layers. The project lists those that are there; of a map in sheets, the virtual rasters.
     record : mapping
         The record of the run, as in run.json.
 
@@ -63,7 +64,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
     groups = [
-        replace(group, layers=tuple(layer for layer in group.layers if (folder / layer.file).is_file()))
+        replace(group, layers=tuple(_in_folder(layer, folder) for layer in group.layers if _is_there(layer, folder)))
         for group in _GROUPS
     ]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
@@ -74,7 +75,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     root.append(tree(group for group in groups if group.layers))
     present = [layer for group in groups for layer in group.layers]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
-        root.append(canvas(_bounds(folder / layer.file), crs))
+        root.append(canvas(_bounds(folder / layer.source), crs))
     layers = add(root, "projectlayers")
     for layer in present:
         layers.append(layer_element(layer, layer_style(layer.file, facts, layer.blend, layered=True), crs))
@@ -86,6 +87,14 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     add(about, "title", text=title)
     add(about, "abstract", text=_abstract(record, facts))
     write_qgis(root, folder / _NAME)
+
+
+def _is_there(layer: ProjectLayer, folder: Path) -> bool:
+    return raster_in(folder, layer.file).is_file()
+
+
+def _in_folder(layer: ProjectLayer, folder: Path) -> ProjectLayer:
+    return replace(layer, virtual=raster_in(folder, layer.file) != folder / layer.file)
 
 
 def _title(record: Mapping[str, Any]) -> str:

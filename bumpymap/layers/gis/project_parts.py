@@ -9,6 +9,7 @@ from pyproj import CRS
 
 from bumpymap.layers.gis.raster_style import NORMAL
 from bumpymap.layers.gis.xml_file import add
+from bumpymap.layers.sheets.folders import virtual_name
 
 __all__ = ["LayerGroup", "ProjectLayer", "canvas", "layer_element", "reference", "tree"]
 
@@ -24,11 +25,18 @@ class ProjectLayer:
     title: str
     blend: int = NORMAL
     visible: bool = False
+    virtual: bool = False
+    """Whether it is the virtual raster over those of sheets."""
 
     @property
     def id(self) -> str:
         """From the name of the file, and longer than ten characters: QGIS does not find layers with shorter ones."""
         return f"bumpymap_{self.file.replace('.', '_')}"
+
+    @property
+    def source(self) -> str:
+        """The file that QGIS opens."""
+        return virtual_name(self.file) if self.virtual else self.file
 
     @property
     def is_raster(self) -> bool:
@@ -61,7 +69,7 @@ def tree(groups: Iterable[LayerGroup]) -> ET.Element:
             leaf = {
                 "id": layer.id,
                 "name": layer.title,
-                "source": f"./{layer.file}",
+                "source": f"./{layer.source}",
                 "providerKey": _provider(layer),
                 "expanded": _flag(layer.visible or not shown),
                 "checked": _checked(visible=layer.visible),
@@ -75,7 +83,7 @@ def layer_element(layer: ProjectLayer, style: Sequence[ET.Element], crs: CRS | N
     kind = {"type": "raster"} if layer.is_raster else {"type": "vector", "geometry": "Polygon"}
     element = ET.Element("maplayer", kind | {"styleCategories": "AllStyleCategories"})
     add(element, "id", text=layer.id)
-    add(element, "datasource", text=f"./{layer.file}")
+    add(element, "datasource", text=f"./{layer.source}")
     add(element, "layername", text=layer.title)
     add(element, "srs").append(reference(crs))
     add(element, "provider", None if layer.is_raster else {"encoding": "UTF-8"}, _provider(layer))

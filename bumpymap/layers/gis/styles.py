@@ -11,6 +11,7 @@ from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.raster_style import NORMAL, RasterStyle, hillshade, paletted, ramp
 from bumpymap.layers.gis.vector_style import REGION_KIND, TILE_KIND, class_areas
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, write_qgis
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["layer_style", "write_styles"]
 
@@ -38,7 +39,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers. Styles are written for those that are there.
+        The folder of the layers. Styles are written for those that are there, or are virtual rasters over sheets.
     record : mapping
         The record of the run, as in run.json.
 
@@ -49,7 +50,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     """
     facts = StyleFacts.of(folder, record)
     for name, layers in _FILES.items():
-        present = [layer for layer in layers if (folder / layer).is_file()]
+        present = [layer for layer in layers if raster_in(folder, layer).is_file()]
         rasters = [layer for layer in present if layer not in _AREAS]
         areas = [layer for layer in present if layer in _AREAS]
         root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})

@@ -23,10 +23,12 @@ _UNKNOWN, _NOTHING = len(CLASS_NAMES), len(CLASS_NAMES) + 1
 _LIGHT = (-0.5, 0.5, 0.7071)
 """Towards the sun in the north-west, 45 degrees high: east, north, up."""
 _DARKEST, _BRIGHTEST = 0.45, 1.2
+_MOST_PIXELS = 20_000_000
+"""Heights of a virtual raster to average."""
 
 
 def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
-    """Return a PNG of a complete map; empty if none is small enough.
+    """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 
@@ -78,7 +80,11 @@ def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.
     from rasterio.enums import Resampling
 
     with open_raster(folder, "heightmap.tif") as raster:
-        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=Resampling.average)
+        # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
+        # of large sheets are averages already.
+        large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
+        how = Resampling.nearest if large else Resampling.average
+        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=how)
     return heights
 
 

@@ -12,6 +12,7 @@ from bumpymap.layers.report.sections import (
     lettered,
     limit_section,
     repeat_section,
+    sheet_section,
     summary_line,
     survey_section,
     vehicle_section,
@@ -42,16 +43,25 @@ def render(sites: Sequence[Site]) -> str:
             if len(sites) > 1
             else "",
             tag("div", *maps, class_="beside maps"),
+            *_to_sheets(sites),
             aria_labelledby="map",
         ),
         way_section(sites),
         ground_section(sites),
+        sheet_section(sites),
         vehicle_section(sites),
         limit_section(sites),
         survey_section(sites),
         repeat_section(sites),
     ]
     return document(f"{name}: ground roughness", _headings(sites, name), sections, data)
+
+
+def _to_sheets(sites: Sequence[Site]) -> list[Html]:
+    """Return a line that leads to the table of sheets, if they have pages that can be opened from this one."""
+    if not any(site.has_links and site.record.get("sheets") for site in sites):
+        return []
+    return [tag("p", "Each of ", tag("a", "the sheets", href="#sheets"), " has a page that shows it larger.")]
 
 
 def _headings(sites: Sequence[Site], name: str) -> list[Html]:

@@ -6,6 +6,7 @@ from typing import Any
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
+from bumpymap.layers.report.sheet_table import sheet_table
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
 from bumpymap.layers.report.ways import DrawnWay
@@ -23,6 +24,7 @@ __all__ = [
     "lettered",
     "limit_section",
     "repeat_section",
+    "sheet_section",
     "summary_line",
     "survey_section",
     "vehicle_section",
@@ -59,6 +61,12 @@ def ground_section(sites: Sequence[Site]) -> Html:
     ]
     tables = (class_table(sites), bar_table(sites), reason_table(sites))
     return _section("The ground", "ground", *tables, tag("div", *charts, class_="beside"))
+
+
+def sheet_section(sites: Sequence[Site]) -> Html:
+    """Return the sheets of maps that are written in sheets; empty if none is."""
+    in_sheets = any(site.record.get("sheets") for site in sites)
+    return _section("The sheets", "sheets", *_each(sites, sheet_table)) if in_sheets else Html()
 
 
 def survey_section(sites: Sequence[Site]) -> Html:

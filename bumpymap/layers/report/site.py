@@ -1,7 +1,7 @@
 """What a page shows of one folder of layers, read from its files and the record of its run."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Self
 
@@ -15,6 +15,7 @@ from bumpymap.layers.report.codes import ByteGrid, packed
 from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
 from bumpymap.layers.report.ways import DrawnWay
+from bumpymap.layers.sheets.folders import sheets_of
 from bumpymap.layers.summary import MapSummary
 
 __all__ = ["Site", "plain_name"]
@@ -50,9 +51,19 @@ class Site:
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     ways: tuple[DrawnWay, ...] = ()
+    has_links: bool = True
+    """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
 
     @classmethod
-    def read(cls, folder: Path, record: Mapping[str, Any], ways: tuple[DrawnWay, ...] = (), maps: int = 1) -> Self:
+    def read(
+        cls,
+        folder: Path,
+        record: Mapping[str, Any],
+        ways: tuple[DrawnWay, ...] = (),
+        maps: int = 1,
+        *,
+        has_links: bool = True,
+    ) -> Self:
         """Read a folder of layers.
 
         Parameters
@@ -65,6 +76,8 @@ class Site:
             Ways to draw.
         maps : int
             Maps that share the page.
+        has_links : bool
+            Whether the page lies beside the layers.
 
         Raises
         ------
@@ -81,9 +94,9 @@ class Site:
         budget = _BUDGET // maps
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles * maps / _TILES))))
         while True:
-            spot = Spot(spot.west, spot.north, spot.tile_size, spot.pixels, spot.cols, spot.rows, step, spot.unit)
+            spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_heights(folder, spot, _RELIEF_SIDE)
+            heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
             grids = _grids(tiles, tile_heights(heights, spot))
             taken = sum(len(packed(grid.codes)) for grid in grids)
             if taken < 0.7 * budget or max(spot.shape) < 100:
@@ -99,7 +112,7 @@ class Site:
                 break
             side //= 2
         still = _still(tiles, light)
-        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways)
+        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways, has_links)
 
     @property
     def vehicle(self) -> str:
@@ -149,7 +162,13 @@ class Site:
 
 
 def plain_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders."""
+    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
+    sheet = record.get("sheet")
+    name = sheet.get("name") if isinstance(sheet, Mapping) else None
+    return f"{_survey_name(record)}, sheet {name}" if name else _survey_name(record)
+
+
+def _survey_name(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     if isinstance(survey, Mapping) and survey.get("name"):
         return str(survey["name"])

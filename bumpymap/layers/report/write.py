@@ -90,7 +90,8 @@ def write_reports(
     for folder, record in zip(folders, records, strict=True):
         ways = () if route is None else read_ways(Path(route), record)
         with utf8_path(folder) as readable:
-            sites.append(Site.read(readable, record, ways, maps=len(folders)))
+            beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
+            sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside))
     _write(sites, path)
     return path
 

@@ -52,6 +52,7 @@ class BatchSettings(TypedDict, total=False):
     trust_points: bool
     skip_bad: bool
     max_unknown: float | None
+    sheets: float | None
     overwrite: bool
     threads: int
     memory: str

@@ -8,7 +8,16 @@ import geopandas
 import pytest
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
-from bumpymap.layers import BARRED_COLOURS, CLASS_COLOURS, PRODUCT_NAMES, write_products
+from bumpymap.layers import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    PRODUCT_NAMES,
+    SheetLayout,
+    SheetRun,
+    write_products,
+    write_sheets,
+)
+from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.qgis
 
@@ -35,6 +44,11 @@ def seen_by_qgis(folder, cost_map, *, local=False):
     write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN)
     tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
+    return load(folder)
+
+
+def load(folder):
+    """What QGIS makes of the files in a folder."""
     report = folder.parent / f"{folder.name}.json"
     command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -139,4 +153,24 @@ def test_a_map_without_a_crs_lies_where_its_coordinates_say(seen_local):
         assert not layer["crs_valid"]
         assert layer["extent"] == pytest.approx([330_000, 2_040_000, 330_060, 2_040_045])
     assert 329_900 < project["extent"][0] < 330_000
+    assert project["colours"] > 100
+
+
+def test_a_map_in_sheets_opens_as_one(tmp_path, cost_map):
+    table = CostTable.of(cost_map)
+    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
+    (tmp_path / "out").mkdir()
+    write_sheets(table, tmp_path / "out", run, local=False, manifest=RUN)
+    seen = load(tmp_path / "out")
+    assert len(list((tmp_path / "out" / "sheets").iterdir())) > 1
+    expected = {name.replace(".tif", ".vrt"): kind for name, kind in RASTERS.items()}
+    assert {name: layer["renderer"] for name, layer in seen["layers"].items()} == expected
+    assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in seen["layers"].values())
+    assert all(layer["colours"] > 1 for layer in seen["layers"].values())
+    project = seen["project"]
+    assert project["read"]
+    assert not project["error"]
+    assert project["crs"] == "EPSG:32614"
+    assert {Path(layer["source"]).name: layer["renderer"] for layer in project["layers"].values()} == expected
+    assert all(found for *_, found in project["tree"])
     assert project["colours"] > 100

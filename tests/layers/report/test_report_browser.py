@@ -4,9 +4,11 @@ import shutil
 
 import numpy as np
 import pytest
-from route_maps import copy_folder
+from route_maps import RUN, copy_folder
 
-from bumpymap.layers import write_reports
+from bumpymap.core import CostTable
+from bumpymap.layers import SheetLayout, SheetRun, write_reports, write_sheets
+from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE = (1400, 900), (400, 800)
@@ -47,15 +49,20 @@ def visit(browser):
 
 
 @pytest.fixture(scope="module")
-def pages(site, comparison, tmp_path_factory):
-    """The page of a map, of two maps, of one whose names are markup, and of what has changed."""
+def pages(site, comparison, make_field, tmp_path_factory):
+    """The page of a map, of two maps, of one whose names are markup, of a map in sheets, and of what has changed."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
+    table, sheets = CostTable.of(make_field(40, 30)), folder / "sheets"
+    sheets.mkdir()
+    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
+    write_sheets(table, sheets, run, local=False, manifest=RUN)
     return {
         "one": site / "report.html",
         "two": write_reports([site, odd], folder / "two.html"),
         "odd": write_reports([odd]),
+        "sheets": sheets / "report.html",
         "change": comparison / "report.html",
     }
 
@@ -65,7 +72,7 @@ def outside(page):
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "two", "odd", "change"])
+@pytest.mark.parametrize("name", ["one", "two", "odd", "sheets", "change"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -76,6 +83,17 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     assert outside(page) == []
     assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+
+
+def test_a_click_on_a_sheet_opens_its_page(visit, pages):
+    page = visit(pages["sheets"])
+    page.click("text=the sheets")
+    name = page.inner_text("td a, th a")
+    page.click(f"text={name}")
+    page.wait_for_selector("html[data-ready]")
+    assert page.url == (pages["sheets"].parent / "sheets" / name / "report.html").as_uri()
+    assert page.inner_text("h1").endswith(f"sheet {name}")
+    assert page.complaints == []
 
 
 def test_the_policy_of_the_page_stops_requests(visit, pages):

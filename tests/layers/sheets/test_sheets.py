@@ -15,9 +15,12 @@ from route_maps import RUN, copy_folder
 from route_sites import place, site
 
 import bumpymap
+from bumpymap.core import REASON_TEXT
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import (
+    PRODUCT_NAMES,
+    VIEW_NAMES,
     SheetLayout,
     SheetRun,
     check_folder,
@@ -31,7 +34,8 @@ from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES, Grid
 
 SMALL = Grid(3.0, 5)
-RASTERS = ("roughness", "class", "cost", "barred", "heightmap", "obstacle")
+RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "obstacle")
+VIEWS = sorted({*VIEW_NAMES} - {"tiles.qml"})
 
 
 def write(cost_map, folder, *, blocks=1, keep=False, key="k"):
@@ -95,6 +99,7 @@ def categories(path):
 
 def test_values_have_their_names(sheets):
     assert categories(sheets / "class.vrt") == ["smooth", "fair", "rough", "very rough"]
+    assert categories(sheets / "reason.vrt") == list(REASON_TEXT.values())
     assert categories(sheets / "obstacle.vrt") == ["free", "obstacle", "canopy", "unknown"]
 
 
@@ -148,7 +153,9 @@ def test_same_map_same_bytes(made, sheets, tmp_path):
     shuffled = part_of(made, np.random.default_rng(1).permutation(len(made.class_id)))
     write(shuffled, tmp_path / "again", blocks=4)
     files = [path.relative_to(sheets) for path in sorted(sheets.rglob("*")) if path.is_file()]
-    assert len(files) == 4 * 13 + 8
+    of_a_sheet = len(PRODUCT_NAMES) + len(VIEW_NAMES) + 4  # sidecars
+    of_the_whole = len(VIEWS) + len(RASTERS) + 2
+    assert len(files) == 4 * of_a_sheet + of_the_whole
     for file in files:
         if file.name != "run.json":
             assert (sheets / file).read_bytes() == (tmp_path / "again" / file).read_bytes(), file
@@ -171,7 +178,9 @@ def test_sites_far_apart_need_no_room_between(tmp_path):
         assert file.shape == (333_334, 333_334)
         assert file.read(1, window=((333_333, 333_334), (0, 1)))[0, 0] == 0
         assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == 1
-        assert file.read(2, window=((500, 502), (500, 502))).tolist() == [[1, 1], [1, 1]]  # no points
+    with rasterio.open(tmp_path / "reason.vrt") as file:
+        assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == Reason.OK
+        assert file.read(1, window=((500, 502), (500, 502))).tolist() == [[255, 255], [255, 255]]  # no points
 
 
 def test_ground_without_a_crs(tmp_path):
@@ -274,6 +283,27 @@ class TestUnfinished:
             assert (folder / name).read_bytes() == (sheets / name).read_bytes() or name == "sheets.csv"
         assert bumpymap.open(folder).dataset().equals(bumpymap.open(sheets).dataset())
 
+    def test_without_room_for_the_page_it_is_no_map_and_goes_on(self, made, sheets, tmp_path, monkeypatch):
+        """Everything is there then but what the last step writes."""
+
+        def full(*_):
+            raise OutputError("no space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(writing, "_INDEXES", (full,))
+            with pytest.raises(OutputError, match="no space left"):
+                write(made, tmp_path / "out", blocks=4)
+        assert (tmp_path / "out" / "class.vrt").exists()
+        with pytest.raises(BadInputError, match=r"sheets are not complete.*resume=True"):
+            bumpymap.open(tmp_path / "out")
+        check_folder(tmp_path / "out", overwrite=False, resume=True)
+        written = []
+        monkeypatch.setattr(writing, "write_products", lambda *_, **__: written.append(1))
+        write(made, tmp_path / "out", blocks=4, keep=True)
+        assert not written
+        for name in ("report.html", "class.vrt", "map.qgs"):
+            assert (tmp_path / "out" / name).read_bytes() == (sheets / name).read_bytes()
+
     def test_a_sheet_that_has_changed_is_written_again(self, killed, made, sheets):
         folder, written = killed
         with (folder / "sheets" / names_in(sheets)[1] / "cost.tif").open("ab") as file:
@@ -296,7 +326,7 @@ class TestReplacing:
         (folder / "notes.txt").write_text("mine")
         write(made, folder, blocks=4)
         assert sorted(path.name for path in folder.iterdir()) == sorted(
-            ["notes.txt", "run.json", "sheets", "sheets.csv", *(f"{name}.vrt" for name in RASTERS)]
+            ["notes.txt", "run.json", "sheets", "sheets.csv", *(f"{name}.vrt" for name in RASTERS), *VIEWS]
         )
 
     def test_larger_sheets_replace_smaller_ones(self, made, sheets, tmp_path):
