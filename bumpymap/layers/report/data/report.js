@@ -3,6 +3,7 @@
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const codes = data.codes;
   const NONE = 255;
+  const LINES = 8;
 
   const unpack = async (text) => {
     const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -40,7 +41,7 @@
   };
 
   const hatching = (context, colour, rising) => {
-    const side = 8;
+    const side = LINES;
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = side;
     const pen = canvas.getContext("2d");
@@ -103,7 +104,7 @@
     }
 
     isUnknown(at) {
-      return this.ground[at] >= codes.unknownFrom && this.ground[at] !== NONE;
+      return this.ground[at] !== NONE && (this.ground[at] >= codes.unknownFrom || this.barred[at] === codes.notKnown);
     }
 
     layer(key) {
@@ -112,7 +113,7 @@
     }
 
     colouring(key) {
-      const known = (colour) => (at) => this.ground[at] < codes.unknownFrom && colour(at);
+      const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at) && colour(at);
       if (key === "class") return known((at) => codes.classColours[this.ground[at]]);
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
       if (key === "none") return known(() => [236, 236, 236, 255]);
@@ -308,7 +309,8 @@
           words.push(`${grid.label} ${grouped(value, grid.decimals)}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
         const bar = this.barred[at];
-        if (code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
+        if (code < codes.unknownFrom && bar === codes.notKnown) words.push("not known whether the vehicle can cross it");
+        else if (code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
         const object = this.objectAt(right, down);
         if (object === 1 || object === 2) words.push(codes.objects[object]);
       }
@@ -347,7 +349,7 @@
       }
       if (this.shows("objects")) layer(this.masks.objects);
       this.hatch(this.masks.unknown, this.unknownPattern, box);
-      if (this.shows("barred")) this.hatch(this.masks.barred, this.barredPattern, box);
+      if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
       if (this.shows("ways")) this.drawWays(left, top);
       if (this.crosshair) this.drawCrosshair();
@@ -358,6 +360,19 @@
     white(box) {
       this.blank ??= this.tiles((at) => this.ground[at] === NONE && [255, 255, 255, 255]);
       this.context.drawImage(this.blank, ...box);
+    }
+
+    /** Lines over what is not passable; where tiles are so small that lines would miss some, all of it is dark. */
+    drawBarred(box) {
+      const { context } = this;
+      if (this.about.metres * this.scale >= LINES) {
+        this.hatch(this.masks.barred, this.barredPattern, box);
+        return;
+      }
+      context.globalAlpha = 0.6;
+      context.imageSmoothingEnabled = false;
+      context.drawImage(this.masks.barred, ...box);
+      context.globalAlpha = 1;
     }
 
     hatch(mask, pattern, box) {
@@ -432,7 +447,7 @@
     }
   }
 
-  const barredCode = (code) => code !== 0 && code !== 1 && code !== NONE;
+  const barredCode = (code) => code !== 0 && code !== codes.notKnown && code !== NONE;
 
   const start = async () => {
     const figures = [...document.querySelectorAll("figure.map")];
