@@ -19,7 +19,7 @@ RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f
 _GREY = (178, 178, 178)
 _OVERLAYS = (
     ("relief", "Relief", True),
-    ("barred", "Not passable (hatched)", False),
+    ("barred", "Not passable", True),
 )
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
@@ -128,7 +128,9 @@ def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
 def _limit(limits: Sequence[float], code: int) -> str:
     if not limits:
         return ""
-    return f": C_r under {limits[0]:.3g}" if code == 0 else f": from {limits[code - 1]:.3g}"
+    if code == 0:
+        return f": C_r under {limits[0]:.3g}"
+    return f": from {limits[code - 1]:.3g}{', or too steep, or drives fail' if code == len(limits) else ''}"
 
 
 def scale_of(grid: ByteGrid, ramp: Sequence[str], ends: tuple[str, str] = ("light", "dark")) -> Html:
@@ -152,7 +154,13 @@ def scale_of(grid: ByteGrid, ramp: Sequence[str], ends: tuple[str, str] = ("ligh
 
 
 def _overlay_legend(site: Site) -> Html:
-    items = [tag("li", swatch((236, 236, 236), hatched=True), " not passable, if switched on")]
+    items = [
+        tag(
+            "li",
+            swatch((236, 236, 236), hatched=True, falling=True),
+            " not passable: hatched, or dark where tiles are small",
+        )
+    ]
     if site.objects_known:
         items += [
             tag("li", swatch(OBJECT_COLOURS[1]), " obstacle"),

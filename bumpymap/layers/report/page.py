@@ -94,6 +94,7 @@ def _codes() -> dict[str, object]:
     """Return names and colours of the codes in the grids."""
     return {
         "unknownFrom": UNKNOWN_FROM,
+        "notKnown": int(Barred.UNKNOWN),
         "classes": list(CLASS_NAMES),
         "reasons": [REASON_TEXT[code] for code in Reason],
         "barred": [BARRED_TEXT[code] for code in Barred],

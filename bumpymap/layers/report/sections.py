@@ -125,14 +125,14 @@ def _survey(site: Site) -> Html:
     total = int(record.get("points") or summary.points)
     rows = [
         (
-            "points that were measured",
+            "points used",
             f"{whole(summary.points)} of {whole(total)}{kind}",
         ),
         (
             "density",
             (
                 f"{number(total / ground if ground else None, 1)} points per m² on average, "
-                f"{number(summary.points / ground if ground else None, 1)} of them measured; "
+                f"{number(summary.points / ground if ground else None, 1)} of them used; "
                 f"{number(summary.median_count / site.tile_area, 1)} in the median tile"
             ),
         ),
@@ -234,7 +234,7 @@ def summary_line(site: Site) -> str:
         (
             f"vehicle {site.vehicle}",
             f"{area(ground)} with points",
-            f"{whole(site.summary.points)} points",
+            f"{whole(int(site.record.get('points') or site.summary.points))} points",
             f"{share(site.summary.passable, site.summary.tiles)} passable",
             site.crs_name,
         )

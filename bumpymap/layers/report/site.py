@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.report.codes import ByteGrid, packed
 from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
@@ -29,6 +29,8 @@ _RELIEF_SIDE = 1_000
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
 _STILL_SIDE = 700
+_LINES = 6
+"""Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
 
 
@@ -192,7 +194,10 @@ def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ..
 
 
 def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
-    """Return the classes over the relief as one picture: unknown ground grey, nothing where there are no points."""
+    """Return the classes over the relief as one picture, hatched where the vehicle cannot cross.
+
+    Unknown ground is grey; nothing is drawn where there are no points.
+    """
     colours = np.full((256, 3), _UNKNOWN_GREY, np.float32)
     for code, colour in CLASS_COLOURS.items():
         if code != NO_CLASS:
@@ -204,10 +209,15 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     width, height = (max(1, side) for side in (size if max(rows, cols) > _STILL_SIDE else (cols, rows)))
     line = (np.arange(height) + 0.5) * tiles.spot.shape[0] / height
     column = (np.arange(width) + 0.5) * tiles.spot.shape[1] / width
-    ground = tiles.ground[np.ix_(line.astype(int), column.astype(int))]
+    shown = np.ix_(line.astype(int), column.astype(int))
+    ground, barred = tiles.ground[shown], tiles.barred[shown]
+    ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
-    hatch &= (np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1
-    bright[hatch] *= 0.7
+    down, right = np.arange(height)[:, None], np.arange(width)[None, :]
+    bright[hatch & ((down + right) % 6 < 1)] *= 0.7
+    closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
+    lines = (down - right) % 6 < 2
+    bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
     return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)[0]

@@ -100,6 +100,8 @@ class PageTiles:
     """Tiles in each bin of ``C_R_EDGES``."""
     slope_bins: NDArray[np.int64]
     """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
+    calm: int
+    """Tiles that are passable and of the two smoothest classes."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
@@ -116,13 +118,14 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
-        rule = _rule(record)
+        rule, calm = _rule(record), 0
         tables = [sheet / "tiles.parquet" for sheet in sheets_of(folder, record)]
         for found in chain.from_iterable(map(_groups, tables)):
             place = _place(found, spot)
             np.maximum.at(ground, place, _ground(found) + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
+            calm += int(np.count_nonzero((found["class"] < 2) & (found["barred"] == Barred.NO)))
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
@@ -140,7 +143,7 @@ class PageTiles:
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
         ).astype(np.uint8)
-        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"])
+        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], calm=calm)
 
 
 def _groups(path: Path) -> Iterator[dict[str, NDArray[Any]]]:

@@ -176,6 +176,67 @@ def test_the_pointer_reads_what_the_grids_hold(visit, pages, read_page):
     assert colour == "grey", f"unknown ground has a colour in the layer {colour}"
 
 
+def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_what_nobody_knows_is_grey(visit, pages, read_page):
+    """In every colouring; smooth ground is blue, and steep ground fails no more drives than other."""
+    page = visit(pages["one"])
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred > 1)))
+    look = """([row, col, keys]) => { const map = window.reportMaps[0];
+        const side = map.about.metres * map.scale * map.dense;
+        const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
+        const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
+        return keys.map((key) => {
+          const radio = document.querySelector(`input[type=radio][value=${key}]`);
+          if (radio) radio.checked = true;
+          map.draw();
+          return [...map.context.getImageData(left + 2, top + 2, side - 4, side - 4).data];
+        }); }"""
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
+
+    def dark(found):
+        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for one in found]
+
+    lines = dark(page.evaluate(look, [row, col, keys]))
+    page.uncheck("input[value=barred][type=checkbox]")
+    plain = dark(page.evaluate(look, [row, col, keys]))
+    assert all(here > there + 0.04 for here, there in zip(lines, plain, strict=True))
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred == 0)))
+    page.evaluate(
+        """([row, col]) => { const map = window.reportMaps[0];
+        map.barred[row * map.about.cols + col] = 1;
+        map.layers = {};
+        map.masks.unknown = map.tiles((at) => map.isUnknown(at) && [178, 178, 178, 255]); }""",
+        [row, col],
+    )
+    for one in page.evaluate(look, [row, col, keys]):
+        assert np.ptp(np.reshape(one, (-1, 4))[:, :3], axis=1).max() < 3
+
+
+def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_lines(visit, pages, read_page):
+    page = visit(pages["one"], PHONE)
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    page.evaluate("window.reportMaps[0].zoom(0.4)")
+    look = """(places) => { const map = window.reportMaps[0];
+        return places.map(([row, col]) => {
+          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
+          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
+          return [...map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data].slice(0, 3);
+        }); }"""
+    closed, free = (
+        np.argwhere((ground < 2) & chosen).tolist() for chosen in ((barred > 1) & (barred < 255), barred == 0)
+    )
+    assert len(closed) > 20 < len(free)
+    assert page.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
+    assert np.max(page.evaluate(look, closed)) < 140
+    assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
+
+
 def test_two_maps_of_one_place_move_together(visit, pages):
     page = visit(pages["two"])
     page.focus("canvas")

@@ -3,6 +3,7 @@
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const codes = data.codes;
   const NONE = 255;
+  const LINES = 8;
 
   const unpack = async (text) => {
     const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -40,7 +41,7 @@
   };
 
   const hatching = (context, colour, rising) => {
-    const side = 8;
+    const side = LINES;
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = side;
     const pen = canvas.getContext("2d");
@@ -105,7 +106,8 @@
     }
 
     isUnknown(at) {
-      return this.ground[at] >= codes.unknownFrom && this.ground[at] !== NONE;
+      return this.ground[at] !== NONE && (this.ground[at] >= codes.unknownFrom
+        || (this.barred !== undefined && this.barred[at] === codes.notKnown));
     }
 
     layer(key) {
@@ -114,7 +116,7 @@
     }
 
     colouring(key) {
-      const known = (colour) => (at) => this.ground[at] < codes.unknownFrom && colour(at);
+      const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at) && colour(at);
       if (key === "class" || key === "changed") return known((at) => codes.classColours[this.ground[at]]);
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
       if (key === "none") return known(() => [236, 236, 236, 255]);
@@ -325,7 +327,10 @@
           words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
         const bar = this.barred?.[at];
-        if (this.barred && code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
+        if (this.barred && code < codes.unknownFrom) {
+          if (bar === codes.notKnown) words.push("not known whether the vehicle can cross it");
+          else words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
+        }
         const object = this.objects && this.objectAt(right, down);
         if (object === 1 || object === 2) words.push(codes.objects[object]);
       }
@@ -365,7 +370,7 @@
       }
       if (this.shows("objects")) layer(this.masks.objects);
       this.hatch(unknown, this.unknownPattern, box);
-      if (this.shows("barred")) this.hatch(this.masks.barred, this.barredPattern, box);
+      if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
       if (this.shows("ways")) this.drawWays(left, top);
       if (this.shows("places")) this.drawPlaces(left, top);
@@ -377,6 +382,19 @@
     white(box) {
       this.blank ??= this.tiles((at) => this.ground[at] === NONE && [255, 255, 255, 255]);
       this.context.drawImage(this.blank, ...box);
+    }
+
+    /** Lines over what is not passable; where tiles are so small that lines would miss some, all of it is dark. */
+    drawBarred(box) {
+      const { context } = this;
+      if (this.about.metres * this.scale >= LINES) {
+        this.hatch(this.masks.barred, this.barredPattern, box);
+        return;
+      }
+      context.globalAlpha = 0.6;
+      context.imageSmoothingEnabled = false;
+      context.drawImage(this.masks.barred, ...box);
+      context.globalAlpha = 1;
     }
 
     hatch(mask, pattern, box) {
@@ -480,7 +498,7 @@
     }
   }
 
-  const barredCode = (code) => code !== 0 && code !== 1 && code !== NONE;
+  const barredCode = (code) => code !== 0 && code !== codes.notKnown && code !== NONE;
 
   const start = async () => {
     const figures = [...document.querySelectorAll("figure.map")];
