@@ -54,6 +54,7 @@ RULES = (
     Rule(r"--out s3://", "takes a server: tests/survey/batch/test_remote.py has one"),
     Rule(r"^gdal", "takes GDAL's own tools", ""),
     Rule(r"^grass ", "takes GRASS", ""),
+    Rule(r"^(xdg-open|qgis) ", "opens a window", None),
     Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
     Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
     Rule(r"^python tests/benchmarks/run\.py", "an hour, and PDAL", None),
