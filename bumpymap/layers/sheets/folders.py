@@ -109,19 +109,20 @@ def make_sheet_folder(folder: Path, name: str) -> Path:
 def remove_manifest(folder: Path) -> None:
     """Remove the manifest of an earlier map: from now on the folder holds no complete one."""
     with _removing(folder):
-        _remove_files(folder, (MANIFEST_NAME,))
+        _remove_files(folder.resolve(), (MANIFEST_NAME,))
 
 
 def remove_map_files(folder: Path) -> None:
     """Remove the files of an earlier map that is not in sheets. Other files stay."""
     with _removing(folder):
-        _remove_files(folder, _OWN)
+        _remove_files(folder.resolve(), _OWN)
 
 
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
     """Remove the sheets of an earlier run, but for the names in ``keep``; files that no run wrote stay.
 
-    If all are removed, the virtual rasters and the table of sheets are removed too. Links are not followed.
+    If all are removed, the virtual rasters and the table of sheets are removed too. ``folder`` may be a link, as the user
+    gave it; links in it are not followed.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
                 with suppress(OSError):  # not empty
                     sheet.rmdir()
         if not keep:
-            _remove_files(folder, (*VIRTUAL_NAMES, SHEET_TABLE_NAME))
+            _remove_files(folder.resolve(), (*VIRTUAL_NAMES, SHEET_TABLE_NAME))
             with suppress(OSError):  # not empty, or not there
                 (folder / SHEET_FOLDER).rmdir()
 
