@@ -190,6 +190,22 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert inodes(layers) == before
 
 
+def test_layers_of_an_earlier_version_are_not_called_damaged(layers, survey, tmp_path):
+    """It wrote fewer files, and none of those it wrote is missing."""
+    out = tmp_path / "out"
+    shutil.copytree(layers, out)
+    record = json.loads((out / "run.json").read_text())
+    later = ("item.json", "reason.tif")
+    record["files"] = [file for file in record["files"] if file["path"] not in later]
+    (out / "run.json").write_text(json.dumps(record))
+    for name in later:
+        (out / name).unlink()
+    refused = run("map", survey, "--out", out)
+    assert refused.exit_code == 3
+    assert "of an earlier version of bumpymap, which did not write item.json, reason.tif" in refused.output
+    assert "--overwrite" in refused.output
+
+
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
     """An input that was touched or copied is the same; its bytes decide."""
     out = tmp_path / "out"
