@@ -243,6 +243,18 @@ def test_a_server_that_cannot_be_used_is_said(tmp_path, survey):
     assert "nowhere://bucket/night is not a URL that can be used" in result.stderr
 
 
+def test_a_survey_is_not_uploaded_to_the_folder_of_another(server, tmp_path):
+    """fsspec takes what follows :: for another address: site::b would be uploaded to site."""
+    source = tmp_path / "in"
+    source.mkdir()
+    write_survey(source / "site::b.laz")
+    refused = CliRunner().invoke(main, ["batch", str(source), "--out", "memory://night", "--scratch", str(tmp_path)])
+    assert refused.exit_code == 2
+    assert "the folder site::b cannot be on a server" in refused.output
+    assert not server.files.exists("/night")
+    assert list(tmp_path.iterdir()) == [source]
+
+
 def test_a_failed_upload_of_the_summary_keeps_it(server, tmp_path):
     (tmp_path / "index.html").write_text("page")
     server.refuses = "index.html"
