@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from bumpymap.core import PolarSettings, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.lock import locked
-from bumpymap.layers import name_frames, write_frame
+from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
+from bumpymap.layers.products import NAMED_RASTERS
 from bumpymap.readers import Robot, read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -83,30 +84,14 @@ def checksums(folder):
 def test_a_run_writes_every_product_and_nothing_else(mapped):
     out, result, _ = mapped
     frames = [f"frames/{number}.{ending}" for number in (0, 1) for ending in ("json", "ply", "png")]
-    layers = [
-        "barred.tif",
-        "barred.tif.aux.xml",
-        "class.tif",
-        "class.tif.aux.xml",
-        "cost.fgb",
-        "cost.geojson",
-        "cost.tif",
-        "heightmap.tif",
-        "obstacle.tif",
-        "obstacle.tif.aux.xml",
-        "reason.tif",
-        "reason.tif.aux.xml",
-        "report.html",
-        "roughness.tif",
-        "run.json",
-    ]
+    layers = [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
     assert files(out) == sorted(
         [
             *frames,
             "gathered.laz",
             "scan.json",
             "sectors.parquet",
-            *(f"map/{name}" for name in [*layers, "tiles.parquet"]),
+            *(f"map/{name}" for name in layers),
         ]
     )
     assert result.files == ("frames", "sectors.parquet", "gathered.laz", "scan.json")

@@ -485,7 +485,8 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
     for _ in range(2):
         result = run("demo", "--survey", QUARRY, "--out", tmp_path)
         assert result.exit_code == 0, result.output
-        assert str(tmp_path / "layers" / "class.tif") in result.output
+        assert str(tmp_path / "layers" / "map.qgs") in result.output
+        assert str(tmp_path / "layers" / "report.html") in result.output
     with rasterio.open(tmp_path / "layers" / "class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         counts = np.bincount(raster.read(1).ravel(), minlength=256)

@@ -46,7 +46,7 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         There is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not those of the map.
     """
     path = folder / _FILE if folder.is_dir() else folder
-    remedy = "Give the folder that `bumpymap route` wrote with `--to` as `route`"
+    remedy = "Give the folder of a route from one place to another, which `bumpymap route` wrote, as `route`"
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {remedy}")
     try:

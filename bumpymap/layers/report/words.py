@@ -132,7 +132,8 @@ def command_of(record: Mapping[str, Any]) -> str | None:
     settings = record.get("settings")
     if not isinstance(settings, Mapping) or not settings.get("surveys"):
         return None
-    words = ["bumpymap map", *(_quoted(base_name(str(path))) for path in settings["surveys"]), "--out LAYERS"]
+    surveys = " ".join(_quoted(base_name(str(path))) for path in settings["surveys"])
+    words = [f"bumpymap map {surveys} --out LAYERS"]
     for name, value in _changed(settings).items():
         option = f"--{name.replace('_', '-')}"
         words.append(option if value is True else f"{option} {_quoted(base_name(str(value)))}")

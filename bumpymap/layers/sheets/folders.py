@@ -121,8 +121,8 @@ def remove_map_files(folder: Path) -> None:
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
     """Remove the sheets of an earlier run, but for the names in ``keep``; files that no run wrote stay.
 
-    If all are removed, the virtual rasters and the table of sheets are removed too. ``folder`` may be a link, as the
-    user gave it; links in it are not followed.
+    If all are removed, the virtual rasters and the table of sheets are removed too. No link is followed but ``folder``
+    itself, which the user may have made one.
 
     Raises
     ------
