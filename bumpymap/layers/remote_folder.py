@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import BadInputError, BumpymapError, OutputError, parse_json, remote_files, utf8_path
+from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError, parse_json, remote_files, utf8_path
 from bumpymap.layers.manifest import MANIFEST_NAME
 from bumpymap.layers.sheets.folders import raster_in
 
@@ -20,7 +20,12 @@ class RemoteFolder:
     url: str
 
     def below(self, name: str) -> "RemoteFolder":
-        """Return a folder in this one."""
+        """Return a folder in this one; raise UsageError if the name would end the path of the URL, as ``::`` does."""
+        if "::" in name:
+            raise UsageError(
+                f"the folder {name} cannot be on a server: in the URL of a file, :: ends its path. Rename the survey, "
+                "or name it in the column `name` of a CSV"
+            )
         return RemoteFolder(f"{self.url.rstrip('/')}/{name}")
 
     def sizes(self) -> dict[str, int]:

@@ -16,7 +16,7 @@ from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, layer_element, reference, tree
 from bumpymap.layers.gis.raster_style import MULTIPLY
 from bumpymap.layers.gis.styles import layer_style
-from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, plain_text, write_qgis
+from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, write_qgis
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["write_project"]
@@ -100,7 +100,7 @@ def _in_folder(layer: ProjectLayer, folder: Path) -> ProjectLayer:
 def _title(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     name = survey.get("name") if isinstance(survey, Mapping) else None
-    return plain_text(f"{name}: ride cost" if name else "ride cost")
+    return f"{name}: ride cost" if name else "ride cost"
 
 
 def _abstract(record: Mapping[str, Any], facts: StyleFacts) -> str:
@@ -113,7 +113,7 @@ def _abstract(record: Mapping[str, Any], facts: StyleFacts) -> str:
     lines += [f"Vehicle: {known.get('vehicle', 'not known')}{f' ({about})' if about else ''}."]
     lines += [f"Calibration: {known.get('id', 'not known')}."]
     lines += [f"Class {number}: {label}." for number, label in enumerate(facts.class_labels)]
-    return plain_text("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:

@@ -6,8 +6,8 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, UsageError, atomic, utf8_path
-from bumpymap.layers.manifest import read_manifest
+from bumpymap.core import BadInputError, OutputError, UsageError, atomic, utf8_path
+from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.products import REPORT_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.layers.report.page import render
@@ -87,12 +87,16 @@ def write_reports(
     records = [read_manifest(folder) for folder in folders]
     _check(path, replace=overwrite or out is None)
     sites = []
-    for folder, record in zip(folders, records, strict=True):
-        ways = () if route is None else read_ways(Path(route), record)
-        with utf8_path(folder) as readable:
-            beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
-            sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside))
-    _write(sites, path)
+    try:
+        for folder, record in zip(folders, records, strict=True):
+            ways = () if route is None else read_ways(Path(route), record)
+            with utf8_path(folder) as readable:
+                beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
+                sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside))
+        _write(sites, path)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        named = " or ".join(str(folder / MANIFEST_NAME) for folder in folders)
+        raise BadInputError(f"{named} is not that of a map of this version: {error!r}. Map the survey again") from error
     return path
 
 

@@ -312,6 +312,28 @@ def test_what_cannot_be_made_says_why(site, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "damage",
+    [
+        {"cost": None},
+        {"cost": {"slope_limit_deg": None}},
+        {"crs": {}},
+        {"inputs": [{"points": "many"}]},
+        {"flight_lines": {"lines": "two"}},
+        {"survey": {"dates": 5}},
+        {"metres_per_unit": {"horizontal": 1e308}},
+    ],
+)
+def test_a_damaged_record_is_told(site, tmp_path, damage):
+    folder = copy_folder(site, tmp_path / "layers")
+    (folder / "report.html").write_text("of before")
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    (folder / "run.json").write_text(json.dumps(record | damage), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"run\.json is not that of a map of this version"):
+        write_reports([folder])
+    assert (folder / "report.html").read_text() == "of before"
+
+
+@pytest.mark.parametrize(
     "content",
     [
         "{}",
