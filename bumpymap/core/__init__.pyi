@@ -117,6 +117,7 @@ from .progress import (
 )
 from .remote import (
     remote_files as remote_files,
+    without_keys as without_keys,
 )
 from .route_types import (
     NO_TILE as NO_TILE,

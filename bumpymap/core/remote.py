@@ -1,12 +1,15 @@
 """File systems of servers, by URL. fsspec is imported only if a URL is used."""
 
+import re
 from typing import Any
 
 from bumpymap.core.errors import UsageError
 
-__all__ = ["remote_files"]
+__all__ = ["remote_files", "without_keys"]
 
 _INSTALL = "pip install 'bumpymap[remote]'"
+_URL = re.compile(r"""(\w+://)(?:[^/\s@'"]*@)?([^\s?'"]*)(?:\?[^\s'"]*[^\s'":.,)])?""")
+"""Protocol, user, server and path, query."""
 
 
 def remote_files(url: str) -> tuple[Any, str]:
@@ -32,3 +35,8 @@ def remote_files(url: str) -> tuple[Any, str]:
             "of fsspec"
         ) from error
     return files, name
+
+
+def without_keys(text: str) -> str:
+    """Return a text whose URLs have no user and no query: both may hold a key, as that of a signed link."""
+    return _URL.sub(r"\1\2", text)

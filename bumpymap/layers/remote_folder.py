@@ -24,7 +24,7 @@ class RemoteFolder:
         if "::" in name:
             raise UsageError(
                 f"the folder {name} cannot be on a server: in the URL of a file, :: ends its path. Rename the survey, "
-                "or name it in the column `name` of a CSV"
+                "or name it in the column name of a CSV"
             )
         return RemoteFolder(f"{self.url.rstrip('/')}/{name}")
 

@@ -22,6 +22,8 @@ _PRIVATE = {
     *("features", "csf"),
 }
 """Settings that do not change the layers, or that are tables of their own."""
+_FILES = ("vehicle", "calibration", "model")
+"""Settings that may be paths. The name of a CRS may hold a slash too."""
 
 
 def headline(site: Site) -> str:
@@ -139,7 +141,8 @@ def command_of(record: Mapping[str, Any]) -> str | None:
     words = [f"bumpymap map {surveys} --out LAYERS"]
     for name, value in _changed(settings).items():
         option = f"--{name.replace('_', '-')}"
-        words.append(option if value is True else f"{option} {_quoted(base_name(str(value)))}")
+        text = base_name(str(value)) if name in _FILES else str(value)
+        words.append(option if value is True else f"{option} {_quoted(text)}")
     return " ".join(words)
 
 

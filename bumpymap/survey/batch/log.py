@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError
+from bumpymap.core import OutputError, without_keys
 
 __all__ = ["BatchLog"]
 
@@ -48,7 +48,8 @@ class BatchLog:
             os.close(descriptor)
 
     def write(self, event: str, **facts: Any) -> None:
-        """Append one event with the current time."""
+        """Append one event with the current time; URLs in its texts without keys."""
+        facts = {name: without_keys(fact) if isinstance(fact, str) else fact for name, fact in facts.items()}
         time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
         line = json.dumps({"time": time, "event": event, **facts}) + "\n"
         with suppress(OSError):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from bumpymap.core import MapConfig, locked, remove_empty_on_error
+from bumpymap.core import MapConfig, locked, remove_empty_on_error, without_keys
 from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
@@ -101,7 +101,8 @@ def run_batch(
             try:
                 with closing(ends):
                     for end in ends:
-                        row = replace(end.row, message=spell(end.row.message))
+                        message, survey = map(without_keys, (spell(end.row.message), end.row.survey))
+                        row = replace(end.row, message=message, survey=survey)
                         _note(log, replace(end, row=row))
                         results.add(row, end.view)
                         if report is not None:
@@ -167,7 +168,7 @@ def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
             "%d surveys share their name with another; their folders have longer ones, such as %s for %s",
             len(renamed),
             first.name,
-            first.place,
+            without_keys(str(first.place)),
         )
 
 

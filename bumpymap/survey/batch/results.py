@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
-from bumpymap.core import BumpymapError, OutputError
+from bumpymap.core import BumpymapError, OutputError, without_keys
 from bumpymap.layers import SurveyRow, SurveyView, is_complete, map_facts, write_batch_summary, write_catalog
 from bumpymap.survey.batch.one_survey import MapTask, look_at
 
@@ -36,7 +36,7 @@ class Results:
     def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
         self._tasks, self._folder, self._title = {task.name: task for task in tasks}, folder, title
         self._rows = {
-            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=str(task.config.surveys[0]))
+            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=without_keys(str(task.config.surveys[0])))
             for task in tasks
         }
         self._views: dict[str, SurveyView] = {}

@@ -230,12 +230,18 @@ def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page)
 
 
 def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):
-    twin = copy_folder(
-        site, tmp_path / "twin", settings={"surveys": ["/home/me/a b.laz", "C:\\me\\c.laz"], "ground": "csf"}
-    )
+    settings = {
+        "surveys": ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"],
+        "ground": "csf",
+        "vehicle": "/home/me/rover.toml",
+        "crs": "WGS 84 / UTM zone 14N",
+    }
+    twin = copy_folder(site, tmp_path / "twin", settings=settings)
     write_reports([twin])
     text = read_page(twin / "report.html").text
-    assert "bumpymap map &#x27;a b.laz&#x27; c.laz --out LAYERS --ground csf" in text
+    assert "bumpymap map &#x27;a b.laz&#x27; c.laz d.laz --out LAYERS --ground csf --vehicle rover.toml" in text
+    assert "--crs &#x27;WGS 84 / UTM zone 14N&#x27;" in text
+    assert "key=1" not in text
     assert "/home" not in text
     assert str(tmp_path) not in text
 

@@ -396,3 +396,15 @@ def test_events_and_quiet(surveys, tmp_path):
     quiet = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--quiet")
     assert quiet.stdout == ""
     assert quiet.stderr.startswith("Warning: broken failed:")
+
+
+def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
+    """They are sent on and put on servers; a message of a failure names the whole address."""
+    source = tmp_path / "s.txt"
+    source.write_text("http://127.0.0.1:9/a.laz?sig=SECRET.x/y\nhttp://me:SECRET@127.0.0.1:9/b/a.laz\n")
+    night = bumpymap.map_batch(source, tmp_path / "o")
+    assert [row.status for row in night.rows] == ["failed", "failed"]
+    assert "127.0.0.1:9" in night.rows[0].message
+    held = {path.name: path.read_bytes() for path in (tmp_path / "o").iterdir()}
+    assert {"index.html", "log.jsonl", "summary.csv", "summary.parquet"} <= set(held)
+    assert [name for name, data in held.items() if b"SECRET" in data] == []
