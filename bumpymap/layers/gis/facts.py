@@ -14,10 +14,19 @@ from rasterio.errors import RasterioError
 from bumpymap.core import CLASS_NAMES, OutputError
 from bumpymap.layers.ride_scale import RideScale, class_limits
 
-__all__ = ["StyleFacts"]
+__all__ = ["StyleFacts", "file_of"]
 
 _SAMPLE = 512
 """Most rows and columns of roughness.tif to read where the record has no limits of the classes."""
+
+
+def file_of(folder: Path, layer: str) -> str | None:
+    """Return the name of the file of a layer in a folder.
+
+    Of a map in sheets that is the virtual raster, ``class.vrt`` for ``class.tif``. None if neither is there.
+    """
+    names = (layer, layer.replace(".tif", ".vrt"))
+    return next((name for name in names if (folder / name).is_file()), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +48,10 @@ class StyleFacts:
         Raises
         ------
         OutputError
-            roughness.tif cannot be read.
+            The layer roughness.tif cannot be read.
         """
         limits = class_limits(record)
-        sample = np.empty(0) if limits else _c_r_sample(folder / "roughness.tif")
+        sample = np.empty(0) if limits else _c_r_sample(folder / (file_of(folder, "roughness.tif") or "roughness.tif"))
         units = record.get("metres_per_unit")
         metres = units.get("horizontal") if isinstance(units, Mapping) else None
         return cls(

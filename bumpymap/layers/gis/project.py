@@ -12,15 +12,15 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
 from bumpymap.core import OutputError, horizontal_of
-from bumpymap.layers.gis.facts import StyleFacts
+from bumpymap.layers.gis.facts import StyleFacts, file_of
 from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, layer_element, reference, tree
 from bumpymap.layers.gis.raster_style import MULTIPLY
 from bumpymap.layers.gis.styles import layer_style
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, plain_text, write_qgis
+from bumpymap.layers.products import PROJECT_NAME
 
 __all__ = ["write_project"]
 
-_NAME = "map.qgs"
 _GROUPS = (
     LayerGroup(
         "Why not",
@@ -52,7 +52,8 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers. The project lists those that are there.
+        The folder of the layers, or of a map in sheets with its virtual rasters. The project lists those that are
+        there.
     record : mapping
         The record of the run, as in run.json.
 
@@ -63,7 +64,12 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
     groups = [
-        replace(group, layers=tuple(layer for layer in group.layers if (folder / layer.file).is_file()))
+        replace(
+            group,
+            layers=tuple(
+                replace(layer, found=found) for layer in group.layers if (found := file_of(folder, layer.layer))
+            ),
+        )
         for group in _GROUPS
     ]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
@@ -74,10 +80,10 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     root.append(tree(group for group in groups if group.layers))
     present = [layer for group in groups for layer in group.layers]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
-        root.append(canvas(_bounds(folder / layer.file), crs))
+        root.append(canvas(_bounds(folder / layer.found), crs))
     layers = add(root, "projectlayers")
     for layer in present:
-        layers.append(layer_element(layer, layer_style(layer.file, facts, layer.blend, layered=True), crs))
+        layers.append(layer_element(layer, layer_style(layer.layer, facts, layer.blend, layered=True), crs))
     properties = add(root, "properties")
     add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")
     add(add(properties, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"}, "0" if crs is None else "1")
@@ -85,7 +91,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     add(about, "type", text="dataset")
     add(about, "title", text=title)
     add(about, "abstract", text=_abstract(record, facts))
-    write_qgis(root, folder / _NAME)
+    write_qgis(root, folder / PROJECT_NAME)
 
 
 def _title(record: Mapping[str, Any]) -> str:
@@ -126,4 +132,4 @@ def _bounds(path: Path) -> tuple[float, float, float, float]:
             west, south, east, north = map(float, raster.bounds)
             return west, south, east, north
     except RasterioError as error:
-        raise OutputError(f"cannot read the extent of {path} for {_NAME}: {error}") from error
+        raise OutputError(f"cannot read the extent of {path} for {PROJECT_NAME}: {error}") from error

@@ -20,20 +20,23 @@ _MARGIN = 0.04
 class ProjectLayer:
     """A file as a layer of the project."""
 
-    file: str
+    layer: str
+    """Name of the file in a map that is not in sheets, which decides its style."""
     title: str
     blend: int = NORMAL
     visible: bool = False
+    found: str = ""
+    """Name of the file in the folder of the project."""
 
     @property
     def id(self) -> str:
-        """From the name of the file, and longer than ten characters: QGIS does not find layers with shorter ones."""
-        return f"bumpymap_{self.file.replace('.', '_')}"
+        """From the name of the layer, and longer than ten characters: QGIS does not find layers with shorter ones."""
+        return f"bumpymap_{self.layer.replace('.', '_')}"
 
     @property
     def is_raster(self) -> bool:
         """Whether it holds pixels; else polygons."""
-        return PurePath(self.file).suffix == ".tif"
+        return PurePath(self.layer).suffix == ".tif"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ def tree(groups: Iterable[LayerGroup]) -> ET.Element:
             leaf = {
                 "id": layer.id,
                 "name": layer.title,
-                "source": f"./{layer.file}",
+                "source": f"./{layer.found}",
                 "providerKey": _provider(layer),
                 "expanded": _flag(layer.visible or not shown),
                 "checked": _checked(visible=layer.visible),
@@ -75,7 +78,7 @@ def layer_element(layer: ProjectLayer, style: Sequence[ET.Element], crs: CRS | N
     kind = {"type": "raster"} if layer.is_raster else {"type": "vector", "geometry": "Polygon"}
     element = ET.Element("maplayer", kind | {"styleCategories": "AllStyleCategories"})
     add(element, "id", text=layer.id)
-    add(element, "datasource", text=f"./{layer.file}")
+    add(element, "datasource", text=f"./{layer.found}")
     add(element, "layername", text=layer.title)
     add(element, "srs").append(reference(crs))
     add(element, "provider", None if layer.is_raster else {"encoding": "UTF-8"}, _provider(layer))

@@ -12,14 +12,12 @@ import rasterio
 import rasterio.shutil
 from rasterio.errors import RasterioError
 
-from bumpymap.core import BadInputError, Reason, atomic
+from bumpymap.core import BadInputError, atomic
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileWindow
 
 __all__ = ["write_virtual"]
 
-_GAPS = {"reason": Reason.NO_POINTS}
-"""Value of a band, by its name, where there is no sheet, if it is not nodata."""
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError)  # noqa: SLF001 (no public name)
 _OF_ONE_SHEET = "STATISTICS_"
 """Metadata of this name do not hold for all sheets."""
@@ -76,7 +74,7 @@ def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[
     for domain in tree.findall("Metadata[@domain]"):
         tree.remove(domain)
     for band in tree.iter("VRTRasterBand"):
-        _fill_band(band, sources, (window.cols * pixels, window.rows * pixels))
+        _fill_band(band, sources)
     ET.indent(tree)
     with atomic(path) as temporary:
         temporary.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")
@@ -100,7 +98,7 @@ def _template(path: Path, raster: Path) -> ET.Element:
         scratch.unlink(missing_ok=True)
 
 
-def _fill_band(band: ET.Element, sources: Sequence[_Source], size: tuple[int, int]) -> None:
+def _fill_band(band: ET.Element, sources: Sequence[_Source]) -> None:
     """Replace the sources of a band, and remove what is true of one sheet only."""
     for one in band.findall("SimpleSource") + band.findall("ComplexSource"):
         band.remove(one)
@@ -112,11 +110,8 @@ def _fill_band(band: ET.Element, sources: Sequence[_Source], size: tuple[int, in
     if names is not None and colours is not None:
         for unused in colours[len(names) :]:  # a list of classes then shows those that exist
             colours.remove(unused)
-    gap = _GAPS.get(band.findtext("Description", ""))
-    if gap is not None:
-        _add_constant(band, sources[0], number, gap, size)
     for source in sources:
-        element = _add_source(band, "SimpleSource", source, number)
+        element = _add_source(band, source, number)
         block = {"BlockXSize": str(source.block[1]), "BlockYSize": str(source.block[0])}
         raster = {"RasterXSize": str(source.width), "RasterYSize": str(source.height), "DataType": kind}
         ET.SubElement(element, "SourceProperties", raster | block)
@@ -124,17 +119,8 @@ def _fill_band(band: ET.Element, sources: Sequence[_Source], size: tuple[int, in
         _add_box(element, "DstRect", source.left, source.top, (source.width, source.height))
 
 
-def _add_constant(band: ET.Element, source: _Source, number: str, value: int, size: tuple[int, int]) -> None:
-    """Add a source with one value everywhere, to lie beneath the others: any pixel, times 0, plus the value."""
-    element = _add_source(band, "ComplexSource", source, number)
-    _add_box(element, "SrcRect", 0, 0, (1, 1))
-    _add_box(element, "DstRect", 0, 0, size)
-    ET.SubElement(element, "ScaleOffset").text = str(int(value))
-    ET.SubElement(element, "ScaleRatio").text = "0"
-
-
-def _add_source(band: ET.Element, kind: str, source: _Source, number: str) -> ET.Element:
-    element = ET.SubElement(band, kind)
+def _add_source(band: ET.Element, source: _Source, number: str) -> ET.Element:
+    element = ET.SubElement(band, "SimpleSource")
     ET.SubElement(element, "SourceFilename", {"relativeToVRT": "1"}).text = source.path
     ET.SubElement(element, "SourceBand").text = number
     return element

@@ -21,9 +21,10 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.folder import write_products
+from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import SHEET_FOLDER, SHEET_TABLE_NAME, VIRTUAL_NAMES
+from bumpymap.layers.products import PROJECT_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIRTUAL_NAMES
 from bumpymap.layers.sheets.finished import is_finished
 from bumpymap.layers.sheets.folders import make_sheet_folder, remove_manifest, remove_map_files, remove_sheets
 from bumpymap.layers.sheets.layout import SheetLayout, SheetPlace
@@ -35,9 +36,8 @@ from bumpytiles import TileTable, TileWindow
 __all__ = ["SheetRun", "write_sheets"]
 
 _log = logging.getLogger(__name__)
-_INDEXES: tuple[Callable[[Path, Sequence[Path], Mapping[str, Any]], None], ...] = ()
-"""Write files that lead to the sheets, such as a catalogue: given the folder of the map, those of its sheets, and the
-record of the run."""
+_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project)
+"""Write files to look at the virtual rasters with, given their folder and the record of the run."""
 _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
 
 
@@ -86,7 +86,7 @@ def write_sheets(
     Returns
     -------
     list of Path
-        The virtual rasters, the table of sheets and run.json.
+        The virtual rasters, the table of sheets, run.json and the project.
     MapSummary
         Counts and medians of the whole map.
 
@@ -113,7 +113,7 @@ def write_sheets(
     summary = summarise(table)
     remove_map_files(folder)
     remove_sheets(folder, keep=places)
-    with write_together(folder, MANIFEST_NAME) as staged, utf8_path(folder) as root:
+    with write_together(folder, SHEET_TABLE_NAME) as staged, utf8_path(folder) as root:
         for name in VIRTUAL_NAMES:
             write_virtual(staged / name, root, whole, windows)
         sheets = [
@@ -129,11 +129,12 @@ def write_sheets(
             "sheet_side_m": run.layout.side * whole.grid.tile_size,
             "sheets": sheets,
         }
-        for index in _INDEXES:
-            index(folder, [folder / path for path in windows], record)
-        write_manifest(record, staged / MANIFEST_NAME)
+    with utf8_path(folder) as root:
+        for view in _VIEWS:  # not among the staged files: from there the virtual rasters do not lead to the sheets
+            view(root, record)
+    write_manifest(record, folder / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
-    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME)], summary
+    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, PROJECT_NAME)], summary
 
 
 def _write_sheet(table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, local: bool) -> None:

@@ -8,7 +8,17 @@ import geopandas
 import pytest
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
-from bumpymap.layers import BARRED_COLOURS, CLASS_COLOURS, PRODUCT_NAMES, write_products
+from bumpymap.layers import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    PRODUCT_NAMES,
+    SheetLayout,
+    SheetRun,
+    sheet_folders,
+    write_products,
+    write_sheets,
+)
+from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.qgis
 
@@ -35,6 +45,10 @@ def seen_by_qgis(folder, cost_map, *, local=False):
     write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN)
     tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
+    return loaded(folder)
+
+
+def loaded(folder):
     report = folder.parent / f"{folder.name}.json"
     command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -51,6 +65,25 @@ def seen_fixture(tmp_path_factory, cost_map):
 def seen_local_fixture(tmp_path_factory, make_field):
     cost_map = make_field(20, 15, georeference=Georeference(None))
     return seen_by_qgis(tmp_path_factory.mktemp("local"), cost_map, local=True)
+
+
+def test_a_map_in_sheets_opens_like_one_map(seen, tmp_path, cost_map):
+    run = SheetRun(SheetLayout(cost_map.patches.grid, BLOCK_TILES), "k", keep=False, manifest_of=lambda _: RUN)
+    write_sheets(CostTable.of(cost_map), tmp_path, run, local=False, manifest=RUN)
+    assert len(sheet_folders(tmp_path)) > 1
+    found = loaded(tmp_path)
+    virtual = {name.replace(".tif", ".vrt"): layer for name, layer in seen["layers"].items() if name in RASTERS}
+    assert found["layers"].keys() == virtual.keys()
+    for name, layer in found["layers"].items():
+        assert {**layer, "source": ""} == {**virtual[name], "source": ""}, name
+    project = found["project"]
+    assert project["read"]
+    assert not project["error"]
+    assert {name for _, name, _, _, there in project["tree"] if there} == {
+        name for group, name, _, _, _ in seen["project"]["tree"] if group != "Regions"
+    }
+    assert project["extent"] == seen["project"]["extent"]
+    assert project["colours"] == seen["project"]["colours"]
 
 
 def test_every_layer_opens_with_its_renderer(seen):
