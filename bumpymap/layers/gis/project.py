@@ -1,7 +1,7 @@
 """Write map.qgs, a QGIS project of the layers of a map."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -36,7 +36,15 @@ _GROUPS = (
         "Ride",
         (
             ProjectLayer("class.tif", "roughness class", MULTIPLY, visible=True),
-            ProjectLayer("roughness.tif", "ride cost c_r", MULTIPLY),
+            LayerGroup(
+                "ride cost c_r",
+                (
+                    ProjectLayer("roughness.tif", "most drives fail", visible=True, part="p_fail"),
+                    ProjectLayer("roughness.tif", "c_r of the drives that get through", MULTIPLY, visible=True),
+                ),
+                expanded=False,
+                visible=False,
+            ),
             ProjectLayer("cost.tif", "cost of driving", MULTIPLY),
         ),
         one_of=True,
@@ -63,27 +71,21 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         The project cannot be written, or a layer cannot be read.
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
-    groups = [
-        replace(
-            group,
-            layers=tuple(
-                replace(layer, found=found) for layer in group.layers if (found := file_of(folder, layer.layer))
-            ),
-        )
-        for group in _GROUPS
-    ]
+    groups = [group.found_in(partial(file_of, folder)) for group in _GROUPS]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
     add(root, "homePath", {"path": ""})
     add(root, "title", text=title)
     if crs is not None:
         add(root, "projectCrs").append(reference(crs))
     root.append(tree(group for group in groups if group.layers))
-    present = [layer for group in groups for layer in group.layers]
+    present = [layer for group in groups for layer in group.leaves()]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
         root.append(canvas(_bounds(folder / layer.found), crs))
     layers = add(root, "projectlayers")
     for layer in present:
-        layers.append(layer_element(layer, layer_style(layer.layer, facts, layer.blend, layered=True), crs))
+        layers.append(
+            layer_element(layer, layer_style(layer.layer, facts, layer.blend, layered=True, part=layer.part), crs)
+        )
     properties = add(root, "properties")
     add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")
     add(add(properties, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"}, "0" if crs is None else "1")
