@@ -1,14 +1,15 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
 ``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
-plan ways over them, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot. Names are
-imported on first use.
+plan ways over them, ``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and
+``ScanClassifier`` classify the ground in the scans of a robot. Names are imported on first use.
 """
 
 from importlib import import_module
 
 TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
 if TYPE_CHECKING:
+    from bumpymap.change import diff_surveys
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
     from bumpymap.layers import (
         Layers,
@@ -35,6 +36,7 @@ __all__ = [
     "Vehicle",
     "__version__",
     "classify_scan",
+    "diff_surveys",
     "find_routes",
     "map_batch",
     "map_reach",
@@ -54,6 +56,7 @@ _EXPORTS = {
     "UsageError": ("bumpymap.core", "UsageError"),
     "Vehicle": ("bumpymap.rating", "Vehicle"),
     "classify_scan": ("bumpymap.scan", "classify_scan"),
+    "diff_surveys": ("bumpymap.change", "diff_surveys"),
     "find_routes": ("bumpymap.route", "find_routes"),
     "map_batch": ("bumpymap.survey", "map_batch"),
     "map_reach": ("bumpymap.route", "map_reach"),

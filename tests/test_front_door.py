@@ -395,7 +395,14 @@ def test_a_calibration_is_read_from_a_string(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "module", ["bumpymap.survey.api", "bumpymap.survey.batch.api", "bumpymap.layers.opened", "bumpymap.scan.classifier"]
+    "module",
+    [
+        "bumpymap.survey.api",
+        "bumpymap.survey.batch.api",
+        "bumpymap.change.api",
+        "bumpymap.layers.opened",
+        "bumpymap.scan.classifier",
+    ],
 )
 def test_the_examples_of_the_docstrings_run(module, layers, tmp_path, monkeypatch):
     shutil.copytree(layers.folder, tmp_path / "site_layers")

@@ -41,7 +41,7 @@ ROOMS = {
         {"numpy", "pyproj", "sklearn"},
     ),
     "route": ({"core", "layers"}, {"numpy", "scipy", "xarray"}),
-    "change": ({"core", "layers"}, {"numpy", "scipy"}),
+    "change": ({"core", "layers"}, {"geopandas", "numpy", "scipy"}),
     "lab": (
         # layers and route: ways are planned over the layers of a map and driven
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},

@@ -1,3 +1,6 @@
+from .api import (
+    diff_surveys as diff_surveys,
+)
 from .discovery import (
     hold_false_discoveries as hold_false_discoveries,
     two_sided as two_sided,

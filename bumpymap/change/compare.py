@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from bumpymap.change.discovery import hold_false_discoveries, two_sided, upper_sided, widening
 from bumpymap.change.ground import GroundChange
 
-__all__ = ["CODES", "Decision", "decide"]
+__all__ = ["Decision", "decide"]
 
 Floats = NDArray[np.float64]
 
-CODES = ("not changed", "ground changed, ride as before", "rougher", "smoother", "ground changed, ride unknown")
-"""Meaning of the values of ``Decision.code``."""
 _AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = range(1, 5)
 
 
@@ -30,7 +28,7 @@ class Decision:
     z_shape: Floats
     z_c_r: Floats
     code: Floats
-    """Position in ``CODES``."""
+    """Position in ``CHANGE_KINDS``."""
     widened: dict[str, float]
     """By how much the spread of each z was too narrow, at least 1."""
 

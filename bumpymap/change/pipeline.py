@@ -6,20 +6,32 @@ Open both, find which tiles both have, compare heights and ride costs, decide, c
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.change.compare import CODES, Decision, decide
+from bumpymap.change.compare import Decision, decide
 from bumpymap.change.ground import GroundChange
 from bumpymap.change.heights import cell_pixels, ground_changes, height_offset
 from bumpymap.change.notes import remarks
-from bumpymap.change.regions import connect, describe_regions
+from bumpymap.change.regions import connect, describe_regions, region_names
 from bumpymap.change.ride import ride_z
 from bumpymap.change.settings import DiffConfig
-from bumpymap.core import CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
-from bumpymap.layers import ChangeField, RouteMap, SurveyPair, SurveyTiles, check_change_out, open_pair, write_change
+from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
+from bumpymap.layers import (
+    ChangeField,
+    RouteMap,
+    SurveyPair,
+    SurveyTiles,
+    change_regions,
+    check_change_out,
+    open_pair,
+    write_change,
+)
+
+if TYPE_CHECKING:
+    import geopandas
 
 __all__ = ["ChangeResult", "find_changes"]
 
@@ -41,6 +53,27 @@ class ChangeResult:
     """What was written."""
     notes: tuple[str, ...]
     """Remarks and warnings."""
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the files; None if none were written."""
+        return self.files[0].parent if self.files else None
+
+    def regions(self) -> "geopandas.GeoDataFrame":
+        """Return the connected changes.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each, by its number in change.geojson, with the properties there; the geometry is its outline,
+            in the survey's CRS.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        """
+        return change_regions(self.field, region_names())
 
 
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:
@@ -143,7 +176,7 @@ def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared
         "in_both": int(shared.sum()),
         "compared": int(np.isfinite(field.changed).sum()),
         "changed": int(moved.sum()),
-        "by_change": {text: int((field.changed == kind).sum()) for kind, text in enumerate(CODES)},
+        "by_change": {text: int((field.changed == kind).sum()) for kind, text in enumerate(CHANGE_KINDS)},
         "regions": len(field.regions),
         "passable_lost": int((moved & free[0] & ~free[1]).sum()),
         "passable_won": int((moved & ~free[0] & free[1]).sum()),
@@ -179,5 +212,5 @@ def _manifest(
 
 
 def _run(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies the layers of a run: its inputs, and the checksums of its files."""
-    return {"inputs": manifest.get("inputs"), "files": manifest.get("files")}
+    """Return what identifies the layers of a run: its survey and inputs, and the checksums of its files."""
+    return {name: manifest.get(name) for name in ("survey", "inputs", "files")}

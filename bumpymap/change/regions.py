@@ -1,16 +1,16 @@
 """Connected changes: small ones are left out, the others are described."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.change.compare import CODES
-from bumpymap.core import NO_CLASS, Barred
+from bumpymap.core import CHANGE_KINDS, NO_CLASS, Barred
 from bumpymap.layers import SurveyTiles, label
 
-__all__ = ["connect", "describe_regions"]
+__all__ = ["connect", "describe_regions", "region_names"]
 
 _DECIMALS = 4
 
@@ -21,7 +21,7 @@ def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64],
     Parameters
     ----------
     code : array (rows, cols)
-        A position in ``CODES``; NaN where not compared.
+        A position in ``CHANGE_KINDS``; NaN where not compared.
     least : int
 
     Returns
@@ -77,13 +77,19 @@ def describe_regions(
     return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
 
 
+def region_names() -> tuple[str, ...]:
+    """Return the names of the properties that `describe_regions` gives, also where nothing has changed."""
+    return tuple(_describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0))
+
+
 def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
     """Return the properties of one change from the values of its tiles, (n,) each."""
     heights, kinds = tiles["d_height"], tiles["kind"]
     return {
         "tiles": len(kinds),
         "area_m2": round(len(kinds) * area_m2, 3),
-        **{CODES[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
+        "kind": _kind(kinds),
+        **{CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
         "d_height_highest": _number(heights.max()),
@@ -95,7 +101,15 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
     }
 
 
-_KINDS = range(1, len(CODES))
+_KINDS = range(1, len(CHANGE_KINDS))
+_FIRST = (2, 4, 3, 1)
+"""Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
+
+
+def _kind(kinds: NDArray[np.floating]) -> str:
+    """Return the kind of most tiles."""
+    count = np.bincount(kinds.astype(np.int64), minlength=len(CHANGE_KINDS))
+    return CHANGE_KINDS[max(_FIRST, key=lambda kind: int(count[kind]))]
 
 
 def _number(value: float) -> float | None:

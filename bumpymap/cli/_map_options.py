@@ -8,7 +8,7 @@ import click
 from bumpymap.cli._terminal import PATH, SHARE
 from bumpymap.core import Align, Compat, Ground, Rating, ZUnit
 
-__all__ = ["rating_options", "tolerance_options"]
+__all__ = ["rating_options", "sheets_option", "tolerance_options"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -36,6 +36,9 @@ _TOLERANCE = (
     click.option(
         "--max-unknown", type=SHARE, metavar="SHARE", help="Fail (exit code 4) if more tiles are unknown: 50% or 0.5."
     ),
+)
+sheets_option = click.option(
+    "--sheets", type=float, metavar="KM", help="Write a large site in square sheets of this side, in km."
 )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._map_options import rating_options, tolerance_options
+from bumpymap.cli._map_options import rating_options, sheets_option, tolerance_options
 from bumpymap.cli._options import given_options, option_name, output_options, workers_option
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note
@@ -58,6 +58,7 @@ _MOST_LISTED = 20
     help="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded.",
 )
 @tolerance_options
+@sheets_option
 @click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")
 @output_options()
 @click.pass_context

@@ -16,7 +16,7 @@ __all__ = ["command"]
 @click.command("diff")
 @click.argument("before", type=PATH, metavar="BEFORE")
 @click.argument("after", type=PATH, metavar="AFTER")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for change.tif, change.geojson and change.json.")
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: raster, places, page.")
 @click.option("--fdr", type=float, metavar="SHARE", help="Share of changed tiles found by mistake [default: 0.05].")
 @click.option("--min-tiles", type=int, metavar="N", help="Fewest connected tiles of a change [default: 2].")
 @click.option("--offset", type=float, metavar="M", help="Height to take off AFTER [default: as measured].")

@@ -7,7 +7,7 @@ import click
 
 from bumpymap.cli._ahead import ImportsAhead, start_ahead
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._map_options import rating_options, tolerance_options
+from bumpymap.cli._map_options import rating_options, sheets_option, tolerance_options
 from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import LOCATION, PATH
@@ -34,7 +34,7 @@ _PARTLY_DONE = 4
 @click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
 @click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
 @tolerance_options
-@click.option("--sheets", type=float, metavar="KM", help="Write a large site in square sheets of this side, in km.")
+@sheets_option
 @click.option("--resume", is_flag=True, help="Continue an interrupted run.")
 @click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
 @output_options()

@@ -23,6 +23,8 @@ __all__ = ["command"]
 def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
     """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
 
+    For one folder of `bumpymap diff`, the page of what has changed is made again.
+
     \b
     bumpymap report layers --route way
     bumpymap report may_layers june_layers --out may_and_june.html

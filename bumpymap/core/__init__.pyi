@@ -194,6 +194,7 @@ from .types import (
     BANDS as BANDS,
     BARRED_TEXT as BARRED_TEXT,
     CANOPY as CANOPY,
+    CHANGE_KINDS as CHANGE_KINDS,
     CLASS_NAMES as CLASS_NAMES,
     FAIL_SHARE as FAIL_SHARE,
     FREE as FREE,

@@ -21,6 +21,7 @@ __all__ = [
     "BANDS",
     "BARRED_TEXT",
     "CANOPY",
+    "CHANGE_KINDS",
     "CLASS_NAMES",
     "FAIL_SHARE",
     "FREE",
@@ -101,6 +102,14 @@ BARRED_TEXT: dict[Barred, str] = {
     Barred.FAILS: "drives fail",
     Barred.STEP: "step",
 }
+CHANGE_KINDS = (
+    "not changed",
+    "ground changed, ride as before",
+    "rougher",
+    "smoother",
+    "ground changed, ride unknown",
+)
+"""What can become of a tile between two surveys, by its code in change.tif."""
 SIDES = ("north", "east", "south", "west")
 """Sides of a tile, in the order of every array of sides."""
 

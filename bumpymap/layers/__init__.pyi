@@ -20,7 +20,9 @@ from .batch_summary import (
 from .change import (
     CHANGE_MANIFEST_NAME as CHANGE_MANIFEST_NAME,
     CHANGE_NAMES as CHANGE_NAMES,
+    CHANGE_VIEW_NAMES as CHANGE_VIEW_NAMES,
     ChangeField as ChangeField,
+    change_regions as change_regions,
     check_change_out as check_change_out,
     write_change as write_change,
 )
@@ -31,6 +33,7 @@ from .change_pair import (
 )
 from .colours import (
     BARRED_COLOURS as BARRED_COLOURS,
+    CHANGE_COLOURS as CHANGE_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
     OBJECT_COLOURS as OBJECT_COLOURS,
     REASON_COLOURS as REASON_COLOURS,

@@ -5,14 +5,15 @@ either. The layout is that of GDAL's ``PAMDataset``; types and usages are the nu
 ``GDALRATFieldUsage``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["count_values", "write_value_table"]
+__all__ = ["count_values", "sum_counts", "write_value_table"]
 
 _INTEGER, _REAL, _STRING = 0, 1, 2
 _FIELDS = {
@@ -25,6 +26,9 @@ _FIELDS = {
     "Alpha": (_INTEGER, 9),
 }
 """Column -> type and usage: value (smallest and largest), number of pixels, name, parts of its colour."""
+_VALUE, _COUNT = 0, 1
+"""Columns."""
+_TABLE = "GDALRasterAttributeTable"
 _LARGEST_INTEGER = 2**31 - 1
 """GDAL's integer columns have 32 bits; larger counts are real numbers, exact up to 2**53."""
 
@@ -63,9 +67,36 @@ def write_value_table(
     for name in names:
         ET.SubElement(listed, "Category").text = name
     rows = [(value, int(counts[value]), name, *colours[value]) for value, name in enumerate(names) if value in colours]
-    _add_rows(ET.SubElement(band, "GDALRasterAttributeTable", tableType="thematic"), rows)
+    _add_rows(ET.SubElement(band, _TABLE, tableType="thematic"), rows)
     ET.indent(root)
     path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
+
+
+def sum_counts(table: ET.Element, rasters: Iterable[Path]) -> bool:
+    """Replace the counts of an attribute table, that of any of the rasters, by their sums over all rasters.
+
+    Returns
+    -------
+    bool
+        False if a raster has no such table beside it: the counts are then unchanged.
+    """
+    totals: Counter[str] = Counter()
+    for raster in rasters:
+        try:
+            side_file = ET.parse(raster.with_name(f"{raster.name}.aux.xml"))  # noqa: S314 (ours)
+            found = side_file.getroot().find(f"PAMRasterBand/{_TABLE}")
+            if found is None:
+                return False
+            for row in found.iter("Row"):
+                totals[row[_VALUE].text or ""] += int(row[_COUNT].text or "")
+        except (OSError, ET.ParseError, ValueError, IndexError):
+            return False
+    for row in table.iter("Row"):
+        row[_COUNT].text = str(totals[row[_VALUE].text or ""])
+    kind = table.findall("FieldDefn")[_COUNT].find("Type")
+    if kind is not None and max(totals.values(), default=0) > _LARGEST_INTEGER:
+        kind.text = str(_REAL)
+    return True
 
 
 def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:

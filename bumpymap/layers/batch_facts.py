@@ -6,7 +6,6 @@ from typing import Any
 from bumpymap.core import CLASS_NAMES, BadInputError
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.remote_folder import RemoteFolder, open_raster
-from bumpymap.layers.sheets.folders import in_sheets, virtual_name
 
 __all__ = ["map_facts"]
 
@@ -59,12 +58,8 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bounds(folder: Path | RemoteFolder) -> dict[str, float]:
-    with open_raster(folder, _raster(folder)) as raster:
+    with open_raster(folder, _RASTER) as raster:
         return dict(zip(_BOUNDS, map(float, raster.bounds), strict=True))
-
-
-def _raster(folder: Path | RemoteFolder) -> str:
-    return virtual_name(_RASTER) if isinstance(folder, Path) and in_sheets(folder) else _RASTER
 
 
 def _manifest_of(folder: Path | RemoteFolder) -> dict[str, Any]:

@@ -1,13 +1,14 @@
-"""Write what has changed between two surveys: change.tif, change.geojson, change.json, all of them or none."""
+"""Write what has changed between two surveys: change.tif, change.geojson, their views and change.json, or nothing."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
@@ -20,20 +21,42 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers._cog import write_cog
+from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers._replacing import refuse_present, require_folder
+from bumpymap.layers.gis.change_style import write_change_style
 from bumpymap.layers.lonlat import BoundingBox
-from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
+from bumpymap.layers.manifest import (
+    MANIFEST_NAME,
+    describe_file,
+    place_entries,
+    plain_manifest,
+    software_versions,
+    write_manifest,
+)
 from bumpymap.layers.outlines import trace_labels
 from bumpymap.layers.placement import Placement, RasterWindow, check_extent
-from bumpymap.layers.products import check_folder
+from bumpymap.layers.products import REPORT_NAME, check_folder
 from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
-__all__ = ["CHANGE_MANIFEST_NAME", "CHANGE_NAMES", "ChangeField", "check_change_out", "write_change"]
+if TYPE_CHECKING:
+    import geopandas
+
+__all__ = [
+    "CHANGE_MANIFEST_NAME",
+    "CHANGE_NAMES",
+    "CHANGE_VIEW_NAMES",
+    "ChangeField",
+    "change_regions",
+    "check_change_out",
+    "write_change",
+]
 
 CHANGE_MANIFEST_NAME = "change.json"
 CHANGE_NAMES = ("change.tif", "change.geojson", CHANGE_MANIFEST_NAME)
+CHANGE_VIEW_NAMES = ("change.qml", REPORT_NAME)
+"""Files to look at the others with: a style, a page. GIS programs rewrite them, so they have no checksum."""
 _FORMAT = "bumpymap-change"
 _VERSION = 1
 _BLOCK = 128
@@ -91,11 +114,11 @@ def check_change_out(out: Path, *, overwrite: bool) -> None:
     require_folder(out)
     if lexists(out / MANIFEST_NAME):
         raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
-    refuse_present(out, CHANGE_NAMES, overwrite=overwrite)
+    refuse_present(out, (*CHANGE_NAMES, *CHANGE_VIEW_NAMES), overwrite=overwrite)
 
 
 def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
-    """Write change.tif, change.geojson and change.json to a folder, which is created if it is missing.
+    """Write the files of ``CHANGE_NAMES`` and ``CHANGE_VIEW_NAMES`` to a folder, which is created if it is missing.
 
     All files appear or none; links are replaced, never followed. Except for change.json no file depends on folder
     names.
@@ -125,8 +148,34 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
             _write_regions(field, staged / CHANGE_NAMES[1])
             files = [describe_file(staged / name) | {"path": name} for name in CHANGE_NAMES[:2]]
             head = {"format": _FORMAT, "version": _VERSION, "versions": software_versions()}
-            write_manifest(head | dict(manifest) | {"files": files}, staged / CHANGE_MANIFEST_NAME)
-    return [out / name for name in CHANGE_NAMES]
+            record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
+            write_change_style(staged / CHANGE_VIEW_NAMES[0], 1 + [band.name for band in _BANDS].index("changed"))
+            _write_page(staged, record)
+            write_manifest(record, staged / CHANGE_MANIFEST_NAME)
+    return [out / name for name in (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)]
+
+
+def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
+    """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
+
+    Raises
+    ------
+    UsageError
+        The extra ``notebook`` is not installed.
+    """
+    geopandas = import_notebook("geopandas")
+    place, numbers = field.placement, range(1, len(field.regions) + 1)
+    traced = trace_labels(field.area, field.window, slice(0, field.window.rows), numbers) if numbers else ()
+    outlines = [shapely.transform(outline, place.to_crs) for outline in traced]
+    columns = {name: [about[name] for about in field.regions] for name in names}
+    index = import_notebook("pandas").RangeIndex(1, len(numbers) + 1, name="id")
+    return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
+
+
+def _write_page(folder: Path, record: Mapping[str, Any]) -> None:
+    from bumpymap.layers.report.change_page import write_change_report  # Pillow takes some 10 ms to import
+
+    write_change_report(folder, plain_manifest(record), folder / REPORT_NAME)
 
 
 def _write_raster(field: ChangeField, path: Path) -> None:

@@ -4,6 +4,7 @@ from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, Barred, Reason
 
 __all__ = [
     "BARRED_COLOURS",
+    "CHANGE_COLOURS",
     "CLASS_COLOURS",
     "COST_COLOURS",
     "OBJECT_COLOURS",
@@ -48,6 +49,14 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class pale green, places without points transparent."""
+CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    0: (233, 240, 226, 255),
+    1: (246, 178, 72, 255),
+    2: (196, 22, 40, 255),
+    3: (20, 105, 178, 255),
+    4: (64, 60, 68, 255),
+}
+"""Red, green, blue, alpha of each of ``CHANGE_KINDS``: unchanged ground pale, a change of unknown ride dark."""
 COST_COLOURS: dict[float, tuple[int, int, int, int]] = {
     1.0: (252, 253, 191, 255),
     1.5: (254, 211, 149, 255),

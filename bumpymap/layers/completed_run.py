@@ -39,7 +39,7 @@ def verified_record(
     Raises
     ------
     OutputError
-        The manifest cannot be read as that of a run, or a file is missing or has changed.
+        The manifest cannot be read as that of a run or does not list a file, or a file is missing or has changed.
     """
     record = read_record(folder / manifest)
     unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
@@ -65,9 +65,15 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
 
 
 def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
-    for name in sorted({*files, *listed}):
+    unknown = sorted(set(files) - set(listed))
+    if unknown:
+        raise OutputError(
+            f"{folder} already holds a complete run of an earlier version of bumpymap, which did not write "
+            f"{', '.join(unknown)}. {_REMEDY}"
+        )
+    for name, checksum in sorted(listed.items()):
         try:
-            same = describe_file(folder / name)["sha256"] == listed.get(name)
+            same = describe_file(folder / name)["sha256"] == checksum
         except BadInputError as error:
             raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
         if not same:

@@ -30,7 +30,7 @@ from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
-__all__ = ["write_products"]
+__all__ = ["write_products", "write_views"]
 
 _log = logging.getLogger(__name__)
 
@@ -94,14 +94,19 @@ def write_products(
         finally:
             background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, layers)
-        for view in _VIEWS:
-            view(staged, record)
+        write_views(staged, record)
         write_item(staged, record)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     return [folder / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)], summary
+
+
+def write_views(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write the files of ``VIEW_NAMES`` for the layers in a folder, from them and the content of run.json."""
+    for view in _VIEWS:
+        view(folder, record)
 
 
 def _layers(

@@ -26,6 +26,8 @@ __all__ = [
     "complete_manifest",
     "describe_file",
     "describe_input",
+    "place_entries",
+    "plain_manifest",
     "read_manifest",
     "software_versions",
     "write_manifest",
@@ -59,6 +61,11 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
+def plain_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest as it will be read from its file: dataclasses, paths and arrays as plain JSON."""
+    return {str(key): _plain(value) for key, value in manifest.items()}
+
+
 def complete_manifest(
     manifest: Mapping[str, Any],
     table: CostTable,
@@ -84,17 +91,13 @@ def complete_manifest(
         Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``; all as
         plain JSON, as it will be read again.
     """
-    place, grid = table.georeference, table.tiles.grid
-    crs = Placement(place, grid, table.tiles.window).height_crs
-    record: dict[str, Any] = _plain(
+    return plain_manifest(
         {
             "format": MANIFEST_FORMAT,
             "version": _VERSION,
             **manifest,
             "versions": software_versions() | dict(manifest.get("versions", {})),
-            "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
-            "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
-            "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+            **place_entries(Placement(table.georeference, table.tiles.grid, table.tiles.window)),
             "cost": {
                 "ride_weight_m_per_rad": table.rule.ride_weight,
                 "fail_weight_m": table.rule.fail_weight,
@@ -118,7 +121,16 @@ def complete_manifest(
             "files": [dict(file) for file in files],
         }
     )
-    return record
+
+
+def place_entries(placement: Placement) -> dict[str, Any]:
+    """Return the entries of a manifest that say where its files lie: ``crs``, ``metres_per_unit`` and ``grid``."""
+    place, grid, crs = placement.georeference, placement.grid, placement.height_crs
+    return {
+        "crs": None if crs is None else {"name": crs.name, "code": _code(crs), "wkt": crs.to_wkt()},
+        "metres_per_unit": {"horizontal": place.metres_per_unit, "vertical": place.metres_per_unit_z},
+        "grid": {"tile_size_m": grid.tile_size, "pixels": grid.pixels},
+    }
 
 
 def software_versions() -> dict[str, str]:

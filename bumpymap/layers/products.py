@@ -47,11 +47,9 @@ PRODUCT_NAMES: tuple[str, ...] = (
 """Files of a run, which its manifest lists with their checksums."""
 REPORT_NAME = "report.html"
 """The page of a map."""
-PROJECT_NAME = "map.qgs"
-"""The QGIS project of a map."""
 VIEW_NAMES: tuple[str, ...] = (
     *(f"{Path(name).stem}.qml" for name in PRODUCT_NAMES if name.endswith((".tif", ".parquet"))),
-    PROJECT_NAME,
+    "map.qgs",
     REPORT_NAME,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import BadInputError, BumpymapError, OutputError, parse_json, remote_files, utf8_path
+from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError, parse_json, remote_files, utf8_path
 from bumpymap.layers.manifest import MANIFEST_NAME
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["RemoteFolder", "open_raster"]
 
@@ -19,7 +20,12 @@ class RemoteFolder:
     url: str
 
     def below(self, name: str) -> "RemoteFolder":
-        """Return a folder in this one."""
+        """Return a folder in this one; raise UsageError if the name would end the path of the URL, as ``::`` does."""
+        if "::" in name:
+            raise UsageError(
+                f"the folder {name} cannot be on a server: in the URL of a file, :: ends its path. Rename the survey, "
+                "or name it in the column `name` of a CSV"
+            )
         return RemoteFolder(f"{self.url.rstrip('/')}/{name}")
 
     def sizes(self) -> dict[str, int]:
@@ -96,7 +102,7 @@ class RemoteFolder:
 
 @contextmanager
 def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
-    """Open a raster of a map; on a server, only the parts that are used are read.
+    """Open a raster of a map, the virtual one if it is in sheets; on a server, only the parts that are used are read.
 
     Raises
     ------
@@ -112,7 +118,7 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
             with rasterio.open(url, opener=files) as raster:
                 yield raster
         else:
-            with utf8_path(folder) as path, rasterio.open(path / name) as raster:
+            with utf8_path(folder) as path, rasterio.open(raster_in(path, name)) as raster:
                 yield raster
     except (rasterio.errors.RasterioIOError, OSError) as error:
         place = folder.url if isinstance(folder, RemoteFolder) else folder

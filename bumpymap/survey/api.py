@@ -26,13 +26,13 @@ from bumpymap.layers import Layers, temporary_folder
 from bumpymap.survey.end_of_run import require_known
 from bumpymap.survey.pipeline import map_surveys
 
-__all__ = ["MapSettings", "map_survey"]
+__all__ = ["EachSettings", "MapSettings", "PathLike", "map_survey"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
 
-class MapSettings(TypedDict, total=False):
-    """Settings of `map_survey`: the fields of ``MapConfig``, as it describes them; paths may be strings."""
+class EachSettings(TypedDict, total=False):
+    """Settings of a map, be it of one survey or of many: fields of ``MapConfig``; paths may be strings."""
 
     tile_size: float
     pixels: int
@@ -51,7 +51,6 @@ class MapSettings(TypedDict, total=False):
     max_unknown: float | None
     sheets: float | None
     overwrite: bool
-    resume: bool
     threads: int
     memory: str
     scratch: PathLike | None
@@ -60,6 +59,12 @@ class MapSettings(TypedDict, total=False):
     tls_config: PathLike | None
     features: FeatureSettings | Mapping[str, Any]
     csf: CsfSettings | Mapping[str, Any]
+
+
+class MapSettings(EachSettings, total=False):
+    """Settings of `map_survey`: the fields of ``MapConfig``, as it describes them."""
+
+    resume: bool
 
 
 def map_survey(

@@ -94,7 +94,7 @@ def earlier_result(
     refuse_replacing(config.out, differences(before, now, same_content))
     require_whole(config.out, record)
     # Views may be deleted, or rewritten by other programs.
-    views = [] if in_sheets else [name for name in VIEW_NAMES if (config.out / name).exists()]
+    views = [name for name in VIEW_NAMES if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
     return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, in_sheets, True)
 

@@ -8,8 +8,8 @@ from route_maps import write_folder
 from survey_pairs import survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.compare import CODES
-from bumpymap.layers import CHANGE_NAMES
+from bumpymap.core import CHANGE_KINDS
+from bumpymap.layers import CHANGE_NAMES, CHANGE_VIEW_NAMES
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")
 
@@ -21,10 +21,10 @@ def rows(title):
 
 
 def test_files_and_bands_are_those_of_the_code():
-    assert [name for (name,) in rows("file")] == list(CHANGE_NAMES)
+    assert [name for (name,) in rows("file")] == [*CHANGE_NAMES, *CHANGE_VIEW_NAMES]
     bands = [name for names in rows("band") for name in names]
     assert bands == ["d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed"]
-    for number in range(len(CODES)):
+    for number in range(len(CHANGE_KINDS)):
         assert re.search(rf"\| `changed` .*\b{number} ", PAGE)
 
 

@@ -12,6 +12,7 @@ from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
+from bumpymap.layers import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid
 
 
@@ -114,7 +115,11 @@ def test_only_tiles_of_both_are_compared(may, root):
 
 def test_files_say_what_the_result_says(may, june, tmp_path):
     result = compare(may, june, out=tmp_path / "out")
-    assert [path.name for path in result.files] == ["change.tif", "change.geojson", "change.json"]
+    assert [path.name for path in result.files] == [*CHANGE_NAMES, *CHANGE_VIEW_NAMES]
+    assert {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")} == {
+        *CHANGE_NAMES,
+        *CHANGE_VIEW_NAMES,
+    }
     with rasterio.open(tmp_path / "out" / "change.tif") as file:
         assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed")
         assert file.crs.to_epsg() == 32614
@@ -126,6 +131,8 @@ def test_files_say_what_the_result_says(may, june, tmp_path):
     assert np.array_equal(record["classes"]["tiles_before_after"], result.transitions)
     assert record["settings"]["fdr"] == 0.05
     assert len(record["sources"]["before"]["runs"][0]["files"]) > 5
+    assert record["crs"]["code"] == "EPSG:32614"
+    assert record["grid"] == {"tile_size_m": 3.0, "pixels": 15}
     assert {file["path"] for file in record["files"]} == {"change.tif", "change.geojson"}
 
 
@@ -141,6 +148,7 @@ def test_features_are_the_changes(may, june, tmp_path):
     assert about["area_m2"] == about["tiles"] * 9.0
     assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
     assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
+    assert about["kind"] == "rougher"
     assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
     west, south, east, north = collection["bbox"]
     assert -180 <= west < east <= 180
@@ -213,10 +221,12 @@ def test_nothing_is_left_of_a_run_that_fails(may, june, tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr("bumpymap.layers.change.write_manifest", fail)
-    with pytest.raises(OSError, match="no space"):
-        compare(may, june, out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    for name in ("write_manifest", "_write_page"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"bumpymap.layers.change.{name}", fail)
+            with pytest.raises(OSError, match="no space"):
+                compare(may, june, out=tmp_path / "out")
+        assert not (tmp_path / "out").exists()
 
 
 def test_without_a_crs_coordinates_are_the_surveys_own(tmp_path):

@@ -27,8 +27,8 @@ def test_tables_and_files(surveys, tmp_path):
     assert "1,200 tiles are in both surveys, 1,200 compared" in done.output
     assert "rougher" in done.output
     assert "3 very rough" in done.output
-    assert "change.tif, change.geojson, change.json" in done.output
-    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.geojson", "change.json"}
+    assert "change.tif, change.geojson, change.json, change.qml, report.html" in done.output
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
     assert run(*surveys, "--out", tmp_path / "out").exit_code != 0
     assert run(*surveys, "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
 

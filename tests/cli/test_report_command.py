@@ -39,6 +39,21 @@ def test_two_maps_in_one_page(layers, tmp_path):
     assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(out), "bytes": out.stat().st_size}
 
 
+def test_the_page_of_a_comparison_is_made_again(layers, tmp_path):
+    assert (
+        CliRunner().invoke(main, ["diff", str(layers[0]), str(layers[0]), "--out", str(tmp_path / "d")]).exit_code == 0
+    )
+    page = tmp_path / "d" / "report.html"
+    before = page.read_bytes()
+    page.unlink()
+    done = run(tmp_path / "d")
+    assert done.exit_code == 0, done.output
+    assert page.read_bytes() == before
+    done = run(tmp_path / "d", "--route", "x", standalone_mode=True)
+    assert done.exit_code == 2
+    assert "--route" in done.output
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [

@@ -26,7 +26,8 @@ def site_layers(tmp_path_factory):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs(page, site_layers, tmp_path, monkeypatch):
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
-    (tmp_path / "site_layers").symlink_to(site_layers.folder)
+    for name in ("site_layers", "may_layers", "june_layers"):
+        (tmp_path / name).symlink_to(site_layers.folder)
     monkeypatch.chdir(tmp_path)
     text = page.read_text(encoding="utf-8")
     blocks = list(_BLOCK.finditer(text))

@@ -159,6 +159,24 @@ def test_unknown_ground_is_grey_even_among_known_tiles(tmp_path):
     assert np.abs(found[:48, 48:] - CLASS_COLOURS[0][:3]).max() < 12
 
 
+@pytest.mark.parametrize("most", [100_000, 1_000, 500, 300])
+def test_smooth_ground_that_is_not_passable_is_dark(tmp_path, most):
+    """A steep but smooth slope: its class alone would look as if it could be driven."""
+    class_id, barred = np.zeros((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    barred[:, 48:] = Barred.SLOPE
+    write_rasters(tmp_path, class_id, barred, np.zeros((96, 96), np.float32))
+    found = pixels(read_thumbnail(tmp_path, most))
+    dark = (found < 80).all(axis=2)
+    half = dark.shape[1] // 2
+    assert not dark[:, :half].any()
+    assert dark[:, half:].all()
+
+
+def test_small_shares_are_not_rounded_to_nothing():
+    page = index_page([done("a", share_passable=0.0007, share_unknown=0.99)], {}, [], "night")
+    assert "under 1% passable, 99.0% unknown" in page
+
+
 @pytest.mark.parametrize("most", [100_000, 2_000, 700])
 def test_colours_of_rare_ground_are_not_mixed(tmp_path, most):
     """A little grey among light blue stays grey, however few colours a picture has."""

@@ -9,13 +9,13 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
 from bumpymap.core.config import CsfSettings, MapConfig
 from bumpymap.core.errors import UsageError
 from bumpymap.core.settings_file import read_settings_file
+from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.patches import close_filter, mark_ground, require_filter
 from bumpymap.patches.ground import cloth
 from bumpymap.survey import Budget
@@ -69,7 +69,7 @@ def run(*arguments):
 
 
 def layers(folder):
-    return layer_bytes(folder)
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.survey.engine.checkpoints import Checkpoints
 
 pytestmark = pytest.mark.slow
@@ -54,7 +54,7 @@ def mapped(out, *words):
 
 
 def layers_of(out):
-    return layer_bytes(out)
+    return {name: (out / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def lines_of(out):

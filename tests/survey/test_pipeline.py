@@ -12,7 +12,6 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -94,7 +93,7 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
 
 
 def product_bytes(folder):
-    return layer_bytes(folder)
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def test_splitting_order_format_offset_and_threads_change_no_bit(survey, site, tmp_path):
@@ -188,6 +187,22 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert first["already_done"] is True
     assert first == second
     assert inodes(layers) == before
+
+
+def test_layers_of_an_earlier_version_are_not_called_damaged(layers, survey, tmp_path):
+    """It wrote fewer files, and none of those it wrote is missing."""
+    out = tmp_path / "out"
+    shutil.copytree(layers, out)
+    record = json.loads((out / "run.json").read_text())
+    later = ("item.json", "reason.tif")
+    record["files"] = [file for file in record["files"] if file["path"] not in later]
+    (out / "run.json").write_text(json.dumps(record))
+    for name in later:
+        (out / name).unlink()
+    refused = run("map", survey, "--out", out)
+    assert refused.exit_code == 3
+    assert "of an earlier version of bumpymap, which did not write item.json, reason.tif" in refused.output
+    assert "--overwrite" in refused.output
 
 
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):

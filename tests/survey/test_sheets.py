@@ -104,6 +104,19 @@ def test_damage_to_a_sheet_is_noticed_and_a_map_replaces_sheets(survey, whole, t
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("settings", [{}, {"sheets": SIDE}], ids=["one map", "sheets"])
+def test_the_output_folder_may_be_a_link(survey, whole, tmp_path, settings):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    bumpymap.map_survey(survey, tmp_path / "out", **settings)
+    done = bumpymap.map_survey(survey, tmp_path / "out", overwrite=True)
+    assert (tmp_path / "out").is_symlink()
+    present = {path.name for path in (tmp_path / "disk").iterdir() if not path.name.startswith(".")}
+    assert present == {path.name for path in whole.folder.iterdir() if not path.name.startswith(".")}
+    assert done.manifest["counts"] == whole.manifest["counts"]
+
+
+@pytest.mark.slow
 def test_workers_make_the_same_sheets(survey, whole, tmp_path):
     bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, workers=1)
     assert_same_pixels(tmp_path / "out", whole.folder)

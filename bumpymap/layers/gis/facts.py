@@ -13,20 +13,12 @@ from rasterio.errors import RasterioError
 
 from bumpymap.core import CLASS_NAMES, OutputError
 from bumpymap.layers.ride_scale import RideScale, class_limits
+from bumpymap.layers.sheets.folders import raster_in
 
-__all__ = ["StyleFacts", "file_of"]
+__all__ = ["StyleFacts"]
 
 _SAMPLE = 512
 """Most rows and columns of roughness.tif to read where the record has no limits of the classes."""
-
-
-def file_of(folder: Path, layer: str) -> str | None:
-    """Return the name of the file of a layer in a folder.
-
-    Of a map in sheets that is the virtual raster, ``class.vrt`` for ``class.tif``. None if neither is there.
-    """
-    names = (layer, layer.replace(".tif", ".vrt"))
-    return next((name for name in names if (folder / name).is_file()), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +40,10 @@ class StyleFacts:
         Raises
         ------
         OutputError
-            The layer roughness.tif cannot be read.
+            roughness.tif cannot be read.
         """
         limits = class_limits(record)
-        sample = np.empty(0) if limits else _c_r_sample(folder / (file_of(folder, "roughness.tif") or "roughness.tif"))
+        sample = np.empty(0) if limits else _c_r_sample(raster_in(folder, "roughness.tif"))
         units = record.get("metres_per_unit")
         metres = units.get("horizontal") if isinstance(units, Mapping) else None
         return cls(

@@ -1,6 +1,7 @@
 """Write map.qgs, a QGIS project of the layers of a map."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,16 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
 from bumpymap.core import OutputError, horizontal_of
-from bumpymap.layers.gis.facts import StyleFacts, file_of
+from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, layer_element, reference, tree
 from bumpymap.layers.gis.raster_style import MULTIPLY
 from bumpymap.layers.gis.styles import layer_style
-from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, plain_text, write_qgis
-from bumpymap.layers.products import PROJECT_NAME
+from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, write_qgis
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["write_project"]
 
+_NAME = "map.qgs"
 _GROUPS = (
     LayerGroup(
         "Why not",
@@ -60,8 +62,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers, or of a map in sheets with its virtual rasters. The project lists those that are
-        there.
+        The folder of the layers. The project lists those that are there; of a map in sheets, the virtual rasters.
     record : mapping
         The record of the run, as in run.json.
 
@@ -71,7 +72,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         The project cannot be written, or a layer cannot be read.
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
-    groups = [group.found_in(partial(file_of, folder)) for group in _GROUPS]
+    groups = [group.found_in(partial(_in_folder, folder)) for group in _GROUPS]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
     add(root, "homePath", {"path": ""})
     add(root, "title", text=title)
@@ -80,12 +81,11 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     root.append(tree(group for group in groups if group.layers))
     present = [layer for group in groups for layer in group.leaves()]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
-        root.append(canvas(_bounds(folder / layer.found), crs))
+        root.append(canvas(_bounds(folder / layer.source), crs))
     layers = add(root, "projectlayers")
     for layer in present:
-        layers.append(
-            layer_element(layer, layer_style(layer.layer, facts, layer.blend, layered=True, part=layer.part), crs)
-        )
+        style = layer_style(layer.file, facts, layer.blend, layered=True, part=layer.part)
+        layers.append(layer_element(layer, style, crs))
     properties = add(root, "properties")
     add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")
     add(add(properties, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"}, "0" if crs is None else "1")
@@ -93,13 +93,19 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     add(about, "type", text="dataset")
     add(about, "title", text=title)
     add(about, "abstract", text=_abstract(record, facts))
-    write_qgis(root, folder / PROJECT_NAME)
+    write_qgis(root, folder / _NAME)
+
+
+def _in_folder(folder: Path, layer: ProjectLayer) -> ProjectLayer | None:
+    """Return a layer as it is in a folder; None if it is not there."""
+    path = raster_in(folder, layer.file)
+    return replace(layer, virtual=path != folder / layer.file) if path.is_file() else None
 
 
 def _title(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     name = survey.get("name") if isinstance(survey, Mapping) else None
-    return plain_text(f"{name}: ride cost" if name else "ride cost")
+    return f"{name}: ride cost" if name else "ride cost"
 
 
 def _abstract(record: Mapping[str, Any], facts: StyleFacts) -> str:
@@ -112,7 +118,7 @@ def _abstract(record: Mapping[str, Any], facts: StyleFacts) -> str:
     lines += [f"Vehicle: {known.get('vehicle', 'not known')}{f' ({about})' if about else ''}."]
     lines += [f"Calibration: {known.get('id', 'not known')}."]
     lines += [f"Class {number}: {label}." for number, label in enumerate(facts.class_labels)]
-    return plain_text("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
@@ -134,4 +140,4 @@ def _bounds(path: Path) -> tuple[float, float, float, float]:
             west, south, east, north = map(float, raster.bounds)
             return west, south, east, north
     except RasterioError as error:
-        raise OutputError(f"cannot read the extent of {path} for {PROJECT_NAME}: {error}") from error
+        raise OutputError(f"cannot read the extent of {path} for {_NAME}: {error}") from error

@@ -9,6 +9,7 @@ from pyproj import CRS
 
 from bumpymap.layers.gis.raster_style import NORMAL
 from bumpymap.layers.gis.xml_file import add
+from bumpymap.layers.sheets.folders import virtual_name
 
 __all__ = ["LayerGroup", "ProjectLayer", "canvas", "layer_element", "reference", "tree"]
 
@@ -20,25 +21,29 @@ _MARGIN = 0.04
 class ProjectLayer:
     """A file as a layer of the project."""
 
-    layer: str
-    """Name of the file in a map that is not in sheets, which decides its style."""
+    file: str
     title: str
     blend: int = NORMAL
     visible: bool = False
+    virtual: bool = False
+    """Whether it is the virtual raster over those of sheets."""
     part: str = ""
     """What it shows, if not what the file itself opens with; see `layer_style`."""
-    found: str = ""
-    """Name of the file in the folder of the project."""
 
     @property
     def id(self) -> str:
-        """From the name of the layer, and longer than ten characters: QGIS does not find layers with shorter ones."""
-        return "_".join(filter(None, ("bumpymap", self.layer.replace(".", "_"), self.part)))
+        """From the name of the file, and longer than ten characters: QGIS does not find layers with shorter ones."""
+        return "_".join(filter(None, ("bumpymap", self.file.replace(".", "_"), self.part)))
+
+    @property
+    def source(self) -> str:
+        """The file that QGIS opens."""
+        return virtual_name(self.file) if self.virtual else self.file
 
     @property
     def is_raster(self) -> bool:
         """Whether it holds pixels; else polygons."""
-        return PurePath(self.layer).suffix == ".tif"
+        return PurePath(self.file).suffix == ".tif"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +57,15 @@ class LayerGroup:
     """Whether showing one of them hides the others."""
     visible: bool = True
 
-    def found_in(self, files: Callable[[str], str | None]) -> "LayerGroup":
-        """Return the group with those layers that have a file; ``files`` gives its name for that of a layer."""
+    def found_in(self, find: Callable[[ProjectLayer], ProjectLayer | None]) -> "LayerGroup":
+        """Return the group with those layers that ``find`` gives, and groups that have one."""
         kept: list[ProjectLayer | LayerGroup] = []
         for child in self.layers:
             if isinstance(child, LayerGroup):
-                inner = child.found_in(files)
+                inner = child.found_in(find)
                 kept += [inner] if inner.layers else []
-            elif found := files(child.layer):
-                kept.append(replace(child, found=found))
+            elif found := find(child):
+                kept.append(found)
         return replace(self, layers=tuple(kept))
 
     def leaves(self) -> Iterator[ProjectLayer]:
@@ -94,7 +99,7 @@ def _add_group(parent: ET.Element, group: LayerGroup) -> None:
         leaf = {
             "id": child.id,
             "name": child.title,
-            "source": f"./{child.found}",
+            "source": f"./{child.source}",
             "providerKey": _provider(child),
             "expanded": _flag(child.visible or not shown),
             "checked": _checked(visible=child.visible),
@@ -107,7 +112,7 @@ def layer_element(layer: ProjectLayer, style: Sequence[ET.Element], crs: CRS | N
     kind = {"type": "raster"} if layer.is_raster else {"type": "vector", "geometry": "Polygon"}
     element = ET.Element("maplayer", kind | {"styleCategories": "AllStyleCategories"})
     add(element, "id", text=layer.id)
-    add(element, "datasource", text=f"./{layer.found}")
+    add(element, "datasource", text=f"./{layer.source}")
     add(element, "layername", text=layer.title)
     add(element, "srs").append(reference(crs))
     add(element, "provider", None if layer.is_raster else {"encoding": "UTF-8"}, _provider(layer))

@@ -38,7 +38,7 @@ class RasterStyle:
 
 
 def paletted(
-    names: Iterable[tuple[int, str]], colours: Mapping[int, Colour], *, clear: Sequence[int] = ()
+    names: Iterable[tuple[int, str]], colours: Mapping[int, Colour], *, clear: Sequence[int] = (), band: int = 1
 ) -> RasterStyle:
     """Return the style of a band of codes; what is transparent has no entry, as a legend would show it in black.
 
@@ -50,8 +50,10 @@ def paletted(
         The colour of each code.
     clear : sequence of int
         Codes that are left transparent, whatever their colour.
+    band : int
+        The band with the codes.
     """
-    renderer = _renderer("paletted", 1)
+    renderer = _renderer("paletted", band)
     palette = add(renderer, "colorPalette")
     for value, label in names:
         if value not in clear and colours[value][3]:

@@ -7,10 +7,11 @@ from xml.etree import ElementTree as ET
 
 from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, COST_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.gis.facts import StyleFacts, file_of
+from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.raster_style import NORMAL, RasterStyle, hillshade, paletted, ramp
 from bumpymap.layers.gis.vector_style import REGION_KIND, TILE_KIND, class_areas
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, write_qgis
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["layer_style", "write_styles"]
 
@@ -38,8 +39,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers, or of a map in sheets with its virtual rasters. Styles are written for those that
-        are there.
+        The folder of the layers. Styles are written for those that are there, or are virtual rasters over sheets.
     record : mapping
         The record of the run, as in run.json.
 
@@ -50,7 +50,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     """
     facts = StyleFacts.of(folder, record)
     for name, layers in _FILES.items():
-        present = [layer for layer in layers if file_of(folder, layer)]
+        present = [layer for layer in layers if raster_in(folder, layer).is_file()]
         rasters = [layer for layer in present if layer not in _AREAS]
         areas = [layer for layer in present if layer in _AREAS]
         root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})

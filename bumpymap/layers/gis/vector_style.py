@@ -1,6 +1,7 @@
 """How QGIS draws regions and tiles: filled by class; what is unknown or not passable is hatched."""
 
 from collections.abc import Sequence
+from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
 from bumpymap.core import CLASS_NAMES, Barred
@@ -8,8 +9,10 @@ from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.gis.raster_style import NORMAL, Colour
 from bumpymap.layers.gis.xml_file import add
 
-__all__ = ["REGION_KIND", "TILE_KIND", "class_areas"]
+__all__ = ["REGION_KIND", "TILE_KIND", "AreaLook", "areas_by_kind", "class_areas"]
 
+AreaLook: TypeAlias = tuple[str, str, Colour, str]
+"""Value, label, colour and pattern of a category."""
 _UNKNOWN, _CLOSED = "unknown", "not passable"
 REGION_KIND = (
     f'CASE WHEN "class_name" = \'{_UNKNOWN}\' THEN \'{_UNKNOWN}\' WHEN "passable" THEN "class_name" '
@@ -36,9 +39,7 @@ def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[E
     blend : int
         Blending mode.
     """
-    renderer = ET.Element("renderer-v2", {"type": "categorizedSymbol", "attr": kind, "symbollevels": "0"})
-    categories, symbols = add(renderer, "categories"), add(renderer, "symbols")
-    looks: list[tuple[str, str, Colour, str]] = [
+    looks: list[AreaLook] = [
         (name, label, CLASS_COLOURS[number], "solid")
         for number, (name, label) in enumerate(zip(CLASS_NAMES, labels, strict=True))
     ]
@@ -46,6 +47,13 @@ def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[E
         (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal"),
         (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x"),
     ]
+    return areas_by_kind(kind, looks, blend)
+
+
+def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> list[ET.Element]:
+    """Return what stands for areas in a style file: one look for each value of an attribute or expression ``kind``."""
+    renderer = ET.Element("renderer-v2", {"type": "categorizedSymbol", "attr": kind, "symbollevels": "0"})
+    categories, symbols = add(renderer, "categories"), add(renderer, "symbols")
     for number, (value, label, colour, pattern) in enumerate(looks):
         entry = {"value": value, "label": label, "symbol": str(number), "render": "true"}
         add(categories, "category", entry)

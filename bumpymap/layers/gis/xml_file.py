@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 from bumpymap.core import atomic
 
-__all__ = ["QGIS_VERSION", "add", "plain_text", "write_qgis"]
+__all__ = ["QGIS_VERSION", "add", "write_qgis"]
 
 QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
@@ -24,14 +24,17 @@ def add(
     return element
 
 
-def plain_text(value: object) -> str:
-    """Return a value as text; what XML cannot hold (control characters, bytes that are not UTF-8) becomes U+FFFD."""
-    return _NOT_XML.sub("\ufffd", str(value))
-
-
 def write_qgis(root: ET.Element, path: Path) -> None:
-    """Write a style or a project, whole or not at all. Raises OutputError if it cannot be written."""
+    """Write a style or a project, whole or not at all.
+
+    What XML cannot hold (control characters, bytes that are not UTF-8), as in the name of a CRS, becomes U+FFFD.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
     ET.indent(root, " ")
-    text = ET.tostring(root, encoding="utf-8")
+    text = _NOT_XML.sub("\ufffd", ET.tostring(root, encoding="unicode"))
     with atomic(path) as temporary:
-        temporary.write_bytes(_DOCTYPE + text + b"\n")
+        temporary.write_bytes(_DOCTYPE + text.encode() + b"\n")

@@ -135,6 +135,10 @@ def _legend() -> str:
         f'fill="{_hex(colour)}"/></svg> {name}</li>'
         for colour, name in marks
     )
+    shown += (
+        '<li><svg width="12" height="12" aria-hidden="true"><rect width="12" height="12" fill="#4b090a"/></svg> '
+        "dark in the pictures: not passable</li>"
+    )
     return f'<ul class="legend" aria-label="Classes">{shown}</ul>'
 
 
@@ -144,7 +148,8 @@ def _row(row: SurveyRow, view: SurveyView) -> str:
         name = f'<a href="{quote(os.fsencode(row.name))}/{REPORT_NAME}">{name}</a>'
     if view.thumbnail:
         data = base64.b64encode(view.thumbnail).decode()
-        name += f'<img src="data:image/png;base64,{data}" width="{_SIDE}" height="{_SIDE}" alt="Classes over relief">'
+        size = f'width="{_SIDE}" height="{_SIDE}"'
+        name += f'<img src="data:image/png;base64,{data}" {size} alt="Classes over relief, dark where not passable">'
     message = f"<p>{_escaped(row.message)}</p>" if row.message else ""
     status = f'<span class="{_KINDS[row.status]}">{_WORDS[row.status]}</span>{message}'
     drivable = None if row.share_passable is None else f"{row.share_passable:.6f}"
@@ -183,8 +188,15 @@ def _shares(row: SurveyRow) -> str:
         "</svg>"
     )
     why = f", mostly {escape(row.unknown_reason)}" if row.unknown_reason and row.share_unknown else ""
-    passable = "" if row.share_passable is None else f"{row.share_passable:.0%} passable, "
+    passable = "" if row.share_passable is None else f"{_share(row.share_passable)} passable, "
     return f"{bar}{passable}{row.share_unknown:.1%} unknown{why}"
+
+
+def _share(part: float) -> str:
+    """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
+    if 0.0 < part < 0.01:
+        return "under 1%"
+    return "over 99%" if 0.99 < part < 1.0 else f"{part:.0%}"
 
 
 def _area(square_metres: float) -> str:

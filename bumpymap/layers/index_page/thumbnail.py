@@ -1,4 +1,4 @@
-"""A small picture of a map: the class of its tiles over the relief, unknown ground grey."""
+"""A small picture of a map: the class of its tiles over the relief, unknown ground grey, dark where not passable."""
 
 import io
 from pathlib import Path
@@ -16,17 +16,24 @@ __all__ = ["read_thumbnail"]
 _SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
 """Pixels of the longer side and shades of each colour: the first that fits is taken."""
 _COLOURS = np.array(
-    [*(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN][:3]], np.float64
+    [
+        *(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))),
+        *([0.35 * part for part in CLASS_COLOURS[number][:3]] for number in range(len(CLASS_NAMES))),
+        BARRED_COLOURS[Barred.UNKNOWN][:3],
+    ],
+    np.float64,
 )
-"""Of the classes, and of unknown ground."""
-_UNKNOWN, _NOTHING = len(CLASS_NAMES), len(CLASS_NAMES) + 1
+"""Of the classes, of the same where the ground is not passable, and of unknown ground."""
+_BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
 _LIGHT = (-0.5, 0.5, 0.7071)
 """Towards the sun in the north-west, 45 degrees high: east, north, up."""
 _DARKEST, _BRIGHTEST = 0.45, 1.2
+_MOST_PIXELS = 20_000_000
+"""Heights of a virtual raster to average."""
 
 
 def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
-    """Return a PNG of a complete map; empty if none is small enough.
+    """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 
@@ -59,7 +66,10 @@ def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
 
 
 def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the kind of ground (class, ``_UNKNOWN``, ``_NOTHING``) and its brightness, ``side`` pixels at most."""
+    """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
+
+    Both have ``side`` pixels along the longer side.
+    """
     with open_raster(folder, "class.tif") as raster:
         scale = side / max(raster.height, raster.width)
         shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
@@ -70,7 +80,8 @@ def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDA
     # A pixel of an overview has the class of most tiles that have one, even where more are unknown; barred.tif counts
     # those too.
     unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
-    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, class_id)).astype(np.intp)
+    kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
+    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)
     return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
 
 
@@ -78,7 +89,11 @@ def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.
     from rasterio.enums import Resampling
 
     with open_raster(folder, "heightmap.tif") as raster:
-        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=Resampling.average)
+        # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
+        # of large sheets are averages already.
+        large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
+        how = Resampling.nearest if large else Resampling.average
+        heights: NDArray[np.float64] = raster.read(1, out_shape=shape, resampling=how)
     return heights
 
 

@@ -120,10 +120,15 @@ def _histogram(
     )
 
 
-def swatch(colour: tuple[int, ...], *, hatched: bool = False) -> Html:
-    """Return a small square of a colour, which stands beside the words that say the same."""
+def swatch(colour: tuple[int, ...], *, hatched: bool = False, falling: bool = False) -> Html:
+    """Return a small square of a colour, which stands beside the words that say the same.
+
+    Lines rise to the right, as on ground that is not known, or are ``falling``, as on ground that is not passable.
+    """
     fill = f"#{colour[0]:02x}{colour[1]:02x}{colour[2]:02x}"
-    lines = '<path d="M0 7 7 0M5 14 14 5" stroke="#555" fill="none"/>' if hatched else ""
+    path = '<path d="M0 7 7 14M0 0 14 14M7 0 14 7" stroke="#111" fill="none"/>'
+    path = path if falling else '<path d="M0 7 7 0M5 14 14 5" stroke="#555" fill="none"/>'
+    lines = path if hatched else ""
     square = f'<rect width="14" height="14" rx="2" fill="{fill}" stroke="#6b7280"/>'
     return raw(f'<svg class="swatch" viewBox="0 0 14 14" aria-hidden="true">{square}{lines}</svg>')
 

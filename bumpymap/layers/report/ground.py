@@ -2,7 +2,8 @@
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from rasterio.windows import Window
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, BadInputError
 from bumpymap.layers.colours import UNKNOWN_OBJECT
 from bumpymap.layers.report.tiles import PageTiles, Spot
+from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["jpeg", "object_grid", "read_heights", "shade", "tile_heights"]
 
@@ -47,10 +49,19 @@ def _halves(pixels: int) -> Iterator[int]:
     yield 1
 
 
-def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
+def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.float32]:
     """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
 
-    GDAL averages its overviews. Pixels at the south and east edges that span fewer tiles average those.
+    GDAL averages its overviews. The rasters of sheets are read one by one, since between two that lie far apart a
+    virtual raster has more pixels than can be averaged.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        The folder of the map, or those of its sheets.
+    spot : Spot
+        Where the whole map lies.
+    side : int
 
     Returns
     -------
@@ -58,28 +69,55 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
         Metres; NaN where there is no point.
     """
     factor = next(half for half in _halves(spot.pixels) if half <= finer(spot, side))
-    rows, cols = (pixels * factor for pixels in spot.shape)
-    whole_rows, whole_cols = (tiles // spot.step * factor for tiles in (spot.rows, spot.cols))
-    canvas = np.full((rows, cols), np.nan, np.float32)
-    source = spot.pixels * spot.step / factor  # pixels of the file along one of the canvas
-    path = folder / "heightmap.tif"
-    try:
-        with rasterio.open(path) as file:
-            for top, lines in ((0, whole_rows), (whole_rows, rows - whole_rows)):
-                for left, columns in ((0, whole_cols), (whole_cols, cols - whole_cols)):
-                    if not lines or not columns:
-                        continue
-                    width = min(columns * source, file.width - left * source)
-                    height = min(lines * source, file.height - top * source)
-                    canvas[top : top + lines, left : left + columns] = file.read(
-                        1,
-                        window=Window(left * source, top * source, width, height),
-                        out_shape=(lines, columns),
-                        resampling=Resampling.average,
-                    )
-    except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
-    return canvas
+    shape = tuple(pixels * factor for pixels in spot.shape)
+    total, weight = np.zeros(shape), np.zeros(shape)
+    for folder in folders:
+        path = folder / "heightmap.tif"
+        try:
+            with rasterio.open(path) as file:
+                _add_heights(file, spot, factor, total, weight)
+        except RasterioError as error:
+            raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+    return np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan).astype(np.float32)
+
+
+def _add_heights(
+    file: rasterio.DatasetReader, spot: Spot, factor: int, total: NDArray[np.float64], weight: NDArray[np.float64]
+) -> None:
+    """Add mean heights times tiles to ``total``, and tiles to ``weight``, in the pixels that a raster covers."""
+    left = round((file.transform.c * spot.unit - spot.west) / spot.tile_size)
+    top = round((spot.north - file.transform.f * spot.unit) / spot.tile_size)
+    for line, lines, rows in _spans(top, file.height // spot.pixels, spot.step):
+        for column, columns, cols in _spans(left, file.width // spot.pixels, spot.step):
+            size = cols * columns * spot.pixels, rows * lines * spot.pixels
+            found = file.read(
+                1,
+                window=Window((column - left) * spot.pixels, (line - top) * spot.pixels, *size),
+                out_shape=(lines * factor, columns * factor),
+                resampling=Resampling.average,
+            )
+            row, col = line // spot.step * factor, column // spot.step * factor
+            place = np.s_[row : row + lines * factor, col : col + columns * factor]
+            known = np.isfinite(found)
+            total[place] += np.where(known, found, np.float32(0)).astype(np.float64) * (rows * cols)
+            weight[place] += known * (rows * cols)
+
+
+def _spans(start: int, count: int, step: int) -> list[tuple[int, int, int]]:
+    """Divide ``count`` tiles from ``start`` on, so that a part has whole pixels of ``step`` tiles, or lies in one.
+
+    Returns
+    -------
+    list of tuple of int
+        First tile, number of pixels, and tiles in each of them.
+    """
+    end = start + count
+    whole = min(-(-start // step) * step, end), max(end // step * step, start)
+    parts = []
+    for first, last in pairwise(sorted({start, *whole, end})):
+        pixels = max(1, (last - first) // step)
+        parts.append((first, pixels, (last - first) // pixels))
+    return parts
 
 
 def tile_heights(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.float32]:
@@ -125,7 +163,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    path = folder / "obstacle.tif"
+    path = raster_in(folder, "obstacle.tif")
     try:
         with rasterio.open(path) as file:
             for top in range(0, spot.rows, lines):

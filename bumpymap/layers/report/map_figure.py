@@ -12,14 +12,14 @@ from bumpymap.layers.report.markup import Html, join, raw, tag
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tables import class_limits
 
-__all__ = ["RAMP", "map_figure"]
+__all__ = ["RAMP", "controls_of", "map_figure", "scale_of", "stage_of"]
 
 RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
 """Colours from the least to the most of a value: lightness falls evenly, so that they can be told apart in grey."""
 _GREY = (178, 178, 178)
 _OVERLAYS = (
     ("relief", "Relief", True),
-    ("barred", "Not passable (hatched)", False),
+    ("barred", "Not passable", True),
 )
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
@@ -51,12 +51,31 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
         if key != "objects" or site.objects_known
     ]
     title = f"{letter}: {site.name}" if letter else site.name
-    controls = tag(
+    legends = [_legend(key, site, grids) for key, _ in names if key != "none"]
+    return tag(
+        "figure",
+        tag("figcaption", tag("strong", title)) if letter else "",
+        controls_of(radios, boxes),
+        stage_of(title, site.still, "roughness classes over shaded relief", index),
+        tag("div", *legends, _overlay_legend(site), class_="legends"),
+        tag("p", _notes(site), class_="note"),
+        class_="map",
+        data_map=str(index),
+    )
+
+
+def controls_of(radios: Sequence[Html], boxes: Sequence[Html]) -> Html:
+    """Return what chooses the colours of a map, and what is drawn over them."""
+    return tag(
         "div",
         tag("fieldset", tag("legend", "Colours"), *radios),
         tag("fieldset", tag("legend", "Also shown"), *boxes),
         class_="controls",
     )
+
+
+def stage_of(title: str, still: str, shown: str, index: int) -> Html:
+    """Return the place of a map, its buttons and its line of values; ``still`` is a picture of what ``shown`` says."""
     buttons = [
         tag("button", text, type="button", value=value, aria_label=label)
         for value, text, label in (
@@ -67,7 +86,7 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
     ]
     stage = tag(
         "div",
-        tag("img", class_="still", src=site.still, alt=f"Map of {title}: roughness classes over shaded relief"),
+        tag("img", class_="still", src=still, alt=f"Map of {title}: {shown}"),
         tag(
             "canvas",
             tabindex="0",
@@ -82,18 +101,7 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
         class_="stage",
     )
     readout = tag("p", "Point at the map to read its values.", class_="readout", id=f"readout-{index}", role="status")
-    legends = [_legend(key, site, grids) for key, _ in names if key != "none"]
-    return tag(
-        "figure",
-        tag("figcaption", tag("strong", title)) if letter else "",
-        controls,
-        stage,
-        readout,
-        tag("div", *legends, _overlay_legend(site), class_="legends"),
-        tag("p", _notes(site), class_="note"),
-        class_="map",
-        data_map=str(index),
-    )
+    return join(stage, readout)
 
 
 def _capital(text: str) -> str:
@@ -111,7 +119,7 @@ def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
         codes = [code for code in Barred if code != Barred.UNKNOWN and (site.summary.by_bar[code] or not code)]
         items = [tag("li", swatch(BARRED_COLOURS[code]), " ", BARRED_TEXT[code]) for code in codes]
     else:
-        items = [_scale(grids[key])]
+        items = [scale_of(grids[key], RAMP)]
     items.append(tag("li", swatch(_GREY, hatched=True), " not known"))
     items.append(tag("li", swatch((255, 255, 255)), " no points"))
     return tag("ul", *items, class_="legend", data_of=key, hidden=key != "class")
@@ -120,31 +128,39 @@ def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
 def _limit(limits: Sequence[float], code: int) -> str:
     if not limits:
         return ""
-    return f": C_r under {limits[0]:.3g}" if code == 0 else f": from {limits[code - 1]:.3g}"
+    if code == 0:
+        return f": C_r under {limits[0]:.3g}"
+    return f": from {limits[code - 1]:.3g}{', or too steep, or drives fail' if code == len(limits) else ''}"
 
 
-def _scale(grid: ByteGrid) -> Html:
-    """Return a strip of the colours with the values at its ends and in its middle."""
+def scale_of(grid: ByteGrid, ramp: Sequence[str], ends: tuple[str, str] = ("light", "dark")) -> Html:
+    """Return a strip of the colours of a ramp with the values at its ends and in its middle."""
     width, height = 220, 14
-    part = width / len(RAMP)
+    part = width / len(ramp)
     strips = [
         f'<rect x="{at * part:.2f}" width="{part + 0.5:.2f}" height="{height}" fill="{colour}"/>'
-        for at, colour in enumerate(RAMP)
+        for at, colour in enumerate(ramp)
     ]
     values = grid.span()
     unit = grid.unit and f" {grid.unit}"
-    words = [f"{value:.{grid.decimals}f}{unit}" for value in values]
+    words = [f"{value:.{grid.decimals}f}{unit}" if value else "0" for value in values]
     texts = "".join(
         f'<text x="{x}" y="{height + 14}" text-anchor="{anchor}">{word}</text>'
         for x, anchor, word in zip((0, width / 2, width), ("start", "middle", "end"), words, strict=True)
     )
-    label = f"{grid.label}: from {words[0]}, light, to {words[2]}, dark"
+    label = f"{grid.label}: from {words[0]}, {ends[0]}, to {words[2]}, {ends[1]}"
     svg = f'<svg class="ramp" viewBox="0 0 {width} {height + 18}" role="img" aria-label="{label}">'
     return tag("li", raw(f"{svg}{''.join(strips)}{texts}</svg>"))
 
 
 def _overlay_legend(site: Site) -> Html:
-    items = [tag("li", swatch((236, 236, 236), hatched=True), " not passable, if switched on")]
+    items = [
+        tag(
+            "li",
+            swatch((236, 236, 236), hatched=True, falling=True),
+            " not passable: hatched, or dark where tiles are small",
+        )
+    ]
     if site.objects_known:
         items += [
             tag("li", swatch(OBJECT_COLOURS[1]), " obstacle"),

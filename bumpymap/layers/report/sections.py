@@ -6,6 +6,7 @@ from typing import Any
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
+from bumpymap.layers.report.sheet_table import sheet_table
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
 from bumpymap.layers.report.ways import DrawnWay
@@ -23,6 +24,7 @@ __all__ = [
     "lettered",
     "limit_section",
     "repeat_section",
+    "sheet_section",
     "summary_line",
     "survey_section",
     "vehicle_section",
@@ -59,6 +61,12 @@ def ground_section(sites: Sequence[Site]) -> Html:
     ]
     tables = (class_table(sites), bar_table(sites), reason_table(sites))
     return _section("The ground", "ground", *tables, tag("div", *charts, class_="beside"))
+
+
+def sheet_section(sites: Sequence[Site]) -> Html:
+    """Return the sheets of maps that are written in sheets; empty if none is."""
+    in_sheets = any(site.record.get("sheets") for site in sites)
+    return _section("The sheets", "sheets", *_each(sites, sheet_table)) if in_sheets else Html()
 
 
 def survey_section(sites: Sequence[Site]) -> Html:
@@ -117,14 +125,14 @@ def _survey(site: Site) -> Html:
     total = int(record.get("points") or summary.points)
     rows = [
         (
-            "points that were measured",
+            "points used",
             f"{whole(summary.points)} of {whole(total)}{kind}",
         ),
         (
             "density",
             (
                 f"{number(total / ground if ground else None, 1)} points per m² on average, "
-                f"{number(summary.points / ground if ground else None, 1)} of them measured; "
+                f"{number(summary.points / ground if ground else None, 1)} of them used; "
                 f"{number(summary.median_count / site.tile_area, 1)} in the median tile"
             ),
         ),
@@ -226,7 +234,7 @@ def summary_line(site: Site) -> str:
         (
             f"vehicle {site.vehicle}",
             f"{area(ground)} with points",
-            f"{whole(site.summary.points)} points",
+            f"{whole(int(site.record.get('points') or site.summary.points))} points",
             f"{share(site.summary.passable, site.summary.tiles)} passable",
             site.crs_name,
         )

@@ -1,7 +1,7 @@
 """What a page shows of one folder of layers, read from its files and the record of its run."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Self
 
@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.report.codes import ByteGrid, packed
 from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
 from bumpymap.layers.report.ways import DrawnWay
+from bumpymap.layers.sheets.folders import sheets_of
 from bumpymap.layers.summary import MapSummary
 
 __all__ = ["Site", "plain_name"]
@@ -28,6 +29,8 @@ _RELIEF_SIDE = 1_000
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
 _STILL_SIDE = 700
+_LINES = 6
+"""Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
 
 
@@ -50,9 +53,19 @@ class Site:
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     ways: tuple[DrawnWay, ...] = ()
+    has_links: bool = True
+    """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
 
     @classmethod
-    def read(cls, folder: Path, record: Mapping[str, Any], ways: tuple[DrawnWay, ...] = (), maps: int = 1) -> Self:
+    def read(
+        cls,
+        folder: Path,
+        record: Mapping[str, Any],
+        ways: tuple[DrawnWay, ...] = (),
+        maps: int = 1,
+        *,
+        has_links: bool = True,
+    ) -> Self:
         """Read a folder of layers.
 
         Parameters
@@ -65,6 +78,8 @@ class Site:
             Ways to draw.
         maps : int
             Maps that share the page.
+        has_links : bool
+            Whether the page lies beside the layers.
 
         Raises
         ------
@@ -81,9 +96,9 @@ class Site:
         budget = _BUDGET // maps
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles * maps / _TILES))))
         while True:
-            spot = Spot(spot.west, spot.north, spot.tile_size, spot.pixels, spot.cols, spot.rows, step, spot.unit)
+            spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_heights(folder, spot, _RELIEF_SIDE)
+            heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
             grids = _grids(tiles, tile_heights(heights, spot))
             taken = sum(len(packed(grid.codes)) for grid in grids)
             if taken < 0.7 * budget or max(spot.shape) < 100:
@@ -99,7 +114,7 @@ class Site:
                 break
             side //= 2
         still = _still(tiles, light)
-        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways)
+        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways, has_links)
 
     @property
     def vehicle(self) -> str:
@@ -149,7 +164,13 @@ class Site:
 
 
 def plain_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders."""
+    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
+    sheet = record.get("sheet")
+    name = sheet.get("name") if isinstance(sheet, Mapping) else None
+    return f"{_survey_name(record)}, sheet {name}" if name else _survey_name(record)
+
+
+def _survey_name(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     if isinstance(survey, Mapping) and survey.get("name"):
         return str(survey["name"])
@@ -173,7 +194,10 @@ def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ..
 
 
 def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
-    """Return the classes over the relief as one picture: unknown ground grey, nothing where there are no points."""
+    """Return the classes over the relief as one picture, hatched where the vehicle cannot cross.
+
+    Unknown ground is grey; nothing is drawn where there are no points.
+    """
     colours = np.full((256, 3), _UNKNOWN_GREY, np.float32)
     for code, colour in CLASS_COLOURS.items():
         if code != NO_CLASS:
@@ -185,10 +209,15 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     width, height = (max(1, side) for side in (size if max(rows, cols) > _STILL_SIDE else (cols, rows)))
     line = (np.arange(height) + 0.5) * tiles.spot.shape[0] / height
     column = (np.arange(width) + 0.5) * tiles.spot.shape[1] / width
-    ground = tiles.ground[np.ix_(line.astype(int), column.astype(int))]
+    shown = np.ix_(line.astype(int), column.astype(int))
+    ground, barred = tiles.ground[shown], tiles.barred[shown]
+    ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
-    hatch &= (np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1
-    bright[hatch] *= 0.7
+    down, right = np.arange(height)[:, None], np.arange(width)[None, :]
+    bright[hatch & ((down + right) % 6 < 1)] *= 0.7
+    closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
+    lines = (down - right) % 6 < 2
+    bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
     return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)[0]

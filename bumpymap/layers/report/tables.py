@@ -84,7 +84,7 @@ def reason_table(sites: Sequence[Site]) -> Html:
 
 _WHY = {
     Barred.NO: "the vehicle can cross it",
-    Barred.UNKNOWN: "nobody knows: it must not be taken for drivable",
+    Barred.UNKNOWN: "no class, or too little seen to tell whether there is a way: it must not be taken for drivable",
     Barred.OBSTACLE: "something stands in the way, or the vehicle does not fit between what stands there",
     Barred.SLOPE: "steeper than the vehicle may drive",
     Barred.FAILS: "at least half of the simulated drives rolled over or got stuck",
@@ -117,7 +117,11 @@ def _range(limits: tuple[float, ...], code: int) -> str:
         return DASH
     if code == 0:
         return f"under {limits[0]:.3g}"
-    return f"{limits[-1]:.3g} and more" if code == len(limits) else f"{limits[code - 1]:.3g} to {limits[code]:.3g}"
+    return (
+        f"{limits[-1]:.3g} and more, or steep, or drives fail"
+        if code == len(limits)
+        else f"{limits[code - 1]:.3g} to {limits[code]:.3g}"
+    )
 
 
 def _compared(caption: str, names: tuple[str, ...], counts: Callable[[Site], list[int]], sites: Sequence[Site]) -> Html:

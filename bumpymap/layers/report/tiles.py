@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,6 +16,7 @@ from rasterio.errors import RasterioError
 
 from bumpymap.core import BARRED_TEXT, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
 from bumpymap.layers.colours import UNKNOWN_OBJECT
+from bumpymap.layers.sheets.folders import raster_in, sheets_of
 
 __all__ = ["C_R_EDGES", "NO_POINTS", "SLOPE_EDGES", "UNKNOWN_FROM", "PageTiles", "Spot"]
 
@@ -53,7 +55,7 @@ class Spot:
     @classmethod
     def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
         """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
-        path = folder / "class.tif"
+        path = raster_in(folder, "class.tif")
         try:
             with rasterio.open(path) as file:
                 place, width, height = file.transform, file.width, file.height
@@ -98,10 +100,12 @@ class PageTiles:
     """Tiles in each bin of ``C_R_EDGES``."""
     slope_bins: NDArray[np.int64]
     """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
+    calm: int
+    """Tiles that are passable and of the two smoothest classes."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
-        """Read tiles.parquet, some thousand tiles at a time.
+        """Read tiles.parquet, that of each sheet if there are sheets, some thousand tiles at a time.
 
         Raises
         ------
@@ -114,12 +118,14 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
-        rule = _rule(record)
-        for found in _groups(folder / "tiles.parquet"):
+        rule, calm = _rule(record), 0
+        tables = [sheet / "tiles.parquet" for sheet in sheets_of(folder, record)]
+        for found in chain.from_iterable(map(_groups, tables)):
             place = _place(found, spot)
             np.maximum.at(ground, place, _ground(found) + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
+            calm += int(np.count_nonzero((found["class"] < 2) & (found["barred"] == Barred.NO)))
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
@@ -137,7 +143,7 @@ class PageTiles:
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
         ).astype(np.uint8)
-        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"])
+        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], calm=calm)
 
 
 def _groups(path: Path) -> Iterator[dict[str, NDArray[Any]]]:

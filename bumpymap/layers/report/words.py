@@ -15,6 +15,8 @@ from bumpymap.layers.report.site import Site
 __all__ = ["base_name", "command_of", "headline", "limits_of", "meaning_of", "measured_surfaces", "settings_of"]
 
 _SURFACES = Path(__file__).with_name("data") / "surfaces.json"
+_NAMELESS = "vehicle"
+"""What `Site.vehicle` gives if the record names none."""
 _PRIVATE = {
     *("surveys", "out", "threads", "memory", "scratch", "workers", "scheduler", "tls_config", "overwrite", "resume"),
     *("features", "csf"),
@@ -27,14 +29,15 @@ def headline(site: Site) -> str:
     summary = site.summary
     barred = sum(summary.bars.values()) - summary.bars.get("unknown ground", 0)
     unknown = summary.bars.get("unknown ground", 0)
-    calm = sum(summary.by_class[:2])
     named, total = site.vehicle, summary.tiles
-    text = f"A {named} can cross {share(summary.passable, total)} of the surveyed ground"
+    subject = "The vehicle" if named == _NAMELESS else f"The vehicle {named}"
+    text = f"{subject} can cross {share(summary.passable, total)} of the surveyed ground"
     if barred:
         text += f" and cannot cross {share(barred, total)}"
     if unknown:
         text += f"; {share(unknown, total)} is not known"
-    return f"{text}. {_capital(share(calm, total))} of the ground is smooth or fair to ride on."
+    calm = _capital(share(site.tiles.calm, total))
+    return f"{text}. {calm} of the ground can be crossed and is smooth or fair to ride on."
 
 
 def meaning_of(site: Site) -> list[str]:

@@ -6,9 +6,10 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, UsageError, atomic, utf8_path
-from bumpymap.layers.manifest import read_manifest
+from bumpymap.core import BadInputError, OutputError, UsageError, atomic, utf8_path
+from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.products import REPORT_NAME
+from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.layers.report.page import render
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.ways import read_ways
@@ -47,12 +48,12 @@ def write_reports(
     route: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the page of one map again, or one page that compares two maps.
+    """Write the page of one map or one comparison again, or one page that shows two maps side by side.
 
     Parameters
     ----------
     layers : sequence of path
-        One or two folders that `bumpymap map` wrote.
+        One or two folders that `bumpymap map` wrote, or one that `bumpymap diff` wrote.
     out : path, optional
         The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
     route : path, optional
@@ -68,7 +69,8 @@ def write_reports(
     Raises
     ------
     UsageError
-        No layers or more than two, two without ``out``, or ``out`` is not named like a page.
+        No layers or more than two, two without ``out``, or ``out`` is not named like a page; a comparison beside
+        another folder or with ``route``.
     BadInputError
         A folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
     OutputError
@@ -79,15 +81,22 @@ def write_reports(
         raise UsageError(f"{len(folders)} folders of layers given; a report shows one, or compares two")
     if out is None and len(folders) > 1:
         raise UsageError("a page that compares two maps belongs to neither folder: name the file with `out`")
-    records = [read_manifest(folder) for folder in folders]
     path = folders[0] / REPORT_NAME if out is None else Path(out)
+    if any(map(is_comparison, folders)):
+        return _write_comparison(folders, path, route=route, replace=overwrite or out is None)
+    records = [read_manifest(folder) for folder in folders]
     _check(path, replace=overwrite or out is None)
     sites = []
-    for folder, record in zip(folders, records, strict=True):
-        ways = () if route is None else read_ways(Path(route), record)
-        with utf8_path(folder) as readable:
-            sites.append(Site.read(readable, record, ways, maps=len(folders)))
-    _write(sites, path)
+    try:
+        for folder, record in zip(folders, records, strict=True):
+            ways = () if route is None else read_ways(Path(route), record)
+            with utf8_path(folder) as readable:
+                beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
+                sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside))
+        _write(sites, path)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        named = " or ".join(str(folder / MANIFEST_NAME) for folder in folders)
+        raise BadInputError(f"{named} is not that of a map of this version: {error!r}. Map the survey again") from error
     return path
 
 
@@ -101,6 +110,22 @@ def _check(path: Path, *, replace: bool) -> None:
         raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Create it, or choose another `out`")
     if lexists(path) and not replace:
         raise OutputError(f"{path} exists. Choose another `out`, or pass `overwrite=True` to replace it")
+
+
+def _write_comparison(
+    folders: Sequence[Path], path: Path, *, route: str | os.PathLike[str] | None, replace: bool
+) -> Path:
+    if len(folders) > 1:
+        found = next(folder for folder in folders if is_comparison(folder))
+        raise UsageError(f"{found} holds a comparison of two surveys, which has a page of its own: give it alone")
+    if route is not None:
+        raise UsageError("`route` is drawn on the page of a map; this folder holds a comparison of two surveys")
+    (folder,) = folders
+    record = read_comparison(folder)
+    _check(path, replace=replace)
+    with utf8_path(folder) as readable:
+        write_change_report(readable, record, path)
+    return path
 
 
 def _write(sites: Sequence[Site], path: Path) -> None:

@@ -1,7 +1,7 @@
 """Folders of a map in sheets: which they are, and how those of an earlier run are removed."""
 
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,10 +20,12 @@ from bumpymap.layers.products import (
 __all__ = [
     "in_sheets",
     "make_sheet_folder",
+    "raster_in",
     "remove_manifest",
     "remove_map_files",
     "remove_sheets",
     "sheet_folders",
+    "sheets_of",
     "virtual_name",
 ]
 
@@ -35,6 +37,12 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW",
 def virtual_name(raster: str) -> str:
     """Return the name of the virtual raster over the rasters of this name."""
     return raster.replace(".tif", ".vrt")
+
+
+def raster_in(folder: Path, name: str) -> Path:
+    """Return the path of a raster of a map: that of the virtual one if only the sheets hold such a raster."""
+    virtual = folder / virtual_name(name)
+    return virtual if virtual.is_file() and not (folder / name).exists() else folder / name
 
 
 def in_sheets(folder: Path) -> bool:
@@ -53,7 +61,11 @@ def sheet_folders(path: str | os.PathLike[str]) -> list[Path]:
         A sheet is missing, or the list of sheets cannot be read.
     """
     folder = Path(path)
-    record = read_record(folder / MANIFEST_NAME) or {}
+    return sheets_of(folder, read_record(folder / MANIFEST_NAME) or {})
+
+
+def sheets_of(folder: Path, record: Mapping[str, Any]) -> list[Path]:
+    """Return what `sheet_folders` does, from the content of a run.json that need not be there yet."""
     if record.get("format") != SHEETS_FORMAT:
         return [folder]
     found = [folder.joinpath(*PurePosixPath(name).parts) for name in _names(record, folder)]
@@ -67,7 +79,7 @@ def sheet_folders(path: str | os.PathLike[str]) -> list[Path]:
     return found
 
 
-def _names(record: dict[str, Any], folder: Path) -> list[str]:
+def _names(record: Mapping[str, Any], folder: Path) -> list[str]:
     """Return the paths of the sheets in the manifest of a map; raise BadInputError if one leads elsewhere."""
     try:
         names = [str(sheet["folder"]) for sheet in record["sheets"]]

@@ -13,6 +13,7 @@ import rasterio.shutil
 from rasterio.errors import RasterioError
 
 from bumpymap.core import BadInputError, atomic
+from bumpymap.layers._value_table import sum_counts
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileWindow
 
@@ -75,6 +76,9 @@ def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[
         tree.remove(domain)
     for band in tree.iter("VRTRasterBand"):
         _fill_band(band, sources)
+        table = band.find("GDALRasterAttributeTable")
+        if table is not None and not sum_counts(table, [root / source.path for source in sources]):
+            band.remove(table)  # better none than the counts of one sheet
     ET.indent(tree)
     with atomic(path) as temporary:
         temporary.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")
@@ -111,19 +115,14 @@ def _fill_band(band: ET.Element, sources: Sequence[_Source]) -> None:
         for unused in colours[len(names) :]:  # a list of classes then shows those that exist
             colours.remove(unused)
     for source in sources:
-        element = _add_source(band, source, number)
+        element = ET.SubElement(band, "SimpleSource")
+        ET.SubElement(element, "SourceFilename", {"relativeToVRT": "1"}).text = source.path
+        ET.SubElement(element, "SourceBand").text = number
         block = {"BlockXSize": str(source.block[1]), "BlockYSize": str(source.block[0])}
         raster = {"RasterXSize": str(source.width), "RasterYSize": str(source.height), "DataType": kind}
         ET.SubElement(element, "SourceProperties", raster | block)
         _add_box(element, "SrcRect", 0, 0, (source.width, source.height))
         _add_box(element, "DstRect", source.left, source.top, (source.width, source.height))
-
-
-def _add_source(band: ET.Element, source: _Source, number: str) -> ET.Element:
-    element = ET.SubElement(band, "SimpleSource")
-    ET.SubElement(element, "SourceFilename", {"relativeToVRT": "1"}).text = source.path
-    ET.SubElement(element, "SourceBand").text = number
-    return element
 
 
 def _add_box(element: ET.Element, name: str, left: int, top: int, size: tuple[int, int]) -> None:

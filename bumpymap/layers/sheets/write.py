@@ -20,11 +20,17 @@ from bumpymap.core import (
     utf8_path,
     write_together,
 )
-from bumpymap.layers.folder import write_products
-from bumpymap.layers.gis import write_project, write_styles
-from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT, complete_manifest, describe_file, write_manifest
+from bumpymap.layers.folder import write_products, write_views
+from bumpymap.layers.manifest import (
+    MANIFEST_NAME,
+    SHEETS_FORMAT,
+    complete_manifest,
+    describe_file,
+    plain_manifest,
+    write_manifest,
+)
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import PROJECT_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIRTUAL_NAMES
+from bumpymap.layers.products import SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES, VIRTUAL_NAMES
 from bumpymap.layers.sheets.finished import is_finished
 from bumpymap.layers.sheets.folders import make_sheet_folder, remove_manifest, remove_map_files, remove_sheets
 from bumpymap.layers.sheets.layout import SheetLayout, SheetPlace
@@ -36,8 +42,15 @@ from bumpytiles import TileTable, TileWindow
 __all__ = ["SheetRun", "write_sheets"]
 
 _log = logging.getLogger(__name__)
-_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project)
-"""Write files to look at the virtual rasters with, given their folder and the record of the run."""
+
+
+def _views(folder: Path, _: Sequence[Path], record: Mapping[str, Any]) -> None:
+    write_views(folder, plain_manifest(record))
+
+
+_INDEXES: tuple[Callable[[Path, Sequence[Path], Mapping[str, Any]], None], ...] = (_views,)
+"""Write files of the whole map, such as its page or a catalogue: given its folder, which holds everything but run.json,
+the folders of its sheets, and the record of the run."""
 _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
 
 
@@ -86,7 +99,7 @@ def write_sheets(
     Returns
     -------
     list of Path
-        The virtual rasters, the table of sheets, run.json and the project.
+        The virtual rasters, the table of sheets, run.json, and the files of ``VIEW_NAMES`` for the whole map.
     MapSummary
         Counts and medians of the whole map.
 
@@ -113,7 +126,7 @@ def write_sheets(
     summary = summarise(table)
     remove_map_files(folder)
     remove_sheets(folder, keep=places)
-    with write_together(folder, SHEET_TABLE_NAME) as staged, utf8_path(folder) as root:
+    with write_together(folder, MANIFEST_NAME) as staged, utf8_path(folder) as root:
         for name in VIRTUAL_NAMES:
             write_virtual(staged / name, root, whole, windows)
         sheets = [
@@ -125,21 +138,22 @@ def write_sheets(
         record = complete_manifest(manifest, table, summary, files)
         record |= {
             "format": SHEETS_FORMAT,
-            "seconds": {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)},
             "sheet_side_m": run.layout.side * whole.grid.tile_size,
             "sheets": sheets,
         }
     with utf8_path(folder) as root:
-        for view in _VIEWS:  # not among the staged files: from there the virtual rasters do not lead to the sheets
-            view(root, record)
-    write_manifest(record, folder / MANIFEST_NAME)
+        for index in _INDEXES:
+            index(root, [root / path for path in windows], record)
+        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
+        write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
-    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, PROJECT_NAME)], summary
+    views = [name for name in VIEW_NAMES if (folder / name).is_file()]
+    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, *views)], summary
 
 
 def _write_sheet(table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, local: bool) -> None:
     """Write one sheet, unless an interrupted run has finished it."""
-    about = {"column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
+    about = {"name": sheet.name, "column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
     if run.keep and is_finished(sheet, about):
         return
     own = {**run.manifest_of(table.tiles.window), "sheet": about, "points": _points(table.tiles), "seconds": {}}

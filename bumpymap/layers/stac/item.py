@@ -22,6 +22,8 @@ _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "classification/v2.0.0", "pro
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
 _TILES = "class.tif"
 """A raster with one pixel for each tile."""
+_DIGITS = 8
+"""Of the checksum of a survey in an id."""
 _ANY_TIME = ("1970-01-01", "2099-12-31")
 """Dates of a survey whose files have none: STAC wants an interval, and a search for any date shall find it."""
 _SOFTWARE = {"bumpymap": "bumpymap", "gdal": "GDAL", "proj": "PROJ"}
@@ -51,7 +53,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         "type": "Feature",
         "stac_version": STAC_VERSION,
         "stac_extensions": [_SCHEMA.format(extension) for extension in _EXTENSIONS],
-        "id": identifier(name),
+        "id": _identity(name, record),
         **_footprint(place),
         "properties": {
             "title": name,
@@ -71,11 +73,18 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     write_document(item, folder / ITEM_NAME)
 
 
+def _identity(name: str, record: Mapping[str, Any]) -> str:
+    """Return the id: the name, what tells surveys of one name apart, and the place of a sheet."""
+    sheet = record.get("sheet") or {}
+    digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
+    place = [f"column{sheet['column']}", f"row{sheet['row']}"] if sheet else []
+    return "_".join([identifier(name), *([digits] if digits else []), *place])
+
+
 def _survey_name(record: Mapping[str, Any]) -> str:
-    survey, inputs = record.get("survey"), record.get("inputs")
-    if isinstance(survey, Mapping) and survey.get("name"):
-        return str(survey["name"])
-    return min((PurePosixPath(str(file["path"])).stem for file in inputs or ()), default="map")
+    if name := _survey(record).get("name"):
+        return str(name)
+    return min((PurePosixPath(str(file["path"])).stem for file in record.get("inputs") or ()), default="map")
 
 
 def _description(record: Mapping[str, Any]) -> str:
@@ -86,10 +95,8 @@ def _description(record: Mapping[str, Any]) -> str:
 
 def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the days of the survey as STAC states an interval; the widest if the files have no dates."""
-    survey = record.get("survey")
-    dates = survey.get("dates") if isinstance(survey, Mapping) else None
     try:
-        first, last = sorted(date.fromisoformat(day).isoformat() for day in dates or ())
+        first, last = sorted(date.fromisoformat(day).isoformat() for day in _survey(record).get("dates") or ())
         known = True
     except (TypeError, ValueError):
         (first, last), known = _ANY_TIME, False
@@ -103,16 +110,21 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _own(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the properties that no extension has."""
-    calibration, survey = _calibration(record), record.get("survey")
+    calibration = _calibration(record)
     fields = {
         "vehicle": calibration.get("vehicle"),
         "calibration": calibration.get("id"),
         "class_limits": calibration.get("class_limits"),
         "texture_model": record.get("model"),
-        "survey_checksum": survey.get("checksum") if isinstance(survey, Mapping) else None,
+        "survey_checksum": _survey(record).get("checksum"),
         "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
     }
     return {f"bumpymap:{key}": value for key, value in fields.items() if value is not None}
+
+
+def _survey(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    survey = record.get("survey")
+    return survey if isinstance(survey, Mapping) else {}
 
 
 def _calibration(record: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,71 +1,33 @@
 """Map many surveys from Python: one call that returns what became of each."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeAlias, TypedDict, Unpack
+from typing import Any, Unpack
 
-from bumpymap.core import (
-    CLASHES,
-    Align,
-    Compat,
-    CsfSettings,
-    FeatureSettings,
-    Ground,
-    MapConfig,
-    Rating,
-    UsageError,
-    ZUnit,
-    path_fault,
-    refuse_clashes,
-    settings_of_call,
-)
+from bumpymap.core import CLASHES, MapConfig, UsageError, path_fault, refuse_clashes, settings_of_call
 from bumpymap.layers import SurveyRow
+from bumpymap.survey.api import EachSettings, PathLike
 from bumpymap.survey.batch.night import BatchResult, run_batch
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 
 __all__ = ["BatchSettings", "map_batch"]
 
-_PathLike: TypeAlias = str | os.PathLike[str]
 _OF_BATCH = ("survey_per", "jobs")
 _NOT_OF_BATCH = ("surveys", "out", "resume")
 
 
-class BatchSettings(TypedDict, total=False):
-    """Settings of `map_batch`: those of ``BatchConfig`` and of ``MapConfig``; paths may be strings."""
+class BatchSettings(EachSettings, total=False):
+    """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
     survey_per: SurveyPer
     jobs: int
-    tile_size: float
-    pixels: int
-    ground: Ground
-    align: Align
-    rating: Rating
-    compat: Compat
-    vehicle: _PathLike
-    calibration: _PathLike | None
-    model: _PathLike | None
-    crs: str | None
-    z_unit: ZUnit | None
-    local: bool
-    trust_points: bool
-    skip_bad: bool
-    max_unknown: float | None
-    overwrite: bool
-    threads: int
-    memory: str
-    scratch: _PathLike | None
-    workers: int | None
-    scheduler: str | None
-    tls_config: _PathLike | None
-    features: FeatureSettings | Mapping[str, Any]
-    csf: CsfSettings | Mapping[str, Any]
 
 
 def map_batch(
-    source: _PathLike,
-    out: _PathLike,
+    source: PathLike,
+    out: PathLike,
     report: Callable[[SurveyRow], None] | None = None,
     **settings: Unpack[BatchSettings],
 ) -> BatchResult:
@@ -120,7 +82,7 @@ def map_batch(
     return run_batch(config, report)
 
 
-def _place(name: str, place: _PathLike) -> str:
+def _place(name: str, place: PathLike) -> str:
     """Return a path as text; raise UsageError if it is not a valid path."""
     if not isinstance(place, str | os.PathLike):
         raise UsageError(f"{name} is {place!r}; it must be a path")

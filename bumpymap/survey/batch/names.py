@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
+from urllib.parse import urlsplit
 
 from bumpymap.layers import BATCH_NAMES
 
@@ -69,7 +70,11 @@ def _numbered(names: list[str], given: Sequence[str | None]) -> list[str]:
 
 
 def _path(survey: Path | str) -> PurePosixPath | Path:
-    return survey if isinstance(survey, Path) else PurePosixPath(survey.split("://", 1)[1])
+    """Return the path of a survey; of a URL without user and query, which may hold a key."""
+    if isinstance(survey, Path):
+        return survey
+    parts = urlsplit(survey)
+    return PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
 
 
 def _parts(path: PurePosixPath | Path, root: Path) -> tuple[str, ...]:

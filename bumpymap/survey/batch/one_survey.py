@@ -24,6 +24,7 @@ from bumpymap.core import (
     is_interrupted,
     locked,
     missing_resource,
+    read_record,
     remove_path,
 )
 from bumpymap.layers import (
@@ -99,14 +100,18 @@ def look_at(folder: Path | RemoteFolder, thumbnail_bytes: int) -> SurveyView:
 
 def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyView]:
     """Map a survey and upload its layers, unless those on the server are the same."""
-    manifest = remote.manifest()
+    manifest, out = remote.manifest(), task.config.out
     if manifest is not None:
         try:
-            return _found(task, remote, manifest), look_at(remote, task.thumbnail_bytes)
+            row = _found(task, remote, manifest)
         except OutputError:
             if not task.overwrite:
                 raise
-    row, out = _mapped(task), task.config.out
+        else:
+            if not out.is_symlink() and read_record(out / MANIFEST_NAME) == manifest:
+                remove_path(out)  # a start that was killed after its upload has left it
+            return row, look_at(remote, task.thumbnail_bytes)
+    row = _mapped(task)
     view = look_at(out, task.thumbnail_bytes)
     try:
         remote.upload(out, MANIFEST_NAME)

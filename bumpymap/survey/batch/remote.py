@@ -4,9 +4,10 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from os.path import lexists
 from pathlib import Path
 
-from bumpymap.core import OutputError, is_own_folder, writing_to
+from bumpymap.core import OutputError, atomic, is_own_folder, writing_to
 from bumpymap.layers import BATCH_LOG, BATCH_NAMES, RemoteFolder, check_batch_out
 
 __all__ = ["INDEX_NAME", "check_remote_out", "fetch_log", "naming_remote", "upload_summary", "working_folder"]
@@ -50,8 +51,9 @@ def check_remote_out(remote: RemoteFolder, folder: Path) -> None:
 def fetch_log(remote: RemoteFolder, folder: Path) -> None:
     """Download the log of earlier starts, unless one that was interrupted has left it here."""
     log = folder / BATCH_LOG
-    if not log.exists() and (data := remote.read(BATCH_LOG)) is not None:
-        log.write_bytes(data)
+    if not lexists(log) and (data := remote.read(BATCH_LOG)) is not None:
+        with atomic(log) as temporary:
+            temporary.write_bytes(data)
 
 
 def upload_summary(remote: RemoteFolder, folder: Path) -> None:

@@ -148,7 +148,7 @@ def main(folder, report, pictures=None):
         pictures.mkdir(exist_ok=True)
     found = {"qgis": Qgis.QGIS_VERSION, "layers": {}}
     for path in sorted(folder.iterdir()):
-        make = {".tif": QgsRasterLayer, ".vrt": QgsRasterLayer}.get(path.suffix, QgsVectorLayer)
+        make = QgsRasterLayer if path.suffix in {".tif", ".vrt"} else QgsVectorLayer
         if path.suffix in {".tif", ".vrt", ".geojson", ".fgb", ".gpkg"}:
             layer = make(str(path), path.stem)
             found["layers"][path.name] = describe(layer)

@@ -220,6 +220,14 @@ def test_a_compound_crs_is_split(tmp_path, make_field):
         assert CRS.from_wkt(reference.find("wkt").text).to_epsg() == 32614
 
 
+def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
+    crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
+    (tmp_path / "class.tif").write_bytes((folder / "class.tif").read_bytes())
+    write_project(tmp_path, {"calibration": CALIBRATION, "crs": {"wkt": crs.to_wkt()}})
+    known = CRS.from_wkt(read(tmp_path / "map.qgs").find("projectCrs/spatialrefsys/wkt").text)
+    assert known.name == "mine \ufffd / UTM zone 14N"
+
+
 def test_a_project_without_a_crs_has_none(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
     write_products(CostTable.of(cost_map), tmp_path, local=True, manifest={})

@@ -8,7 +8,9 @@ from base64 import b64decode
 import numpy as np
 import pytest
 from route_maps import write_folder
+from survey_pairs import COLS, ROWS, survey
 
+import bumpymap
 from bumpymap.core import BARRED_TEXT, CANOPY, FREE, OBSTACLE, ObjectStack
 
 
@@ -34,7 +36,7 @@ class ReadPage:
         (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
         codes = self.bytes_of(grid["codes"], about).astype(float)
         plain = grid["low"] + grid["step"] * codes
-        values = np.exp(plain) if grid["scale"] == "log" else plain
+        values = {"log": np.exp, "root": lambda root: root * np.abs(root)}.get(grid["scale"], np.array)(plain)
         return np.where(codes == 255, np.nan, values), grid
 
 
@@ -66,3 +68,22 @@ def site(tmp_path_factory, make_field):
 @pytest.fixture(scope="session")
 def barred_codes():
     return {text: int(code) for code, text in BARRED_TEXT.items()}
+
+
+@pytest.fixture(scope="session")
+def may(tmp_path_factory):
+    """A survey whose name is markup, with ground that the next one has not."""
+    about = {"name": "pit <b>", "dates": ["2024-05-01", "2024-05-01"]}
+    return write_folder(tmp_path_factory.mktemp("change") / "may", survey(1), survey=about)
+
+
+@pytest.fixture(scope="session")
+def comparison(may):
+    """What has changed a year later: a rut, and a corner that was not flown, ground whose ride is unknown."""
+    row, col = np.mgrid[0:ROWS, 0:COLS]
+    made = survey(3, rut=0.1, c_r=3.0, tiles=(row > 4) | (col > 8))
+    for ride in (made.c_r, made.c_r_low, made.c_r_high):
+        ride[40:60] = np.nan
+    later = {"name": "pit <b>", "dates": ["2025-05-02", "2025-05-03"]}
+    june = write_folder(may.parent / "june", made, survey=later)
+    return bumpymap.diff_surveys(may, june, may.parent / "out").folder

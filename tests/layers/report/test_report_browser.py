@@ -4,9 +4,11 @@ import shutil
 
 import numpy as np
 import pytest
-from route_maps import copy_folder
+from route_maps import RUN, copy_folder
 
-from bumpymap.layers import write_reports
+from bumpymap.core import CostTable
+from bumpymap.layers import SheetLayout, SheetRun, write_reports, write_sheets
+from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE = (1400, 900), (400, 800)
@@ -47,15 +49,21 @@ def visit(browser):
 
 
 @pytest.fixture(scope="module")
-def pages(site, tmp_path_factory):
-    """The page of a map, one of two maps, and one whose names are markup."""
+def pages(site, comparison, make_field, tmp_path_factory):
+    """The page of a map, of two maps, of one whose names are markup, of a map in sheets, and of what has changed."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
+    table, sheets = CostTable.of(make_field(40, 30)), folder / "sheets"
+    sheets.mkdir()
+    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
+    write_sheets(table, sheets, run, local=False, manifest=RUN)
     return {
         "one": site / "report.html",
         "two": write_reports([site, odd], folder / "two.html"),
         "odd": write_reports([odd]),
+        "sheets": sheets / "report.html",
+        "change": comparison / "report.html",
     }
 
 
@@ -64,7 +72,7 @@ def outside(page):
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "two", "odd"])
+@pytest.mark.parametrize("name", ["one", "two", "odd", "sheets", "change"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -75,6 +83,17 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     assert outside(page) == []
     assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+
+
+def test_a_click_on_a_sheet_opens_its_page(visit, pages):
+    page = visit(pages["sheets"])
+    page.click("text=the sheets")
+    name = page.inner_text("td a, th a")
+    page.click(f"text={name}")
+    page.wait_for_selector("html[data-ready]")
+    assert page.url == (pages["sheets"].parent / "sheets" / name / "report.html").as_uri()
+    assert page.inner_text("h1").endswith(f"sheet {name}")
+    assert page.complaints == []
 
 
 def test_the_policy_of_the_page_stops_requests(visit, pages):
@@ -157,6 +176,67 @@ def test_the_pointer_reads_what_the_grids_hold(visit, pages, read_page):
     assert colour == "grey", f"unknown ground has a colour in the layer {colour}"
 
 
+def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_what_nobody_knows_is_grey(visit, pages, read_page):
+    """In every colouring; smooth ground is blue, and steep ground fails no more drives than other."""
+    page = visit(pages["one"])
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred > 1)))
+    look = """([row, col, keys]) => { const map = window.reportMaps[0];
+        const side = map.about.metres * map.scale * map.dense;
+        const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
+        const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
+        return keys.map((key) => {
+          const radio = document.querySelector(`input[type=radio][value=${key}]`);
+          if (radio) radio.checked = true;
+          map.draw();
+          return [...map.context.getImageData(left + 2, top + 2, side - 4, side - 4).data];
+        }); }"""
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
+
+    def dark(found):
+        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for one in found]
+
+    lines = dark(page.evaluate(look, [row, col, keys]))
+    page.uncheck("input[value=barred][type=checkbox]")
+    plain = dark(page.evaluate(look, [row, col, keys]))
+    assert all(here > there + 0.04 for here, there in zip(lines, plain, strict=True))
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred == 0)))
+    page.evaluate(
+        """([row, col]) => { const map = window.reportMaps[0];
+        map.barred[row * map.about.cols + col] = 1;
+        map.layers = {};
+        map.masks.unknown = map.tiles((at) => map.isUnknown(at) && [178, 178, 178, 255]); }""",
+        [row, col],
+    )
+    for one in page.evaluate(look, [row, col, keys]):
+        assert np.ptp(np.reshape(one, (-1, 4))[:, :3], axis=1).max() < 3
+
+
+def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_lines(visit, pages, read_page):
+    page = visit(pages["one"], PHONE)
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    page.evaluate("window.reportMaps[0].zoom(0.4)")
+    look = """(places) => { const map = window.reportMaps[0];
+        return places.map(([row, col]) => {
+          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
+          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
+          return [...map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data].slice(0, 3);
+        }); }"""
+    closed, free = (
+        np.argwhere((ground < 2) & chosen).tolist() for chosen in ((barred > 1) & (barred < 255), barred == 0)
+    )
+    assert len(closed) > 20 < len(free)
+    assert page.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
+    assert np.max(page.evaluate(look, closed)) < 140
+    assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
+
+
 def test_two_maps_of_one_place_move_together(visit, pages):
     page = visit(pages["two"])
     page.focus("canvas")
@@ -180,3 +260,41 @@ def test_it_prints_on_a_few_sheets(visit, pages):
     printed = visit(pages["one"]).pdf(format="A4", print_background=True)
     assert printed.startswith(b"%PDF")
     assert 2 <= printed.count(b"/Type /Page\n") <= 8
+
+
+POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
+    document.querySelector(`input[value=${key}]`).click();
+    document.querySelector('input[value=places]').checked = false;
+    map.draw();
+    const at = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres]
+      .map((metres, i) => (metres - map.middle[i]) * map.scale + [map.width, map.height][i] / 2);
+    map.read(at);
+    const pixel = map.context.getImageData(Math.round(at[0] * map.dense), Math.round(at[1] * map.dense), 1, 1).data;
+    return [map.readout.textContent, [...pixel.slice(0, 3)]]; }"""
+
+
+def test_the_pointer_reads_what_has_changed(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
+    row, col = (int(place[0]) for place in np.nonzero(kinds == 2))
+    text, colour = page.evaluate(POINT_AT, [row, col, "changed"])
+    assert "· rougher ·" in text
+    assert f"height after minus before {heights[row, col]:.2f} m" in text
+    assert f"ride cost C_r after minus before +{rides[row, col]:.3f} rad/m" in text
+    assert colour == about.data["codes"]["classColours"][2][:3]
+    calm = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isfinite(rides))]
+    assert page.evaluate(POINT_AT, [*calm, "changed"])[1] == about.data["codes"]["classColours"][0][:3]
+
+
+def test_ground_that_is_not_compared_never_looks_unchanged(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (rides, _) = about.codes("ground"), about.values("d_c_r")
+    left_out = [int(place[0]) for place in np.nonzero(kinds == 16)]
+    no_ride = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isnan(rides))]
+    for place, key in ((left_out, "changed"), (left_out, "d_height"), (left_out, "d_c_r"), (no_ride, "d_c_r")):
+        text, colour = page.evaluate(POINT_AT, [*place, key])
+        assert max(colour) - min(colour) <= 2, key  # grey
+        assert max(colour) <= 180, key  # darker than white, which means no difference
+        if place == left_out:
+            assert "not compared: may have changed or not" in text
+            assert "not changed" not in text

@@ -1,15 +1,19 @@
 """report.html holds what the layers hold, says it in tables, asks nobody for anything, and trusts no name."""
 
-import html.parser
+import io
 import json
 import re
 import shutil
-from collections import defaultdict
+from base64 import b64decode
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 from cost_maps import make_field
+from page_outline import Outline
+from PIL import Image
 from route_maps import VEHICLE, copy_folder, write_folder
 
 import bumpymap
@@ -18,52 +22,6 @@ from bumpymap.layers import write_report, write_reports
 from bumpymap.layers.report.codes import ByteGrid
 from bumpymap.layers.report.numbers import area, number, share
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
-
-VOID = {"meta", "img", "input", "br"}
-
-
-class Outline(html.parser.HTMLParser):
-    """Tables, ids and elements of a page; fails where elements do not nest."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.ids, self.tables, self.attributes = [], [], {}, defaultdict(list)
-        self.cells = self.caption = None
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        attrs = dict(attrs)
-        self.ids += [attrs["id"]] if "id" in attrs else []
-        for key, value in attrs.items():
-            self.attributes[key].append(value)
-        if tag in VOID:
-            return
-        self.open.append(tag)
-        if tag == "table":
-            self.cells = []
-        elif tag == "tr":
-            self.cells.append([])
-        elif tag in {"td", "th"}:
-            self.cells[-1].append("")
-        elif tag == "caption":
-            self.caption = ""
-
-    def handle_startendtag(self, tag, attrs):
-        self.attributes["self-closed"].append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        if tag == "table":
-            self.tables[self.caption] = self.cells
-            self.cells = None
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] == "caption":
-            self.caption += data
-        elif self.cells and self.cells[-1] and self.open[-1] in {"td", "th"}:
-            self.cells[-1][-1] += data
 
 
 def raster(folder, name, band=1):
@@ -214,6 +172,63 @@ def test_names_of_files_and_places_are_text(tmp_path, read_page):
     assert "/home/me" not in page.text
 
 
+def change_bars(folder, wanted, bar):
+    """Give all tiles of the classes ``wanted`` another entry in the column ``barred``."""
+    path = folder / "tiles.parquet"
+    table = pq.read_table(path)
+    classes = table["class"].to_pylist()
+    bars = [bar if one in wanted else old for one, old in zip(classes, table["barred"].to_pylist(), strict=True)]
+    at = table.schema.get_field_index("barred")
+    kind = table.schema.field(at)
+    pq.write_table(table.set_column(at, kind, pa.array(bars, pa.string()).cast(kind.type)), path)
+    return folder
+
+
+def still_of(page):
+    source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
+    return np.asarray(Image.open(io.BytesIO(b64decode(source))).convert("RGB")).astype(int)
+
+
+def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
+    """A steep but smooth slope is hatched; where nobody knows whether there is a way, there is no colour."""
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
+    blue, dark = {}, {}
+    for bar in (None, "too steep", "unknown ground"):
+        page = read_page(write_reports([change_bars(folder, {0}, bar)]))
+        picture, ground = still_of(page), page.codes("ground")
+        factor = picture.shape[0] // ground.shape[0]
+        assert picture.shape[:2] == tuple(factor * side for side in ground.shape)
+        tiles = picture.reshape(ground.shape[0], factor, ground.shape[1], factor, 3)[:, 2:-2, :, 2:-2]
+        smooth = tiles.transpose(0, 2, 1, 3, 4)[ground == 0]
+        assert len(smooth) > 20
+        blue[bar] = ((smooth[..., 2] - smooth[..., 0]) / smooth.max(axis=-1) > 0.35).mean(axis=(1, 2))
+        dark[bar] = (smooth.max(axis=-1) < 60).mean(axis=(1, 2))
+    assert blue[None].mean() > 0.9
+    assert blue["unknown ground"].mean() < 0.05
+    assert (dark["too steep"] > dark[None]).mean() > 0.98
+
+
+def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_page):
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True))
+    before = json.loads((folder / "run.json").read_text())["counts"]
+    calm = before["by_class"]["smooth"] + before["by_class"]["fair"]
+    wanted = "{} of the ground can be crossed and is smooth or fair to ride on."
+    assert wanted.format(share(calm, before["tiles"])) in read_page(folder / "report.html").text
+    page = read_page(write_reports([change_bars(folder, {0}, "obstacle")]))
+    assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
+
+
+def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page):
+    """Its median ride cost may lie below its limit."""
+    known = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.3]}
+    folder = write_folder(tmp_path / "steep", make_field(6, 5), calibration=known)
+    page = read_page(folder / "report.html")
+    row = Outline(page.text).tables["Classes"][4]
+    assert row[0] == "3 very rough"
+    assert row[4] == "0.3 and more, or steep, or drives fail"
+    assert "3 very rough: from 0.3, or too steep, or drives fail" in page.text
+
+
 def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):
     twin = copy_folder(
         site, tmp_path / "twin", settings={"surveys": ["/home/me/a b.laz", "C:\\me\\c.laz"], "ground": "csf"}
@@ -229,7 +244,7 @@ def test_a_record_of_little_is_enough(tmp_path):
     folder = write_folder(
         tmp_path / "bare", make_field(6, 5), vehicle=None, calibration=None, model=None, settings=None
     )
-    assert "A vehicle can cross" in (folder / "report.html").read_text()
+    assert "The vehicle can cross" in (folder / "report.html").read_text()
 
 
 def test_two_maps_are_compared(site, tmp_path, read_page):
@@ -294,6 +309,28 @@ def test_what_cannot_be_made_says_why(site, tmp_path):
     with pytest.raises(BadInputError, match=r"tiles\.parquet"):
         write_reports([twin])
     assert not list(tmp_path.glob("b.html"))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"cost": None},
+        {"cost": {"slope_limit_deg": None}},
+        {"crs": {}},
+        {"inputs": [{"points": "many"}]},
+        {"flight_lines": {"lines": "two"}},
+        {"survey": {"dates": 5}},
+        {"metres_per_unit": {"horizontal": 1e308}},
+    ],
+)
+def test_a_damaged_record_is_told(site, tmp_path, damage):
+    folder = copy_folder(site, tmp_path / "layers")
+    (folder / "report.html").write_text("of before")
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    (folder / "run.json").write_text(json.dumps(record | damage), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"run\.json is not that of a map of this version"):
+        write_reports([folder])
+    assert (folder / "report.html").read_text() == "of before"
 
 
 @pytest.mark.parametrize(

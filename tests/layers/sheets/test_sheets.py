@@ -15,9 +15,12 @@ from route_maps import RUN, copy_folder
 from route_sites import place, site
 
 import bumpymap
+from bumpymap.core import REASON_TEXT
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import (
+    PRODUCT_NAMES,
+    VIEW_NAMES,
     SheetLayout,
     SheetRun,
     check_folder,
@@ -27,16 +30,12 @@ from bumpymap.layers import (
     write_products,
     write_sheets,
 )
-from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES, Grid
 
 SMALL = Grid(3.0, 5)
 RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "obstacle")
-OF_ALL = sorted(
-    ["run.json", "sheets", "sheets.csv", "map.qgs", *(f"{name}.{end}" for name in RASTERS for end in ("vrt", "qml"))]
-)
-"""What a map in sheets has in its own folder."""
+VIEWS = sorted({*VIEW_NAMES} - {"tiles.qml"})
 
 
 def write(cost_map, folder, *, blocks=1, keep=False, key="k"):
@@ -100,6 +99,7 @@ def categories(path):
 
 def test_values_have_their_names(sheets):
     assert categories(sheets / "class.vrt") == ["smooth", "fair", "rough", "very rough"]
+    assert categories(sheets / "reason.vrt") == list(REASON_TEXT.values())
     assert categories(sheets / "obstacle.vrt") == ["free", "obstacle", "canopy", "unknown"]
 
 
@@ -153,8 +153,9 @@ def test_same_map_same_bytes(made, sheets, tmp_path):
     shuffled = part_of(made, np.random.default_rng(1).permutation(len(made.class_id)))
     write(shuffled, tmp_path / "again", blocks=4)
     files = [path.relative_to(sheets) for path in sorted(sheets.rglob("*")) if path.is_file()]
-    own = len(PRODUCT_NAMES) + len(VIEW_NAMES) + len(NAMED_RASTERS)
-    assert len(files) == 4 * own + len(OF_ALL) - 1
+    of_a_sheet = len(PRODUCT_NAMES) + len(VIEW_NAMES) + 4  # sidecars
+    of_the_whole = len(VIEWS) + len(RASTERS) + 2
+    assert len(files) == 4 * of_a_sheet + of_the_whole
     for file in files:
         if file.name != "run.json":
             assert (sheets / file).read_bytes() == (tmp_path / "again" / file).read_bytes(), file
@@ -177,37 +178,9 @@ def test_sites_far_apart_need_no_room_between(tmp_path):
         assert file.shape == (333_334, 333_334)
         assert file.read(1, window=((333_333, 333_334), (0, 1)))[0, 0] == 0
         assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == 1
-    for name in ("class", "reason"):
-        with rasterio.open(tmp_path / f"{name}.vrt") as file:
-            assert file.read(1, window=((500, 502), (500, 502))).tolist() == [[file.nodata] * 2] * 2
-
-
-def test_the_project_shows_the_virtual_rasters_in_the_styles_of_one_map(whole, sheets):
-    for name in set(RASTERS) - {"cost"}:
-        assert (sheets / f"{name}.qml").read_bytes() == (whole / f"{name}.qml").read_bytes()
-    one, several = (ET.parse(folder / "map.qgs").getroot() for folder in (whole, sheets))  # noqa: S314 (ours)
-    shown = [layer.findtext("datasource") for layer in several.iter("maplayer")]
-    expected = [layer.findtext("datasource") for layer in one.iter("maplayer") if layer.get("type") == "raster"]
-    assert shown == [path.replace(".tif", ".vrt") for path in expected]
-    assert all((sheets / path).is_file() for path in shown)
-    pipes = [
-        [ET.tostring(layer.find("pipe")) for layer in root.iter("maplayer") if layer.get("type") == "raster"]
-        for root in (one, several)
-    ]
-    assert pipes[0] == pipes[1]
-    assert several.find("title").text == one.find("title").text
-
-
-def test_colours_of_sheets_that_no_limits_of_classes_decide(made, tmp_path):
-    """Under the rules of the paper the colours of c_r come from the layer."""
-    bare = {**RUN, "calibration": None}
-    one, several = tmp_path / "one", tmp_path / "several"
-    one.mkdir()
-    several.mkdir()
-    write_products(CostTable.of(made), one, local=False, manifest=bare)
-    run = SheetRun(SheetLayout(SMALL, 4 * BLOCK_TILES), "k", keep=False, manifest_of=lambda _: bare)
-    write_sheets(CostTable.of(made), several, run, local=False, manifest=bare)
-    assert (several / "roughness.qml").read_bytes() == (one / "roughness.qml").read_bytes()
+    with rasterio.open(tmp_path / "reason.vrt") as file:
+        assert file.read(1, window=((0, 1), (333_333, 333_334)))[0, 0] == Reason.OK
+        assert file.read(1, window=((500, 502), (500, 502))).tolist() == [[255, 255], [255, 255]]  # no points
 
 
 def test_ground_without_a_crs(tmp_path):
@@ -310,6 +283,27 @@ class TestUnfinished:
             assert (folder / name).read_bytes() == (sheets / name).read_bytes() or name == "sheets.csv"
         assert bumpymap.open(folder).dataset().equals(bumpymap.open(sheets).dataset())
 
+    def test_without_room_for_the_page_it_is_no_map_and_goes_on(self, made, sheets, tmp_path, monkeypatch):
+        """Everything is there then but what the last step writes."""
+
+        def full(*_):
+            raise OutputError("no space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(writing, "_INDEXES", (full,))
+            with pytest.raises(OutputError, match="no space left"):
+                write(made, tmp_path / "out", blocks=4)
+        assert (tmp_path / "out" / "class.vrt").exists()
+        with pytest.raises(BadInputError, match=r"sheets are not complete.*resume=True"):
+            bumpymap.open(tmp_path / "out")
+        check_folder(tmp_path / "out", overwrite=False, resume=True)
+        written = []
+        monkeypatch.setattr(writing, "write_products", lambda *_, **__: written.append(1))
+        write(made, tmp_path / "out", blocks=4, keep=True)
+        assert not written
+        for name in ("report.html", "class.vrt", "map.qgs"):
+            assert (tmp_path / "out" / name).read_bytes() == (sheets / name).read_bytes()
+
     def test_a_sheet_that_has_changed_is_written_again(self, killed, made, sheets):
         folder, written = killed
         with (folder / "sheets" / names_in(sheets)[1] / "cost.tif").open("ab") as file:
@@ -331,7 +325,9 @@ class TestReplacing:
         folder = copy_folder(whole, tmp_path / "out")
         (folder / "notes.txt").write_text("mine")
         write(made, folder, blocks=4)
-        assert sorted(path.name for path in folder.iterdir()) == sorted(["notes.txt", *OF_ALL])
+        assert sorted(path.name for path in folder.iterdir()) == sorted(
+            ["notes.txt", "run.json", "sheets", "sheets.csv", *(f"{name}.vrt" for name in RASTERS), *VIEWS]
+        )
 
     def test_larger_sheets_replace_smaller_ones(self, made, sheets, tmp_path):
         folder, elsewhere = tmp_path / "out", tmp_path / "elsewhere"

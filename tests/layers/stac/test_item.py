@@ -186,7 +186,7 @@ def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
 
 def test_name_dates_vehicle_and_software(item):
     properties = item["properties"]
-    assert (item["id"], properties["title"]) == ("Grube-S-d", "Grube Süd")
+    assert (item["id"], properties["title"]) == ("Grube-S-d_00", "Grube Süd")
     assert properties["datetime"] is None
     assert properties["start_datetime"] == "2024-05-03T00:00:00Z"
     assert properties["end_datetime"] == "2024-05-04T23:59:59Z"
@@ -216,9 +216,20 @@ def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dat
     [("", "old-quarry-1"), ("測量", "survey-ecea53ea"), ("a\udce9/b", "a-udce9-b"), ("..", "survey-5ec1f7e7")],
 )
 def test_ids_of_odd_names(folder, tmp_path, name, identifier):
-    item = described(folder, tmp_path / "a", survey=SURVEY | {"name": name})
+    item = described(folder, tmp_path / "a", survey=SURVEY | {"name": name, "checksum": None})
     assert item["id"] == identifier
     assert faults(item) == []
+
+
+def test_surveys_of_one_name_and_the_sheets_of_one_survey_have_ids_of_their_own(folder, tmp_path):
+    """A catalogue of them would hold one item, for programs that find items by their ids."""
+    surveys = [SURVEY | {"checksum": f"blake3-1MiB:{digit * 64}"} for digit in "ab"]
+    sheets = [{"column": column, "row": 3} for column in (-1, 0, 1)]
+    records = [{"survey": survey, "sheet": sheet} for survey in surveys for sheet in (None, *sheets)]
+    items = [described(folder, tmp_path / str(number), **record) for number, record in enumerate(records)]
+    assert len({item["id"] for item in items}) == len(items)
+    assert [items[0]["id"], items[1]["id"]] == ["Grube-S-d_aaaaaaaa", "Grube-S-d_aaaaaaaa_column-1_row3"]
+    assert [faults(item) for item in items] == [[]] * len(items)
 
 
 def test_a_survey_without_a_crs_has_no_geometry(make_field, tmp_path):

@@ -47,3 +47,12 @@ def test_names_of_files_of_the_batch_are_not_taken():
 
 def test_the_name_of_a_url_is_that_of_its_file():
     assert name_surveys(["https://example.org/a/site.copc.laz"], [None], ROOT) == ["site"]
+
+
+def test_a_key_in_a_url_is_in_no_name():
+    urls = [
+        "https://example.org/a/site.laz?sig=ab.cd",
+        "https://me:word@example.org/b/site.laz",
+        "s3://box/site.laz?/k",
+    ]
+    assert name_surveys(urls, [None] * 3, ROOT) == ["a_site", "b_site", "box_site"]

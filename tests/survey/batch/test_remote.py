@@ -13,6 +13,7 @@ from bumpymap.core import OutputError
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import RemoteFolder
 from bumpymap.survey import BatchConfig, map_surveys
+from bumpymap.survey.batch import one_survey, remote
 from bumpymap.survey.batch.one_survey import MapTask, map_one
 
 fsspec = pytest.importorskip("fsspec")
@@ -121,6 +122,31 @@ def test_a_failed_upload_is_a_failed_survey_and_the_next_start_uploads_what_was_
     assert not task.config.out.exists()
 
 
+def test_layers_that_a_start_killed_after_its_upload_has_left_are_removed(server, task, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(one_survey, "remove_path", lambda _: None)
+        map_one(task)
+    assert (task.config.out / "run.json").is_file()
+    other = replace(task, config=replace(task.config, align="off"))
+    assert map_one(other).row.status == "failed"
+    assert (task.config.out / "run.json").is_file()
+    assert map_one(task).row.status == "already done"
+    assert not task.config.out.exists()
+
+
+def test_a_log_is_fetched_whole_or_not_at_all_and_through_no_link(server, tmp_path):
+    """A part of it would be taken for what a start that was interrupted has left."""
+    server.files.pipe_file("/night/log.jsonl", b'{"time": "", "event": ""}\n' * 9)
+    log = tmp_path / "log.jsonl"
+    log.symlink_to(tmp_path / "elsewhere")
+    remote.fetch_log(RemoteFolder("memory://night"), tmp_path)
+    assert log.is_symlink()
+    assert not (tmp_path / "elsewhere").exists()
+    log.unlink()
+    remote.fetch_log(RemoteFolder("memory://night"), tmp_path)
+    assert len(log.read_text().splitlines()) == 9
+
+
 def test_layers_that_are_replaced_are_not_complete_meanwhile(server, task):
     map_one(task)
     server.refuses = "class.tif"
@@ -215,6 +241,18 @@ def test_a_server_that_cannot_be_used_is_said(tmp_path, survey):
     result = batch(tmp_path / "s.txt", "--out", "nowhere://bucket/night", "--scratch", tmp_path)
     assert result.exit_code == 2
     assert "nowhere://bucket/night is not a URL that can be used" in result.stderr
+
+
+def test_a_survey_is_not_uploaded_to_the_folder_of_another(server, tmp_path):
+    """fsspec takes what follows :: for another address: site::b would be uploaded to site."""
+    source = tmp_path / "in"
+    source.mkdir()
+    write_survey(source / "site::b.laz")
+    refused = CliRunner().invoke(main, ["batch", str(source), "--out", "memory://night", "--scratch", str(tmp_path)])
+    assert refused.exit_code == 2
+    assert "the folder site::b cannot be on a server" in refused.output
+    assert not server.files.exists("/night")
+    assert list(tmp_path.iterdir()) == [source]
 
 
 def test_a_failed_upload_of_the_summary_keeps_it(server, tmp_path):

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
-from layer_bytes import layer_bytes
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -25,6 +24,7 @@ from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.shared_memory import SharedMemory
+from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
 from bumpymap.survey import BlockWork, WorkerPool
 from bumpymap.survey.engine.catalogue import BlockCatalogue
@@ -73,7 +73,7 @@ def run(*arguments):
 
 
 def layers_of(folder):
-    return layer_bytes(folder)
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def inputs_of(folder):

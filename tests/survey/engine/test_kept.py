@@ -9,7 +9,6 @@ import shutil
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from layer_bytes import layer_bytes
 
 from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
@@ -17,6 +16,7 @@ from bumpymap.core import CHECKSUM_METHOD, hash_file
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
+from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.checkpoints import Checkpoints
 from bumpymap.survey.engine.sink import TileSink
@@ -31,7 +31,7 @@ def run(*arguments):
 
 
 def layers_of(folder):
-    return layer_bytes(folder)
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 @pytest.fixture(scope="module")

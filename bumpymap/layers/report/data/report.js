@@ -3,6 +3,7 @@
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const codes = data.codes;
   const NONE = 255;
+  const LINES = 8;
 
   const unpack = async (text) => {
     const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -40,7 +41,7 @@
   };
 
   const hatching = (context, colour, rising) => {
-    const side = 8;
+    const side = LINES;
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = side;
     const pen = canvas.getContext("2d");
@@ -65,8 +66,10 @@
 
   class ReportMap {
     static async of(figure, about) {
+      // A page of what has changed has neither bars nor objects nor a relief.
       const [ground, barred, objects, relief, ...values] = await Promise.all([
-        unpack(about.ground), unpack(about.barred), unpack(about.objects.codes), picture(about.relief),
+        unpack(about.ground), about.barred && unpack(about.barred), about.objects && unpack(about.objects.codes),
+        about.relief && picture(about.relief),
         ...about.grids.map((grid) => unpack(grid.codes)),
       ]);
       return new ReportMap(figure, about, { ground, barred, objects, relief, values });
@@ -84,8 +87,8 @@
       this.others = [];
       this.masks = {
         unknown: this.tiles((at) => this.isUnknown(at) && [178, 178, 178, 255]),
-        barred: this.tiles((at) => barredCode(this.barred[at]) && [0, 0, 0, 255]),
-        objects: paint(about.objects.rows, about.objects.cols, (at) => {
+        barred: this.barred && this.tiles((at) => barredCode(this.barred[at]) && [0, 0, 0, 255]),
+        objects: this.objects && paint(about.objects.rows, about.objects.cols, (at) => {
           const code = this.objects[at];
           return (code === 1 || code === 2) && codes.objectColours[code];
         }),
@@ -103,7 +106,8 @@
     }
 
     isUnknown(at) {
-      return this.ground[at] >= codes.unknownFrom && this.ground[at] !== NONE;
+      return this.ground[at] !== NONE && (this.ground[at] >= codes.unknownFrom
+        || (this.barred !== undefined && this.barred[at] === codes.notKnown));
     }
 
     layer(key) {
@@ -112,14 +116,27 @@
     }
 
     colouring(key) {
-      const known = (colour) => (at) => this.ground[at] < codes.unknownFrom && colour(at);
-      if (key === "class") return known((at) => codes.classColours[this.ground[at]]);
+      const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at) && colour(at);
+      if (key === "class" || key === "changed") return known((at) => codes.classColours[this.ground[at]]);
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
       if (key === "none") return known(() => [236, 236, 236, 255]);
-      const values = this.values[this.about.grids.findIndex((grid) => grid.key === key)];
+      const values = this.valuesOf(key);
       const table = Array.from({ length: 255 }, (_, code) => ramp(code / 254));
       // Ground whose value is not known is not given one: white, not the colour of the least.
       return known((at) => (values[at] === NONE ? [225, 225, 225, 255] : table[values[at]]));
+    }
+
+    valuesOf(key) {
+      return this.values[this.about.grids.findIndex((grid) => grid.key === key)];
+    }
+
+    /** What is hatched: ground that is not known and, among differences, what has none, since white means no difference. */
+    unknownMask(key) {
+      const values = this.about.differences && this.valuesOf(key);
+      if (!values) return this.masks.unknown;
+      this.masks[key] ??= this.tiles((at) =>
+        (this.isUnknown(at) || (this.ground[at] !== NONE && values[at] === NONE)) && [178, 178, 178, 255]);
+      return this.masks[key];
     }
 
     get chosen() {
@@ -296,20 +313,25 @@
       const at = row * about.cols + col;
       const code = inside ? this.ground[at] : NONE;
       if (code === NONE) {
-        words.push("no points: not known");
+        words.push(codes.outside ?? "no points: not known");
       } else {
-        words.push(code < codes.unknownFrom ? `class ${code} ${codes.classes[code]}`
+        const name = this.about.differences ? codes.classes[code] : `class ${code} ${codes.classes[code]}`;
+        words.push(code < codes.unknownFrom ? name : this.about.differences ? codes.reasons[0]
           : `not known: ${codes.reasons[code - codes.unknownFrom]}`);
         about.grids.forEach((grid, number) => {
           const found = this.values[number][at];
           if (found === NONE) return;
           const plain = grid.low + grid.step * found;
-          const value = grid.scale === "log" ? Math.exp(plain) : plain;
-          words.push(`${grid.label} ${grouped(value, grid.decimals)}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
+          const value = grid.scale === "log" ? Math.exp(plain) : grid.scale === "root" ? plain * Math.abs(plain) : plain;
+          const sign = this.about.differences && value > 0 ? "+" : "";
+          words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
-        const bar = this.barred[at];
-        if (code < codes.unknownFrom) words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
-        const object = this.objectAt(right, down);
+        const bar = this.barred?.[at];
+        if (this.barred && code < codes.unknownFrom) {
+          if (bar === codes.notKnown) words.push("not known whether the vehicle can cross it");
+          else words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
+        }
+        const object = this.objects && this.objectAt(right, down);
         if (object === 1 || object === 2) words.push(codes.objects[object]);
       }
       this.readout.textContent = words.join(" · ");
@@ -337,7 +359,8 @@
       const sharp = box[2] > about.cols;
       context.imageSmoothingEnabled = !sharp;
       layer(this.layer(this.chosen));
-      layer(this.masks.unknown);
+      const unknown = this.unknownMask(this.chosen);
+      layer(unknown);
       if (this.shows("relief")) {
         context.globalCompositeOperation = "multiply";
         context.imageSmoothingEnabled = true;
@@ -346,10 +369,11 @@
         context.globalCompositeOperation = "source-over";
       }
       if (this.shows("objects")) layer(this.masks.objects);
-      this.hatch(this.masks.unknown, this.unknownPattern, box);
-      if (this.shows("barred")) this.hatch(this.masks.barred, this.barredPattern, box);
+      this.hatch(unknown, this.unknownPattern, box);
+      if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
       if (this.shows("ways")) this.drawWays(left, top);
+      if (this.shows("places")) this.drawPlaces(left, top);
       if (this.crosshair) this.drawCrosshair();
       this.drawScale();
     }
@@ -358,6 +382,19 @@
     white(box) {
       this.blank ??= this.tiles((at) => this.ground[at] === NONE && [255, 255, 255, 255]);
       this.context.drawImage(this.blank, ...box);
+    }
+
+    /** Lines over what is not passable; where tiles are so small that lines would miss some, all of it is dark. */
+    drawBarred(box) {
+      const { context } = this;
+      if (this.about.metres * this.scale >= LINES) {
+        this.hatch(this.masks.barred, this.barredPattern, box);
+        return;
+      }
+      context.globalAlpha = 0.6;
+      context.imageSmoothingEnabled = false;
+      context.drawImage(this.masks.barred, ...box);
+      context.globalAlpha = 1;
     }
 
     hatch(mask, pattern, box) {
@@ -395,9 +432,39 @@
       }
     }
 
-    label(text, [x, y]) {
+    /** A frame around each place, so that it is seen however small it is; its number where no larger place has one. */
+    drawPlaces(left, top) {
+      const { context, about, dense } = this;
+      const taken = [];
+      for (const { name, east, north, size } of about.places) {
+        const [width, height] = size.map((metres) => Math.max(14, metres * this.scale + 8) * dense);
+        const x = left + (east - about.west) * this.scale * dense - width / 2;
+        const y = top + (about.north - north) * this.scale * dense - height / 2;
+        for (const [colour, line] of [["#fff", 4], ["#1f2937", 1.6]]) {
+          context.strokeStyle = colour;
+          context.lineWidth = line * dense;
+          context.strokeRect(x, y, width, height);
+        }
+        const [right, foot] = [x + width + 4 * dense, y + 6 * dense];
+        const near = ([other, line]) => Math.abs(other - right) < 30 * dense && Math.abs(line - foot) < 14 * dense;
+        if (taken.some(near)) continue;
+        taken.push([right, foot]);
+        this.write(name, right, foot);
+      }
+    }
+
+    write(text, x, y) {
       const { context, dense } = this;
       context.font = `600 ${13 * dense}px system-ui, sans-serif`;
+      context.lineWidth = 4 * dense;
+      context.strokeStyle = "#fff";
+      context.fillStyle = "#1f2937";
+      context.strokeText(text, x, y);
+      context.fillText(text, x, y);
+    }
+
+    label(text, [x, y]) {
+      const { context, dense } = this;
       context.lineWidth = 4 * dense;
       context.strokeStyle = "#fff";
       context.fillStyle = "#1f2937";
@@ -405,8 +472,7 @@
       context.arc(x, y, 5 * dense, 0, 2 * Math.PI);
       context.stroke();
       context.fill();
-      context.strokeText(text, x + 9 * dense, y + 5 * dense);
-      context.fillText(text, x + 9 * dense, y + 5 * dense);
+      this.write(text, x + 9 * dense, y + 5 * dense);
     }
 
     drawCrosshair() {
@@ -432,7 +498,7 @@
     }
   }
 
-  const barredCode = (code) => code !== 0 && code !== 1 && code !== NONE;
+  const barredCode = (code) => code !== 0 && code !== codes.notKnown && code !== NONE;
 
   const start = async () => {
     const figures = [...document.querySelectorAll("figure.map")];

@@ -1,0 +1,254 @@
+"""What a page shows of the changes between two surveys, read from change.tif, change.geojson and its record."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import rasterio
+import shapely
+import shapely.geometry
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from bumpymap.core import CHANGE_KINDS, BadInputError, parse_json
+from bumpymap.layers.colours import CHANGE_COLOURS
+from bumpymap.layers.report.codes import ByteGrid, packed
+from bumpymap.layers.report.ground import jpeg
+
+__all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace"]
+
+NOT_COMPARED = 16
+"""Value of ``kinds`` where the surveys could not be compared."""
+_RANK = (NOT_COMPARED, 1, 3, 4, 2)
+"""What wins in a pixel of several tiles, each over those before it and over tiles that have not changed."""
+_SIDE = 1_500
+"""Most pixels of the grids along a side."""
+_BUDGET = 1_300_000
+"""Most characters of the grids."""
+_COMPARED = 400_000
+"""Most pixels of the grids with a value: some three bytes of the page each."""
+_STRIP_TILES = 1_000_000
+"""Most tiles to read at a time."""
+_STILL_SIDE = 700
+_GREY = (178, 178, 178)
+_MOST_PLACES = 200
+"""Most places on the map and in the table, the largest."""
+_BANDS = ("changed", "d_height", "d_c_r")
+_AGAIN = "Compare the surveys again"
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedPlace:
+    """A connected change."""
+
+    number: int
+    """Its id in change.geojson."""
+    about: Mapping[str, Any]
+    """Its properties there."""
+    where: tuple[float, float]
+    """A point in it, in the coordinates of change.geojson."""
+    east: float
+    """m, in the survey's CRS: the middle of its extent."""
+    north: float
+    size: tuple[float, float]
+    """Extent from west to east and from south to north, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSite:
+    """The changes between two surveys."""
+
+    record: Mapping[str, Any]
+    """The content of change.json."""
+    west: float
+    """m, in the survey's CRS."""
+    north: float
+    unit: float
+    """Metres per unit of the CRS."""
+    tile_size: float
+    step: int
+    """Tiles along a side of a pixel of the page."""
+    cols: int
+    """Tiles."""
+    rows: int
+    kinds: NDArray[np.uint8]
+    """Position in ``CHANGE_KINDS``, or ``NOT_COMPARED``: (rows, cols) of the page, north row first."""
+    grids: tuple[ByteGrid, ...]
+    places: tuple[ChangedPlace, ...]
+    """The largest first."""
+    degrees: bool
+    """Whether places are told as longitude and latitude; else in the survey's own coordinates."""
+    still: str = field(repr=False)
+    """The kinds, a data URI: for readers and printers without scripts."""
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
+        """Read the files of a comparison.
+
+        Parameters
+        ----------
+        folder : Path
+            change.tif and change.geojson.
+        record : mapping
+            The content of change.json, which may not be there yet.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, damaged, or was written by an earlier version.
+        """
+        path = folder / "change.tif"
+        try:
+            unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
+            with rasterio.open(path) as file:
+                compared = int(record["counts"]["compared"])
+                step = max(
+                    1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))
+                )
+                while True:
+                    kinds, d_height, d_c_r = _read(file, step)
+                    grids = (
+                        ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
+                        ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
+                    )
+                    taken = len(packed(kinds)) + sum(len(packed(grid.codes)) for grid in grids)
+                    if taken < _BUDGET or max(kinds.shape) < 100:
+                        break
+                    step *= 2
+                west, north = file.transform.c * unit, file.transform.f * unit
+                size = file.width, file.height
+            places, degrees = _places(folder / "change.geojson", record)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
+            raise BadInputError(f"{folder} holds no comparison of this version: {error!r}. {_AGAIN}") from error
+        except (OSError, RasterioError) as error:
+            raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
+        return cls(record, west, north, unit, tile_size, step, *size, kinds, grids, places, degrees, _still(kinds))
+
+    @property
+    def metres(self) -> float:
+        """Side of a pixel of the page, m."""
+        return self.tile_size * self.step
+
+    @property
+    def crs_name(self) -> str:
+        """Name of the CRS."""
+        crs = self.record["crs"]
+        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+
+    def area_of(self, tiles: int) -> float:
+        """Return the area of some tiles, m2."""
+        return tiles * self.tile_size**2
+
+    def map_record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        rows, cols = self.kinds.shape
+        return {
+            "name": "changes",
+            "differences": True,
+            "west": self.west,
+            "north": self.north,
+            "unit": self.unit,
+            "metres": self.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": self.cols * self.tile_size,
+            "height": self.rows * self.tile_size,
+            "ground": packed(self.kinds),
+            "grids": [grid.record() for grid in self.grids],
+            "places": [
+                {"name": str(place.number), "east": place.east, "north": place.north, "size": place.size}
+                for place in self.places
+            ],
+        }
+
+
+def _read(
+    file: rasterio.io.DatasetReader, step: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+    """Return kinds and differences on the grid of the page; of several tiles the change, or the farthest value."""
+    bands = [file.descriptions.index(name) + 1 for name in _BANDS]
+    rank = np.zeros(256, np.uint8)
+    rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)
+    cols = -(-file.width // step)
+    lines = step * max(1, _STRIP_TILES // (file.width * step))
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for top in range(0, file.height, lines):
+        count = min(lines, file.height - top)
+        code, *values = file.read(bands, window=Window(0, top, file.width, count))
+        known = np.isfinite(code)
+        if known.any() and not set(np.unique(code[known])) <= set(range(len(CHANGE_KINDS))):
+            raise ValueError("unknown kinds of change in change.tif")
+        ranks = rank[np.where(known, code, NOT_COMPARED).astype(np.uint8)]
+        rows = -(-count // step)
+        room = ((0, rows * step - count), (0, cols * step - file.width))
+        worst = np.pad(ranks, room).reshape(rows, step, cols, step).max(axis=(1, 3))
+        farthest = [
+            _farthest(np.pad(np.where(known, one, np.nan), room, constant_values=np.nan), step) for one in values
+        ]
+        parts.append((np.array([0, *_RANK], np.uint8)[worst], *farthest))
+    kinds, d_height, d_c_r = (np.concatenate(part) for part in zip(*parts, strict=True))
+    for values in (d_height, d_c_r):
+        values[kinds == NOT_COMPARED] = np.nan
+    return kinds, d_height, d_c_r
+
+
+def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Return of each square of ``step`` x ``step`` tiles the value farthest from 0; NaN if it has none."""
+    blocks = values.reshape(values.shape[0] // step, step, values.shape[1] // step, step)
+    high, low = np.fmax.reduce(blocks, axis=(1, 3)), np.fmin.reduce(blocks, axis=(1, 3))
+    return np.asarray(np.where(np.abs(high) >= np.abs(low), high, low), np.float32)
+
+
+def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, ...], bool]:
+    """Return the largest places of change.geojson, and whether its coordinates are degrees."""
+    collection = parse_json(path.read_text(encoding="utf-8"))
+    features = collection["features"]
+    if len(features) != record["counts"]["regions"]:
+        raise ValueError("change.geojson and change.json are not of one comparison")
+    largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
+    degrees, crs = "local_coordinates" not in collection, record["crs"]
+    forward = None
+    if degrees and crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", CRS.from_wkt(crs["wkt"]).to_2d(), always_xy=True)
+    unit = float(record["metres_per_unit"]["horizontal"])
+    return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
+
+
+def _placed(features: list[Any], forward: Transformer | None, unit: float) -> Iterator[ChangedPlace]:
+    for feature in features:
+        polygon = shapely.geometry.shape(feature["geometry"])
+        inside = polygon.representative_point()
+        corners = shapely.get_coordinates(polygon)
+        if forward is not None:
+            corners = np.column_stack(forward.transform(corners[:, 0], corners[:, 1]))
+        corners = corners * unit
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        east, north = ((low + high) / 2).round(2).tolist()
+        width, height = (high - low).round(2).tolist()
+        if not math.isfinite(width + height):
+            raise ValueError("a place of change.geojson has no coordinates in the CRS")
+        where = (float(inside.x), float(inside.y))
+        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, (width, height))
+
+
+def _still(kinds: NDArray[np.uint8]) -> str:
+    """Return the kinds as one picture, hatched where not compared."""
+    factor = max(1, _STILL_SIDE // max(kinds.shape))
+    rows, cols = kinds.shape
+    scale = factor if factor > 1 else min(1.0, _STILL_SIDE / max(kinds.shape))
+    height, width = max(1, round(rows * scale)), max(1, round(cols * scale))
+    line, column = ((np.arange(size) + 0.5) * of / size for size, of in ((height, rows), (width, cols)))
+    shown = kinds[np.ix_(line.astype(int), column.astype(int))]
+    colours = np.full((256, 3), _GREY, np.uint8)
+    for code, colour in CHANGE_COLOURS.items():
+        colours[code] = colour[:3]
+    picture = colours[shown]
+    hatch = (shown == NOT_COMPARED) & ((np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1)
+    picture[hatch] = (110, 110, 110)
+    return jpeg(picture, 150_000)[0]

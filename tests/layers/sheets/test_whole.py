@@ -1,0 +1,203 @@
+"""What leads to the sheets of a map: its page, styles, a QGIS project, attribute tables, a thumbnail."""
+
+import io
+import json
+import re
+import shutil
+from types import SimpleNamespace
+from urllib.parse import unquote
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from cost_maps import make_field, make_map
+from PIL import Image
+from route_maps import RUN
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.types import CostTable
+from bumpymap.layers import (
+    PRODUCT_NAMES,
+    VIEW_NAMES,
+    SheetLayout,
+    SheetRun,
+    read_thumbnail,
+    sheet_folders,
+    write_products,
+    write_reports,
+    write_sheets,
+)
+from bumpymap.layers.report import site as pages
+from bumpymap.layers.report.sheet_table import sheet_table
+from bumpymap.layers.report.site import Site
+from bumpymap.layers.sheets.virtual import write_virtual
+from bumpytiles import BLOCK_TILES, Grid
+
+SMALL = Grid(3.0, 5)
+
+
+def write(cost_map, folder, blocks=4):
+    folder.mkdir(exist_ok=True, parents=True)
+    run = SheetRun(SheetLayout(cost_map.patches.grid, blocks * BLOCK_TILES), "k", False, lambda _: RUN)
+    write_sheets(CostTable.of(cost_map), folder, run, local=False, manifest=RUN)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_field(70, 50, grid=SMALL, west=-37, south=-20, seed=8)
+
+
+@pytest.fixture(scope="module")
+def whole(made, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sheets(made, tmp_path_factory):
+    return write(made, tmp_path_factory.mktemp("parent") / "sheets of a map")
+
+
+def record_of(folder):
+    return json.loads((folder / "run.json").read_text())
+
+
+class TestPage:
+    @pytest.mark.parametrize("tiles_a_pixel", [1, 4, 10])
+    def test_it_shows_what_the_page_of_one_map_shows(self, whole, sheets, monkeypatch, tiles_a_pixel):
+        """Also where a pixel of the page spans tiles of two sheets."""
+        if tiles_a_pixel > 1:
+            monkeypatch.setattr(pages, "_SIDE", -(-70 // tiles_a_pixel))
+        one, several = (Site.read(folder, record_of(folder)) for folder in (whole, sheets))
+        assert one.tiles.spot == several.tiles.spot
+        assert one.tiles.spot.step == tiles_a_pixel
+        assert one.summary == several.summary
+        for name in ("ground", "barred", "objects", "c_r", "p_fail", "slope", "cost", "c_r_bins", "slope_bins"):
+            left, right = getattr(one.tiles, name), getattr(several.tiles, name)
+            assert np.array_equal(left, right, equal_nan=left.dtype.kind == "f"), name
+        assert np.array_equal(one.objects, several.objects)
+        heights, found = one.grids[-1].values(), several.grids[-1].values()
+        assert np.array_equal(np.isnan(heights), np.isnan(found))
+        # The overviews of two rasters do not share all their pixels.
+        near = one.grids[-1].step if tiles_a_pixel == 1 else 0.02 * np.nanstd(heights)
+        assert np.nanmean(np.abs(heights - found)) <= near
+
+    def test_it_leads_to_the_page_of_every_sheet(self, sheets):
+        page = (sheets / "report.html").read_text()
+        links = [unquote(link) for link in re.findall(r'href="([^"#]+)"', page)]
+        folders = [folder.relative_to(sheets) for folder in sheet_folders(sheets)]
+        assert links == ["sheets.csv", *(f"{folder}/report.html" for folder in folders)]
+        assert all((sheets / link).is_file() for link in links)
+        assert 'href="#sheets"' in page
+        assert 'id="sheets"' in page
+
+    def test_the_page_of_a_sheet_says_which_it_is(self, sheets):
+        for folder in sheet_folders(sheets):
+            assert f"<h1>Survey, sheet {folder.name}</h1>" in (folder / "report.html").read_text()
+        assert "<h1>Survey</h1>" in (sheets / "report.html").read_text()
+
+    def test_it_is_made_again(self, sheets):
+        before = (sheets / "report.html").read_bytes()
+        (sheets / "report.html").write_text("")
+        assert write_reports([sheets]) == sheets / "report.html"
+        assert (sheets / "report.html").read_bytes() == before
+
+    def test_elsewhere_it_has_no_links_that_lead_nowhere(self, whole, sheets, tmp_path):
+        for layers in ([sheets], [sheets, whole]):
+            page = write_reports(layers, tmp_path / "page.html", overwrite=True).read_text()
+            assert "href" not in page
+            assert sheet_folders(sheets)[0].name in page
+
+    def test_one_map_has_no_sheets(self, whole):
+        assert "sheets" not in (whole / "report.html").read_text().partition('id="again"')[0]
+
+    def test_a_missing_sheet_is_named(self, sheets, tmp_path):
+        shutil.copytree(sheets, tmp_path / "out")
+        gone = sheet_folders(tmp_path / "out")[1]
+        shutil.rmtree(gone)
+        with pytest.raises(BadInputError, match=f"has 4 sheets, of which .*{gone.name} is missing"):
+            write_reports([tmp_path / "out"])
+
+    def test_ten_thousand_sheets_leave_room_for_the_map(self, sheets):
+        record = record_of(sheets)
+        many = SimpleNamespace(record=record | {"sheets": record["sheets"] * 2500}, tile_area=9.0, has_links=True)
+        text = sheet_table(many)
+        assert "10,000 sheets" in text
+        assert "the first 500" in text
+        assert len(text) < 200_000
+
+    def test_sites_far_apart_have_a_page_and_a_picture(self, tmp_path):
+        """Nothing that takes room or time lies between them: 2.8 million million pixels."""
+        far = write(make_map([0, 333_333], [0, 333_333], [0, 1], [0, 0], grid=SMALL), tmp_path / "far", blocks=100)
+        site = Site.read(far, record_of(far))
+        assert np.isfinite(site.grids[-1].values()).sum() == 2
+        assert read_thumbnail(far, 12_000)
+
+
+class TestQgisFiles:
+    def test_styles_are_those_of_one_map(self, whole, sheets):
+        names = {path.name for path in sheets.glob("*.qml")}
+        assert names == {name for name in VIEW_NAMES if name.endswith(".qml")} - {"tiles.qml"}
+        for name in names - {"cost.qml"}:  # that of one map also holds how regions look
+            assert (sheets / name).read_bytes() == (whole / name).read_bytes(), name
+        assert (sheets / "cost.qml").stat().st_size < (whole / "cost.qml").stat().st_size
+
+    def test_the_project_lists_the_virtual_rasters(self, whole, sheets):
+        found, expected = (
+            [
+                element.text
+                for element in ET.parse(folder / "map.qgs").iter("datasource")  # noqa: S314 (ours)
+            ]
+            for folder in (sheets, whole)
+        )
+        assert found == [name.replace(".tif", ".vrt") for name in expected if name.endswith(".tif")]
+
+    @pytest.mark.parametrize("name", ["class", "reason", "barred"])
+    def test_counts_are_those_of_all_sheets(self, whole, sheets, name):
+        def rows(path):
+            table = ET.parse(path).find(".//GDALRasterAttributeTable")  # noqa: S314 (ours)
+            return [[cell.text for cell in row] for row in table.iter("Row")]
+
+        assert rows(sheets / f"{name}.vrt") == rows(whole / f"{name}.tif.aux.xml")
+
+    def test_without_all_counts_there_are_none(self, sheets, tmp_path):
+        shutil.copytree(sheets, tmp_path / "out")
+        table = CostTable.of(make_field(70, 50, grid=SMALL, west=-37, south=-20, seed=8))
+        from bumpymap.layers.placement import Placement
+
+        place = Placement(table.georeference, table.tiles.grid, table.tiles.window)
+        windows = {}
+        for entry in record_of(sheets)["sheets"]:
+            window = SheetLayout(SMALL, 4 * BLOCK_TILES).window((entry["column"], entry["row"]))
+            windows[entry["folder"]] = table.tiles.part(window).window
+        write_virtual(tmp_path / "class.vrt", tmp_path / "out", place, windows)
+        assert (tmp_path / "class.vrt").read_bytes() == (sheets / "class.vrt").read_bytes()
+        (sheet_folders(tmp_path / "out")[2] / "class.tif.aux.xml").unlink()
+        write_virtual(tmp_path / "class.vrt", tmp_path / "out", place, windows)
+        assert b"AttributeTable" not in (tmp_path / "class.vrt").read_bytes()
+        assert b"<Category>smooth</Category>" in (tmp_path / "class.vrt").read_bytes()
+
+
+def test_the_thumbnail_is_that_of_one_map(whole, sheets):
+    one, several = (
+        np.asarray(Image.open(io.BytesIO(read_thumbnail(folder, 50_000))).convert("RGB"), np.float64)
+        for folder in (whole, sheets)
+    )
+    assert one.shape == several.shape
+    assert np.abs(one - several).max() < 40  # of 255: the relief is averaged from other overviews
+    assert one.std() > 20
+
+
+def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):
+    from bumpymap.layers import remove_sheets
+
+    folder = tmp_path / "out"
+    shutil.copytree(sheets, folder)
+    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
+    remove_sheets(folder)
+    names = {path.name for path in folder.iterdir()}
+    assert names == {path.name for path in whole.iterdir()}
+    assert names >= {*PRODUCT_NAMES, *VIEW_NAMES}
+    assert (folder / "report.html").read_bytes() == (whole / "report.html").read_bytes()
