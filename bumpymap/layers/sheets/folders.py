@@ -9,6 +9,7 @@ from typing import Any
 from bumpymap.core import STAGED, BadInputError, OutputError, read_record, remove_path
 from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT
 from bumpymap.layers.products import (
+    CATALOG_NAME,
     PRODUCT_NAMES,
     SHEET_FOLDER,
     SHEET_TABLE_NAME,
@@ -133,8 +134,8 @@ def remove_map_files(folder: Path) -> None:
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
     """Remove the sheets of an earlier run, but for the names in ``keep``; files that no run wrote stay.
 
-    If all are removed, the virtual rasters and the table of sheets are removed too. No link is followed but ``folder``
-    itself, which the user may have made one.
+    If all are removed, the virtual rasters, the table of sheets and their catalogue are removed too. No
+    link is followed but ``folder`` itself, which the user may have made one.
 
     Raises
     ------
@@ -149,7 +150,8 @@ def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
                 with suppress(OSError):  # not empty
                     sheet.rmdir()
         if not keep:
-            _remove_files(folder.resolve(), (*VIRTUAL_NAMES, SHEET_TABLE_NAME))
+            own = (CATALOG_NAME,) if (folder / SHEET_TABLE_NAME).is_file() else ()  # else that of a batch
+            _remove_files(folder.resolve(), (*own, *VIRTUAL_NAMES, SHEET_TABLE_NAME))
             with suppress(OSError):  # not empty, or not there
                 (folder / SHEET_FOLDER).rmdir()
 

@@ -26,15 +26,15 @@ from bumpymap.layers.manifest import (
     SHEETS_FORMAT,
     complete_manifest,
     describe_file,
-    plain_manifest,
     write_manifest,
 )
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES, VIRTUAL_NAMES
+from bumpymap.layers.products import CATALOG_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES, VIRTUAL_NAMES
 from bumpymap.layers.sheets.finished import is_finished
 from bumpymap.layers.sheets.folders import make_sheet_folder, remove_manifest, remove_map_files, remove_sheets
 from bumpymap.layers.sheets.layout import SheetLayout, SheetPlace
 from bumpymap.layers.sheets.virtual import write_virtual
+from bumpymap.layers.stac import write_catalog
 from bumpymap.layers.summary import STRIP, MapSummary, summarise
 from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import TileTable, TileWindow
@@ -45,10 +45,17 @@ _log = logging.getLogger(__name__)
 
 
 def _views(folder: Path, _: Sequence[Path], record: Mapping[str, Any]) -> None:
-    write_views(folder, plain_manifest(record))
+    write_views(folder, record)
 
 
-_INDEXES: tuple[Callable[[Path, Sequence[Path], Mapping[str, Any]], None], ...] = (_views,)
+def _catalogue(folder: Path, sheets: Sequence[Path], record: Mapping[str, Any]) -> None:
+    survey = record.get("survey")
+    name = survey.get("name") if isinstance(survey, Mapping) else None
+    names = [sheet.relative_to(folder).as_posix() for sheet in sheets]
+    write_catalog(folder, names, title=str(name or "Map in sheets"))
+
+
+_INDEXES: tuple[Callable[[Path, Sequence[Path], Mapping[str, Any]], None], ...] = (_views, _catalogue)
 """Write files of the whole map, such as its page or a catalogue: given its folder, which holds everything but run.json,
 the folders of its sheets, and the record of the run."""
 _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
@@ -99,7 +106,8 @@ def write_sheets(
     Returns
     -------
     list of Path
-        The virtual rasters, the table of sheets, run.json, and the files of ``VIEW_NAMES`` for the whole map.
+        The virtual rasters, the table of sheets, run.json, the catalogue, and the files of ``VIEW_NAMES`` for the
+        whole map.
     MapSummary
         Counts and medians of the whole map.
 
@@ -148,7 +156,7 @@ def write_sheets(
         write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
     views = [name for name in VIEW_NAMES if (folder / name).is_file()]
-    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, *views)], summary
+    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, CATALOG_NAME, *views)], summary
 
 
 def _write_sheet(table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, local: bool) -> None:

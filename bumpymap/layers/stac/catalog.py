@@ -19,7 +19,9 @@ _ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
 
 
 def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
-    """Write catalog.json: a STAC catalogue with a link to the item of each complete map.
+    """Write catalog.json: a STAC catalogue with a link to the item of each complete map, or to its own catalogue.
+
+    A map in sheets has a catalogue with an item for each sheet.
 
     Items do not link back: they are the same whether a map was made alone or with others.
 
@@ -40,21 +42,26 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
     place = root / CATALOG_NAME
     if lexists(place) and (place.is_symlink() or not place.is_file()):
         raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
-    items = [_link("item", f"./{_quoted(name)}/{ITEM_NAME}", name) for name in folders if _has_item(root / name)]
+    items = [_link("item", f"./{_quoted(name)}/{ITEM_NAME}", name) for name in folders if _has(root / name, ITEM_NAME)]
+    children = [
+        _link("child", f"./{_quoted(name)}/{CATALOG_NAME}", name) | {"type": "application/json"}
+        for name in folders
+        if _has(root / name, CATALOG_NAME) and not _has(root / name, ITEM_NAME)
+    ]
     name = valid_text(title)
     document = {
         "type": "Catalog",
         "stac_version": STAC_VERSION,
         "id": identifier(name),
         "title": name,
-        "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey",
-        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items],
+        "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey or sheet",
+        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items, *children],
     }
     write_document(document, place)
 
 
-def _has_item(folder: Path) -> bool:
-    return (folder / ITEM_NAME).is_file() and (folder / MANIFEST_NAME).is_file()
+def _has(folder: Path, name: str) -> bool:
+    return (folder / name).is_file() and (folder / MANIFEST_NAME).is_file()
 
 
 def _quoted(name: str) -> str:

@@ -35,7 +35,7 @@ from bumpytiles import BLOCK_TILES, Grid
 
 SMALL = Grid(3.0, 5)
 RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "obstacle")
-VIEWS = sorted({*VIEW_NAMES} - {"tiles.qml"})
+VIEWS = sorted({*VIEW_NAMES, "catalog.json"} - {"tiles.qml"})
 
 
 def write(cost_map, folder, *, blocks=1, keep=False, key="k"):

@@ -22,7 +22,9 @@ from bumpymap.layers import (
     SheetLayout,
     SheetRun,
     read_thumbnail,
+    remove_sheets,
     sheet_folders,
+    write_catalog,
     write_products,
     write_reports,
     write_sheets,
@@ -190,9 +192,23 @@ def test_the_thumbnail_is_that_of_one_map(whole, sheets):
     assert one.std() > 20
 
 
-def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):
-    from bumpymap.layers import remove_sheets
+def test_the_catalogue_has_every_sheet(sheets):
+    pystac = pytest.importorskip("pystac")
+    catalog = pystac.Catalog.from_file(str(sheets / "catalog.json"))
+    folders = [str(folder / "item.json") for folder in sheet_folders(sheets)]
+    assert [item.get_self_href() for item in catalog.get_items()] == folders
+    write_catalog(sheets.parent, [sheets.name, "nothing"], title="Night")
+    night = pystac.Catalog.from_file(str(sheets.parent / "catalog.json"))
+    assert [item.get_self_href() for item in night.get_items(recursive=True)] == folders
 
+
+def test_the_catalogue_of_a_batch_stays(whole, tmp_path):
+    (tmp_path / "catalog.json").write_text("{}")
+    remove_sheets(tmp_path)
+    assert (tmp_path / "catalog.json").exists()
+
+
+def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(sheets, folder)
     write_products(CostTable.of(made), folder, local=False, manifest=RUN)
