@@ -25,8 +25,10 @@ def draw(folder: Path, picture: Path) -> None:
         heights, step = raster.read(1), raster.transform.a
         box = raster.bounds
     with rasterio.open(folder / "class.tif") as raster:
-        class_id, reason = raster.read(1), raster.read(2)
+        class_id = raster.read(1)
         colours = [tuple(c / 255 for c in raster.colormap(1)[k]) for k in range(4)]
+    with rasterio.open(folder / "reason.tif") as raster:
+        reason, palette = raster.read(1, masked=True), raster.colormap(1)
     with rasterio.open(folder / "roughness.tif") as raster:
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
     extent = (0, box.right - box.left, 0, box.top - box.bottom)
@@ -49,16 +51,19 @@ def draw(folder: Path, picture: Path) -> None:
     image = cost.imshow(c_r, norm=LogNorm(0.01, 1.0), cmap="viridis", extent=extent)
     cost.set_title("roughness.tif, c_r [rad/m]")
     figure.colorbar(image, ax=cost, shrink=0.8)
-    palette = plt.get_cmap("tab10")
-    shown = [r for r in Reason if r != Reason.OK and np.any(reason == r)]
+    shades = [tuple(c / 255 for c in palette[r]) for r in Reason]
+    shown = [r for r in Reason if r != Reason.OK and np.ma.any(reason == r)]
     why.imshow(
-        np.ma.masked_equal(reason, Reason.OK), cmap=palette, vmin=0, vmax=9, extent=extent, interpolation="nearest"
+        np.ma.masked_equal(reason, Reason.OK),
+        cmap=ListedColormap(shades),
+        vmin=-0.5,
+        vmax=len(shades) - 0.5,
+        extent=extent,
+        interpolation="nearest",
     )
-    why.set_title("class.tif, reason of unknown tiles")
+    why.set_title("reason.tif, why tiles have no class")
     if shown:
-        why.legend(
-            handles=[Patch(color=palette(int(r)), label=REASON_TEXT[r]) for r in shown], loc="upper right", fontsize=8
-        )
+        why.legend(handles=[Patch(color=shades[r], label=REASON_TEXT[r]) for r in shown], loc="upper right", fontsize=8)
     for axis in axes.ravel():
         axis.set_aspect("equal")
     figure.tight_layout()

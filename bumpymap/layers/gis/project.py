@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -37,7 +38,15 @@ _GROUPS = (
         "Ride",
         (
             ProjectLayer("class.tif", "roughness class", MULTIPLY, visible=True),
-            ProjectLayer("roughness.tif", "ride cost c_r", MULTIPLY),
+            LayerGroup(
+                "ride cost c_r",
+                (
+                    ProjectLayer("roughness.tif", "most drives fail", visible=True, part="p_fail"),
+                    ProjectLayer("roughness.tif", "c_r of the drives that get through", MULTIPLY, visible=True),
+                ),
+                expanded=False,
+                visible=False,
+            ),
             ProjectLayer("cost.tif", "cost of driving", MULTIPLY),
         ),
         one_of=True,
@@ -63,22 +72,20 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         The project cannot be written, or a layer cannot be read.
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
-    groups = [
-        replace(group, layers=tuple(_in_folder(layer, folder) for layer in group.layers if _is_there(layer, folder)))
-        for group in _GROUPS
-    ]
+    groups = [group.found_in(partial(_in_folder, folder)) for group in _GROUPS]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
     add(root, "homePath", {"path": ""})
     add(root, "title", text=title)
     if crs is not None:
         add(root, "projectCrs").append(reference(crs))
     root.append(tree(group for group in groups if group.layers))
-    present = [layer for group in groups for layer in group.layers]
+    present = [layer for group in groups for layer in group.leaves()]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
         root.append(canvas(_bounds(folder / layer.source), crs))
     layers = add(root, "projectlayers")
     for layer in present:
-        layers.append(layer_element(layer, layer_style(layer.file, facts, layer.blend, layered=True), crs))
+        style = layer_style(layer.file, facts, layer.blend, layered=True, part=layer.part)
+        layers.append(layer_element(layer, style, crs))
     properties = add(root, "properties")
     add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")
     add(add(properties, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"}, "0" if crs is None else "1")
@@ -89,12 +96,10 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     write_qgis(root, folder / _NAME)
 
 
-def _is_there(layer: ProjectLayer, folder: Path) -> bool:
-    return raster_in(folder, layer.file).is_file()
-
-
-def _in_folder(layer: ProjectLayer, folder: Path) -> ProjectLayer:
-    return replace(layer, virtual=raster_in(folder, layer.file) != folder / layer.file)
+def _in_folder(folder: Path, layer: ProjectLayer) -> ProjectLayer | None:
+    """Return a layer as it is in a folder; None if it is not there."""
+    path = raster_in(folder, layer.file)
+    return replace(layer, virtual=path != folder / layer.file) if path.is_file() else None
 
 
 def _title(record: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """Elements of a QGIS project: layers, their tree, a CRS, the extent that is shown first."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from xml.etree import ElementTree as ET
 
@@ -27,11 +27,13 @@ class ProjectLayer:
     visible: bool = False
     virtual: bool = False
     """Whether it is the virtual raster over those of sheets."""
+    part: str = ""
+    """What it shows, if not what the file itself opens with; see `layer_style`."""
 
     @property
     def id(self) -> str:
         """From the name of the file, and longer than ten characters: QGIS does not find layers with shorter ones."""
-        return f"bumpymap_{self.file.replace('.', '_')}"
+        return "_".join(filter(None, ("bumpymap", self.file.replace(".", "_"), self.part)))
 
     @property
     def source(self) -> str:
@@ -46,36 +48,63 @@ class ProjectLayer:
 
 @dataclass(frozen=True, slots=True)
 class LayerGroup:
-    """Layers under one heading."""
+    """Layers, or groups of them, under one heading."""
 
     title: str
-    layers: tuple[ProjectLayer, ...]
+    layers: "tuple[ProjectLayer | LayerGroup, ...]"
     expanded: bool = True
     one_of: bool = False
-    """Whether showing one layer hides the others."""
+    """Whether showing one of them hides the others."""
+    visible: bool = True
+
+    def found_in(self, find: Callable[[ProjectLayer], ProjectLayer | None]) -> "LayerGroup":
+        """Return the group with those layers that ``find`` gives, and groups that have one."""
+        kept: list[ProjectLayer | LayerGroup] = []
+        for child in self.layers:
+            if isinstance(child, LayerGroup):
+                inner = child.found_in(find)
+                kept += [inner] if inner.layers else []
+            elif found := find(child):
+                kept.append(found)
+        return replace(self, layers=tuple(kept))
+
+    def leaves(self) -> Iterator[ProjectLayer]:
+        """Yield its layers and those of its groups, the topmost first."""
+        for child in self.layers:
+            if isinstance(child, LayerGroup):
+                yield from child.leaves()
+            else:
+                yield child
 
 
 def tree(groups: Iterable[LayerGroup]) -> ET.Element:
     """Return the tree of layers, the topmost group first."""
     root = ET.Element("layer-tree-group")
     for group in groups:
-        shown = any(layer.visible for layer in group.layers) or group.one_of
-        looks = {"name": group.title, "expanded": _flag(group.expanded), "checked": _checked(visible=True)}
-        if group.one_of:
-            chosen = next((number for number, layer in enumerate(group.layers) if layer.visible), -1)
-            looks |= {"mutually-exclusive": "1", "mutually-exclusive-child": str(chosen)}
-        branch = add(root, "layer-tree-group", looks)
-        for layer in group.layers:
-            leaf = {
-                "id": layer.id,
-                "name": layer.title,
-                "source": f"./{layer.source}",
-                "providerKey": _provider(layer),
-                "expanded": _flag(layer.visible or not shown),
-                "checked": _checked(visible=layer.visible),
-            }
-            add(branch, "layer-tree-layer", leaf)
+        _add_group(root, group)
     return root
+
+
+def _add_group(parent: ET.Element, group: LayerGroup) -> None:
+    shown = any(child.visible for child in group.layers) or group.one_of
+    looks = {"name": group.title, "expanded": _flag(group.expanded), "checked": _checked(visible=group.visible)}
+    if group.one_of:
+        chosen = next((number for number, child in enumerate(group.layers) if child.visible), -1)
+        looks |= {"mutually-exclusive": "1", "mutually-exclusive-child": str(chosen)}
+    branch = add(parent, "layer-tree-group", looks)
+    for child in group.layers:
+        if isinstance(child, LayerGroup):
+            _add_group(branch, child)
+            continue
+        leaf = {
+            "id": child.id,
+            "name": child.title,
+            "source": f"./{child.source}",
+            "providerKey": _provider(child),
+            "expanded": _flag(child.visible or not shown),
+            "checked": _checked(visible=child.visible),
+        }
+        add(branch, "layer-tree-layer", leaf)
 
 
 def layer_element(layer: ProjectLayer, style: Sequence[ET.Element], crs: CRS | None) -> ET.Element:

@@ -61,10 +61,11 @@ def paletted(
     return RasterStyle(renderer)
 
 
-def ramp(band: int, stops: Sequence[tuple[float, str, Colour]]) -> RasterStyle:
+def ramp(band: int, stops: Sequence[tuple[float, str, Colour]], *, clip: bool = False) -> RasterStyle:
     """Return the style of a band of numbers: colours mixed between stops (value, label, colour), rising.
 
-    Numbers beyond the first and the last stop have their colours. The legend lists the stops.
+    Numbers beyond the first and the last stop have their colours, or with ``clip`` are transparent. The legend lists
+    the stops.
     """
     low, high = f"{stops[0][0]:.9g}", f"{stops[-1][0]:.9g}"
     renderer = _renderer("singlebandpseudocolor", band)
@@ -75,7 +76,7 @@ def ramp(band: int, stops: Sequence[tuple[float, str, Colour]]) -> RasterStyle:
         {
             "colorRampType": "INTERPOLATED",
             "classificationMode": "1",
-            "clip": "0",
+            "clip": "1" if clip else "0",
             "minimumValue": low,
             "maximumValue": high,
             "labelPrecision": "3",

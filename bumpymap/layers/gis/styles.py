@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from bumpymap.core import BANDS, BARRED_TEXT, OBJECT_NAMES, REASON_TEXT, Barred, Reason
+from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, COST_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.raster_style import NORMAL, RasterStyle, hillshade, paletted, ramp
@@ -61,7 +61,9 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
             write_qgis(root, folder / name)
 
 
-def layer_style(layer: str, facts: StyleFacts, blend: int = NORMAL, *, layered: bool = False) -> list[ET.Element]:
+def layer_style(
+    layer: str, facts: StyleFacts, blend: int = NORMAL, *, layered: bool = False, part: str = ""
+) -> list[ET.Element]:
     """Return how QGIS shows a layer: elements of a style file, or of a layer in a project.
 
     Parameters
@@ -75,7 +77,11 @@ def layer_style(layer: str, facts: StyleFacts, blend: int = NORMAL, *, layered: 
     layered : bool
         As one of several layers of a project: clear where there is nothing to explain (passable tiles, tiles with a
         class); a pale relief.
+    part : str
+        Show something else of the file: ``p_fail``, the tiles where at least half of the drives fail.
     """
+    if part:
+        return _PARTS[part].elements(blend)
     if layer in _AREAS:
         return class_areas(_AREAS[layer], facts.class_labels, blend)
     if layered and layer in _LAYERED:
@@ -120,3 +126,6 @@ _LAYERED: dict[str, Callable[[StyleFacts], RasterStyle]] = {
     "reason.tif": lambda _: _reason((Reason.OK,)),
     "heightmap.tif": lambda facts: hillshade(facts.z_factor, _PALE),
 }
+_VERY_ROUGH = CLASS_COLOURS[3]
+_FAILS = ((FAIL_SHARE, "at least half of the drives fail", _VERY_ROUGH), (1.0, "all drives fail", _VERY_ROUGH))
+_PARTS = {"p_fail": ramp(1 + [band.name for band in BANDS].index("p_fail"), _FAILS, clip=True)}

@@ -130,6 +130,8 @@ def test_the_project_opens_as_a_map(seen):
     assert project["title"] == "Pit 7: ride cost"
     assert "warthog" in project["abstract"]
     assert project["crs"] == "EPSG:32614"
+    fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
+    assert fails["values"] == [0.5, 1.0]
     layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
     assert {name: layer["renderer"] for name, layer in layers.items()} == RASTERS | {"cost.fgb": "categorizedSymbol"}
     assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())

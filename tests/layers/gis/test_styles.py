@@ -8,7 +8,16 @@ from xml.etree import ElementTree as ET
 import pytest
 from pyproj import CRS
 
-from bumpymap.core import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Georeference
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    CLASS_NAMES,
+    FAIL_SHARE,
+    OBJECT_NAMES,
+    REASON_TEXT,
+    CostTable,
+    Georeference,
+)
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
@@ -158,9 +167,27 @@ def test_a_project_lists_what_is_there(folder):
         assert leaves[name].get("source") == layer.find("datasource").text
         assert (folder / layer.find("datasource").text).is_file()
         assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
-    assert {leaf.get("source") for leaf in leaves.values() if leaf.get("checked") == "Qt::Checked"} - {
-        "./reason.tif"
-    } == {"./class.tif", "./heightmap.tif"}
+    checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
+    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_heightmap_tif"}
+    assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
+
+
+def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
+    """The c_r there is that of the drives that got through, which may be low."""
+    root = read(folder / "map.qgs")
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    ride = next(group for group in root.iter("layer-tree-group") if group.get("name") == "Ride")
+    (both,) = (group for group in ride if group.get("name") == "ride cost c_r")
+    assert [leaf.get("id") for leaf in both] == ["bumpymap_roughness_tif_p_fail", "bumpymap_roughness_tif"]
+    assert both.get("checked") == "Qt::Unchecked"
+    assert ride.get("mutually-exclusive-child") == "0"
+    renderer = layers["bumpymap_roughness_tif_p_fail"].find("pipe/rasterrenderer")
+    assert int(renderer.get("band")) == 1 + [band.name for band in BANDS].index("p_fail")
+    shader = renderer.find("rastershader/colorrampshader")
+    assert shader.get("clip") == "1"  # what is below the first stop is not drawn
+    assert [float(item.get("value")) for item in shader.iter("item")] == [FAIL_SHARE, 1.0]
+    red = "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[3])
+    assert {item.get("color") for item in shader.iter("item")} == {red}
 
 
 def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
