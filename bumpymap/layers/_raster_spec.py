@@ -72,7 +72,7 @@ def open_raster(
         interleave="band",
         blockxsize=SCRATCH_BLOCK,
         blockysize=SCRATCH_BLOCK,
-        sparse_ok=True,
+        sparse_ok=not spec.counts_nodata,  # overviews would take a block that is not written for zeros
         bigtiff=bigtiff,
         photometric="MINISBLACK",
         alpha="NO",

@@ -5,6 +5,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
+from cost_maps import part_of
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
@@ -325,6 +326,29 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field, monkey
     for level in range(levels):
         with rasterio.open(tmp_path / "class.tif", overview_level=level) as file:
             assert (file.read(1) == NO_CLASS).all()
+
+
+@pytest.mark.parametrize("scratch", [0, 1 << 30], ids=["on disk", "in memory"])
+@pytest.mark.parametrize("known", [False, True], ids=["nothing known", "all smooth"])
+def test_large_areas_of_one_value_have_it_in_overviews_too(tmp_path, make_field, monkeypatch, scratch, known):
+    """Two patches of tiles far apart: blocks of the scratch raster between them hold nodata alone."""
+    monkeypatch.setattr(_cog, "SMALL", scratch)
+    cost_map = make_field(700, 700, grid=Grid(3.0, 1), holes=0.0, easy=True)
+    col, row = cost_map.patches.col - 110_000, cost_map.patches.row - 680_000
+    cost_map = part_of(cost_map, np.maximum(col, row) < 300 if known else np.maximum(col, row) % 690 < 10)
+    class_id = np.full(len(cost_map.class_id), 0 if known else NO_CLASS, np.uint8)
+    reason = np.full(len(class_id), Reason.OK if known else Reason.TOO_FEW_POINTS, np.uint8)
+    cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
+    for name in ("class", "barred", "reason"):
+        path = tmp_path / f"{name}.tif"
+        WRITERS[name](cost_map, path)
+        assert cog_validate(path, strict=True)[:2] == (True, [])
+        with rasterio.open(path) as file:
+            levels, values = len(file.overviews(1)), set(np.unique(file.read(1)).tolist())
+        assert levels > 0
+        for level in range(levels):
+            with rasterio.open(path, overview_level=level) as file:
+                assert set(np.unique(file.read(1)).tolist()) <= values, (name, level)
 
 
 def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):

@@ -200,7 +200,10 @@ def _way_table(ways: Sequence[DrawnWay]) -> Html:
     for key, label, decimals, unit in _FIGURES:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
-            rows.append((label, *(number(value, decimals, unit) for value in values)))
+            shown = [number(value, decimals, unit) for value in values]
+            if key == "p_arrives":  # 0.998 is not certain
+                shown = [share(value, 1.0) if isinstance(value, int | float) else DASH for value in values]
+            rows.append((label, *shown))
     return table("Figures of the way", ("figure", *(way.name for way in ways)), rows, wide=len(ways) > 2)
 
 

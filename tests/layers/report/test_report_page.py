@@ -363,7 +363,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
     lonlat = [Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True).transform(*corner) for corner in corners]
     line = {"type": "LineString", "coordinates": [list(place) for place in lonlat]}
-    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": None}
+    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
     collection = {"features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
     page = read_page(write_reports([site], tmp_path / "a.html", route=tmp_path))
@@ -373,6 +373,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     assert table[0] == ["figure", "<b>way</b>"]
     assert ["mean C_r", "0.123 rad/m"] in table
     assert ["length", "1,234 m"] in table
+    assert ["chance to arrive", "over 99\xa0%"] in table
 
 
 def test_rounding_of_a_grid():

@@ -4,6 +4,8 @@
   const codes = data.codes;
   const NONE = 255;
   const LINES = 8;
+  const GREY = [178, 178, 178, 255];
+  const BLACK = [0, 0, 0, 255];
 
   const unpack = async (text) => {
     const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -86,8 +88,6 @@
       this.pointers = new Map();
       this.others = [];
       this.masks = {
-        unknown: this.tiles((at) => this.isUnknown(at) && [178, 178, 178, 255]),
-        barred: this.barred && this.tiles((at) => barredCode(this.barred[at]) && [0, 0, 0, 255]),
         objects: this.objects && paint(about.objects.rows, about.objects.cols, (at) => {
           const code = this.objects[at];
           return (code === 1 || code === 2) && codes.objectColours[code];
@@ -131,12 +131,10 @@
     }
 
     /** What is hatched: ground that is not known and, among differences, what has none, since white means no difference. */
-    unknownMask(key) {
+    /** Whether a tile is not known in a colouring: a difference needs a value on both sides. */
+    unknownIn(key) {
       const values = this.about.differences && this.valuesOf(key);
-      if (!values) return this.masks.unknown;
-      this.masks[key] ??= this.tiles((at) =>
-        (this.isUnknown(at) || (this.ground[at] !== NONE && values[at] === NONE)) && [178, 178, 178, 255]);
-      return this.masks[key];
+      return (at) => this.isUnknown(at) || (values && this.ground[at] !== NONE && values[at] === NONE);
     }
 
     get chosen() {
@@ -359,8 +357,8 @@
       const sharp = box[2] > about.cols;
       context.imageSmoothingEnabled = !sharp;
       layer(this.layer(this.chosen));
-      const unknown = this.unknownMask(this.chosen);
-      layer(unknown);
+      context.imageSmoothingEnabled = false;
+      context.drawImage(...this.worst("unknown", box));
       if (this.shows("relief")) {
         context.globalCompositeOperation = "multiply";
         context.imageSmoothingEnabled = true;
@@ -369,7 +367,7 @@
         context.globalCompositeOperation = "source-over";
       }
       if (this.shows("objects")) layer(this.masks.objects);
-      this.hatch(unknown, this.unknownPattern, box);
+      this.hatch(...this.worst("unknown", box), this.unknownPattern);
       if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
       if (this.shows("ways")) this.drawWays(left, top);
@@ -388,22 +386,43 @@
     drawBarred(box) {
       const { context } = this;
       if (this.about.metres * this.scale >= LINES) {
-        this.hatch(this.masks.barred, this.barredPattern, box);
+        this.hatch(...this.worst("barred", box), this.barredPattern);
         return;
       }
       context.globalAlpha = 0.6;
       context.imageSmoothingEnabled = false;
-      context.drawImage(this.masks.barred, ...box);
+      context.drawImage(...this.worst("barred", box));
       context.globalAlpha = 1;
     }
 
-    hatch(mask, pattern, box) {
+    /**
+     * A mask and its box. Where a pixel of the screen spans several tiles, those of the mask are as large: each is set
+     * if one of its tiles is, so that no tile is skipped.
+     */
+    worst(key, box) {
+      const { rows, cols } = this.about;
+      const step = Math.max(1, Math.ceil(cols / box[2]));
+      const [high, wide] = [Math.ceil(rows / step), Math.ceil(cols / step)];
+      const name = `${key} ${this.about.differences ? this.chosen : ""} ${step}`;
+      if (!(name in this.masks)) {
+        const isOn = key === "unknown" ? this.unknownIn(this.chosen) : (at) => barredCode(this.barred[at]);
+        const found = new Uint8Array(high * wide);
+        for (let at = 0; at < rows * cols; at += 1) {
+          if (isOn(at)) found[Math.floor(at / cols / step) * wide + Math.floor((at % cols) / step)] = 1;
+        }
+        const colour = key === "unknown" ? GREY : BLACK;
+        this.masks[name] = paint(high, wide, (at) => found[at] && colour);
+      }
+      return [this.masks[name], box[0], box[1], (box[2] * wide * step) / cols, (box[3] * high * step) / rows];
+    }
+
+    hatch(mask, left, top, width, height, pattern) {
       const over = (this.over ??= document.createElement("canvas"));
       over.width = this.canvas.width;
       over.height = this.canvas.height;
       const pen = over.getContext("2d");
       pen.imageSmoothingEnabled = false;
-      pen.drawImage(mask, ...box);
+      pen.drawImage(mask, left, top, width, height);
       pen.globalCompositeOperation = "source-in";
       pen.fillStyle = pattern;
       pen.fillRect(0, 0, over.width, over.height);
