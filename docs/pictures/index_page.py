@@ -53,8 +53,10 @@ def draw(picture: Path) -> None:
         write_site(flights / "field_thin.laz", 2.2, 512_720, 5_403_290, 32632)
         (flights / "field_cut.laz").write_bytes(SAMPLE.read_bytes()[:900_000])
         bumpymap.map_batch(flights, night)
+        page = night / "index.html"
+        page.write_text(page.read_text(encoding="utf-8").replace(f"{scratch}/", ""), encoding="utf-8")  # where it ran
         command = [browser, "--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZE[0]},{SIZE[1]}"]
-        command += [f"--screenshot={shot}", (night / "index.html").as_uri()]
+        command += [f"--screenshot={shot}", page.as_uri()]
         subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603 (no shell, our own page)
         image = Image.open(shot).convert("RGB")
         pixels = np.asarray(image)

@@ -131,7 +131,6 @@
     }
 
     /** What is hatched: ground that is not known and, among differences, what has none, since white means no difference. */
-    /** Whether a tile is not known in a colouring: a difference needs a value on both sides. */
     unknownIn(key) {
       const values = this.about.differences && this.valuesOf(key);
       return (at) => this.isUnknown(at) || (values && this.ground[at] !== NONE && values[at] === NONE);
