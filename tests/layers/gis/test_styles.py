@@ -11,11 +11,11 @@ from pyproj import CRS
 from bumpymap.core import (
     BANDS,
     BARRED_TEXT,
-    Barred,
     CLASS_NAMES,
     FAIL_SHARE,
     OBJECT_NAMES,
     REASON_TEXT,
+    Barred,
     CostTable,
     Georeference,
 )
