@@ -103,6 +103,9 @@ from .products import (
 from .regions import (
     dissolve as dissolve,
 )
+from .relief import (
+    write_relief as write_relief,
+)
 from .remote_folder import (
     RemoteFolder as RemoteFolder,
 )

@@ -41,14 +41,14 @@ OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
 }
 """Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
 REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    Reason.OK: (217, 240, 211, 255),
+    Reason.OK: (235, 235, 235, 255),
     Reason.NO_POINTS: (0, 0, 0, 0),
     Reason.TOO_FEW_POINTS: (194, 165, 207, 255),
     Reason.TOO_MANY_HOLES: (128, 115, 172, 255),
     Reason.NO_GROUND: (221, 119, 170, 255),
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
-"""Red, green, blue, alpha of each `Reason`: tiles with a class pale green, places without points transparent."""
+"""Red, green, blue, alpha of each `Reason`: tiles with a class light grey, places without points transparent."""
 CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (233, 240, 226, 255),
     1: (246, 178, 72, 255),

@@ -25,10 +25,12 @@ from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import ITEM_NAME, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
+from bumpymap.layers.relief import write_relief
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
+from bumpytiles import TileTable
 
 __all__ = ["write_products", "write_views"]
 
@@ -46,7 +48,13 @@ _VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, w
 
 
 def write_products(
-    table: CostTable, folder: Path, *, local: bool, manifest: Mapping[str, Any], progress: Progress | None = None
+    table: CostTable,
+    folder: Path,
+    *,
+    local: bool,
+    manifest: Mapping[str, Any],
+    progress: Progress | None = None,
+    around: TileTable | None = None,
 ) -> tuple[list[Path], MapSummary]:
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
@@ -65,6 +73,8 @@ def write_products(
         The run's own entries for run.json, see `complete_manifest`.
     progress : Progress, optional
         Counts the layers as they are written.
+    around : TileTable, optional
+        See `write_relief`.
 
     Returns
     -------
@@ -89,7 +99,7 @@ def write_products(
     with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
         counting = background.submit(summarise, table)
         try:
-            layers = _write_layers(_layers(table, coordinates, staged, metadata), staged, progress)
+            layers = _write_layers(_layers(table, coordinates, staged, metadata, around), staged, progress)
             summary = counting.result()
         finally:
             background.shutdown(wait=False, cancel_futures=True)
@@ -110,7 +120,11 @@ def write_views(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def _layers(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
+    table: CostTable,
+    coordinates: GeoJsonCoordinates,
+    folder: Path,
+    metadata: Mapping[str, Any],
+    around: TileTable | None,
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
@@ -120,6 +134,7 @@ def _layers(
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
+            ("relief.tif",): partial(write_relief, table, folder / "relief.tif", tags, around),
             ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
         },
         {

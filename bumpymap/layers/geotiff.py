@@ -24,6 +24,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
+from bumpymap.layers._tile_pixels import HEIGHT_BLOCK, layer_tags, write_pixels
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable
@@ -39,15 +40,8 @@ __all__ = [
 ]
 
 _TILE_BLOCK = 128
-_HEIGHT_BLOCK = 512
 _TILE_WINDOW = 16 * BLOCK_TILES
 """Side of a window, tiles: whole blocks, so that none is read twice."""
-_WINDOW_PIXELS = 1024
-"""Side of a window of heightmap.tif, pixels; rounded down to whole blocks, at least one."""
-
-_SPARSE = 0.1
-"""Below this share of tiles with points in its extent a survey is sparse: then heightmap.tif and obstacle.tif have
-smaller blocks, and those without values are not made."""
 
 
 def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -79,7 +73,7 @@ def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None =
         crs=place.horizontal_crs,
         overviews="AVERAGE",
         block=_TILE_BLOCK,
-        tags=_tags(table, "ride cost and roughness of each tile", about),
+        tags=layer_tags(table, "ride cost and roughness of each tile", about),
     )
     write_cog(path, place, spec, _painter(table.tiles, gaps, "float32"), _TILE_WINDOW)
 
@@ -91,7 +85,7 @@ def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = N
     For parameters and errors see `write_roughness`.
     """
     band = BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES)
-    _write_codes(table, path, "class_id", band, CLASS_COLOURS, _tags(table, "roughness class of each tile", about))
+    _write_codes(table, path, "class_id", band, CLASS_COLOURS, layer_tags(table, "roughness class of each tile", about))
 
 
 def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -102,7 +96,7 @@ def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = N
     band = BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason))
     colours = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     colours[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
-    _write_codes(table, path, "reason", band, colours, _tags(table, "why tiles have no class", about))
+    _write_codes(table, path, "reason", band, colours, layer_tags(table, "why tiles have no class", about))
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -125,7 +119,7 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
         crs=place.horizontal_crs,
         overviews="AVERAGE",
         block=_TILE_BLOCK,
-        tags=_tags(table, "cost of driving over each tile", own | (about or {})),
+        tags=layer_tags(table, "cost of driving over each tile", own | (about or {})),
     )
 
     def paint(window: RasterWindow) -> NDArray[np.float32] | None:
@@ -147,7 +141,7 @@ def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = No
     """
     names = tuple(BARRED_TEXT[code] for code in Barred)
     band = BandSpec("barred", text="why the tile is not passable", categories=names)
-    _write_codes(table, path, "barred", band, BARRED_COLOURS, _tags(table, "why tiles are not passable", about))
+    _write_codes(table, path, "barred", band, BARRED_COLOURS, layer_tags(table, "why tiles are not passable", about))
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -164,12 +158,12 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
         pixels=pixels,
         crs=place.height_crs,
         overviews="AVERAGE",
-        block=_HEIGHT_BLOCK,
-        tags=_tags(table, "height map", about),
+        block=HEIGHT_BLOCK,
+        tags=layer_tags(table, "height map", about),
         # On 56 million pixels, level 6 took twice the time of level 1 and saved 4 % of the bytes.
         level=1,
     )
-    _write_pixels(table, path, spec, ("heights",), lambda found: found["heights"])
+    write_pixels(table, path, spec, ("heights",), lambda found, _: found["heights"])
 
 
 def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -187,19 +181,19 @@ def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None =
         pixels=pixels,
         crs=place.horizontal_crs,
         overviews="MODE",
-        block=_HEIGHT_BLOCK,
+        block=HEIGHT_BLOCK,
         colours=OBJECT_COLOURS,
-        tags=_tags(table, "obstacles", about),
+        tags=layer_tags(table, "obstacles", about),
         level=1,
         worst=(OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE),
     )
 
-    def states(found: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    def states(found: dict[str, NDArray[Any]], _: RasterWindow) -> NDArray[np.uint8]:
         objects = found["objects"]
         hidden = (objects == UNSEEN) | ((objects == FREE) & np.isnan(found["obstacle"])[:, None, None])
         return np.where(hidden, np.uint8(UNKNOWN_OBJECT), objects)
 
-    _write_pixels(table, path, spec, ("objects", "obstacle"), states)
+    write_pixels(table, path, spec, ("objects", "obstacle"), states)
 
 
 def _write_codes(
@@ -227,34 +221,6 @@ def _write_codes(
     write_cog(path, place, spec, _painter(table.tiles, {column: NO_CLASS}, "uint8"), _TILE_WINDOW)
 
 
-def _write_pixels(
-    table: CostTable,
-    path: Path,
-    spec: RasterSpec,
-    names: tuple[str, ...],
-    values: Callable[[dict[str, NDArray[Any]]], NDArray[Any]],
-) -> None:
-    """Write a raster with pixels in each tile; ``values`` makes them, (n, pixels, pixels), of the columns ``names``."""
-    place, pixels = Placement.of(table), spec.pixels
-
-    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-        found = table.tiles.read(names, window.tiles)
-        return *window.pixel_indices(found), values(found)
-
-    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not table.tiles.holds(window.tiles):
-            return None
-        line, column, stack = pieces(window)
-        lines, columns = window.tiles.rows, window.tiles.cols
-        canvas = np.full((lines, pixels, columns, pixels), spec.nodata, dtype=spec.dtype)
-        canvas[line, :, column, :] = stack
-        return canvas.reshape(1, lines * pixels, columns * pixels)
-
-    sparse = table.tiles.tiles < _SPARSE * place.window.cols * place.window.rows
-    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
-    write_cog(path, place, spec, paint, side, pieces if sparse else None)
-
-
 def _painter(
     tiles: TileTable, gaps: Mapping[str, float], dtype: str
 ) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
@@ -272,13 +238,3 @@ def _painter(
         return canvas
 
     return paint
-
-
-def _tags(table: CostTable, title: str, about: dict[str, str] | None) -> dict[str, str]:
-    grid = table.tiles.grid
-    own = {
-        "title": title,
-        "tile_size_m": f"{grid.tile_size:g}",
-        "ride_weight_m_per_rad": f"{table.rule.ride_weight:g}",
-    }
-    return own | (about or {})

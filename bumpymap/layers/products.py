@@ -37,6 +37,7 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "cost.tif",
     "barred.tif",
     "heightmap.tif",
+    "relief.tif",
     "obstacle.tif",
     "tiles.parquet",
     "cost.geojson",

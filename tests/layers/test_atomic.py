@@ -14,6 +14,7 @@ from bumpymap.layers import (
     geojson_writer,
     write_classes,
     write_heightmap,
+    write_relief,
     write_roughness,
     write_tiles,
 )
@@ -102,6 +103,7 @@ WRITERS = {
     "roughness.tif": lambda cost_map, path: write_roughness(CostTable.of(cost_map), path),
     "class.tif": lambda cost_map, path: write_classes(CostTable.of(cost_map), path),
     "heightmap.tif": lambda cost_map, path: write_heightmap(CostTable.of(cost_map), path),
+    "relief.tif": lambda cost_map, path: write_relief(CostTable.of(cost_map), path),
     "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
     "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
     "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),

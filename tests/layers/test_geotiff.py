@@ -38,6 +38,7 @@ from bumpymap.layers import (
     write_heightmap,
     write_obstacles,
     write_reasons,
+    write_relief,
     write_roughness,
 )
 from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
@@ -52,6 +53,7 @@ WRITERS = {
     "barred": lambda cost_map, *rest: write_barred(CostTable.of(cost_map), *rest),
     "obstacle": lambda cost_map, *rest: write_obstacles(CostTable.of(cost_map), *rest),
     "heightmap": lambda cost_map, *rest: write_heightmap(CostTable.of(cost_map), *rest),
+    "relief": lambda cost_map, *rest: write_relief(CostTable.of(cost_map), *rest),
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
@@ -84,7 +86,8 @@ def test_is_a_strictly_valid_cog_in_the_right_place(rasters, cost_map, name):
             (patches.col.max() + 1) * 3.0,
             (patches.row.max() + 1) * 3.0,
         )
-        assert file.res == ((0.2, 0.2) if name in {"heightmap", "obstacle"} else (3.0, 3.0))
+        side = {"heightmap": 0.2, "obstacle": 0.2, "relief": 1.0}.get(name, 3.0)
+        assert file.res == (side, side)
         assert file.transform.b == file.transform.d == 0.0
         assert file.transform.e < 0.0
         assert file.tags()["vehicle"] == "warthog"
@@ -242,7 +245,7 @@ def test_counts_are_those_of_the_whole_raster_when_it_is_made_in_several_windows
     tmp_path, make_field, monkeypatch, name
 ):
     monkeypatch.setattr("bumpymap.layers.geotiff._TILE_WINDOW", 16)
-    monkeypatch.setattr("bumpymap.layers.geotiff._WINDOW_PIXELS", 64)
+    monkeypatch.setattr("bumpymap.layers._tile_pixels._WINDOW_PIXELS", 64)
     monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     WRITERS[name](make_field(70, 50, grid=Grid(3.0, 4)), tmp_path / f"{name}.tif")
     check_value_table(tmp_path / f"{name}.tif", name, tmp_path / "seen.vrt")

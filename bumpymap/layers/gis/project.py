@@ -28,7 +28,7 @@ _GROUPS = (
         "Why not",
         (
             ProjectLayer("barred.tif", "barred"),
-            ProjectLayer("reason.tif", "reason for no class", visible=True),
+            ProjectLayer("reason.tif", "reason for no class", MULTIPLY, visible=True),
             ProjectLayer("obstacle.tif", "obstacles"),
         ),
         expanded=False,
@@ -51,7 +51,13 @@ _GROUPS = (
         ),
         one_of=True,
     ),
-    LayerGroup("Ground", (ProjectLayer("heightmap.tif", "relief", visible=True),)),
+    LayerGroup(
+        "Ground",
+        (
+            ProjectLayer("heightmap.tif", "measured heights, with holes"),
+            ProjectLayer("relief.tif", "relief, holes filled", visible=True),
+        ),
+    ),
 )
 """The groups of the project, the topmost first."""
 

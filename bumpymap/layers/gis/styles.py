@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, COST_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.gis.facts import StyleFacts
-from bumpymap.layers.gis.raster_style import NORMAL, RasterStyle, hillshade, paletted, ramp
+from bumpymap.layers.gis.raster_style import NORMAL, Colour, RasterStyle, hillshade, paletted, ramp
 from bumpymap.layers.gis.vector_style import REGION_KIND, TILE_KIND, class_areas
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, write_qgis
 from bumpymap.layers.sheets.folders import raster_in
@@ -18,6 +18,8 @@ __all__ = ["layer_style", "write_styles"]
 _C_R_BAND = 1 + [band.name for band in BANDS].index("c_r")
 _PALE = 0.6
 """Opacity of the relief under other layers."""
+_GREY = (*BARRED_COLOURS[Barred.UNKNOWN][:3], 180)
+"""Colour of unknown ground over the relief, which shows through; no class is drawn between them."""
 _AREAS = {"cost.geojson": REGION_KIND, "cost.fgb": REGION_KIND, "tiles.parquet": TILE_KIND}
 _FILES: dict[str, tuple[str, ...]] = {
     "class.qml": ("class.tif",),
@@ -27,6 +29,7 @@ _FILES: dict[str, tuple[str, ...]] = {
     "barred.qml": ("barred.tif",),
     "obstacle.qml": ("obstacle.tif",),
     "heightmap.qml": ("heightmap.tif",),
+    "relief.qml": ("relief.tif",),
     "tiles.qml": ("tiles.parquet",),
 }
 """Each style file and the layers that QGIS uses it for, all with its stem: one file holds a part for rasters and one
@@ -104,8 +107,8 @@ def _cost() -> RasterStyle:
     return ramp(1, [(value, labels.get(value, f"{value:g}"), colour) for value, colour in COST_COLOURS.items()])
 
 
-def _barred(clear: tuple[int, ...] = ()) -> RasterStyle:
-    return paletted(((code.value, text) for code, text in BARRED_TEXT.items()), BARRED_COLOURS, clear=clear)
+def _barred(clear: tuple[int, ...] = (), colours: Mapping[int, Colour] = BARRED_COLOURS) -> RasterStyle:
+    return paletted(((code.value, text) for code, text in BARRED_TEXT.items()), colours, clear=clear)
 
 
 def _reason(clear: tuple[int, ...] = ()) -> RasterStyle:
@@ -120,11 +123,13 @@ _RASTERS: dict[str, Callable[[StyleFacts], RasterStyle]] = {
     "reason.tif": lambda _: _reason(),
     "obstacle.tif": lambda _: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
     "heightmap.tif": lambda facts: hillshade(facts.z_factor),
+    "relief.tif": lambda facts: hillshade(facts.z_factor),
 }
 _LAYERED: dict[str, Callable[[StyleFacts], RasterStyle]] = {
-    "barred.tif": lambda _: _barred((Barred.NO,)),
+    "barred.tif": lambda _: _barred((Barred.NO,), BARRED_COLOURS | {Barred.UNKNOWN: _GREY}),
     "reason.tif": lambda _: _reason((Reason.OK,)),
     "heightmap.tif": lambda facts: hillshade(facts.z_factor, _PALE),
+    "relief.tif": lambda facts: hillshade(facts.z_factor, _PALE),
 }
 _VERY_ROUGH = CLASS_COLOURS[3]
 _FAILS = ((FAIL_SHARE, "at least half of the drives fail", _VERY_ROUGH), (1.0, "all drives fail", _VERY_ROUGH))

@@ -129,7 +129,7 @@ def write_sheets(
     for name, place in places.items():
         part = replace(table, tiles=table.tiles.part(run.layout.window(place)))
         windows[f"{SHEET_FOLDER}/{name}"] = part.tiles.window
-        _write_sheet(part, make_sheet_folder(folder, name), place, run, local=local)
+        _write_sheet(part, make_sheet_folder(folder, name), place, run, around=table.tiles, local=local)
         progress.advance(1)
     summary = summarise(table)
     remove_map_files(folder)
@@ -159,13 +159,15 @@ def write_sheets(
     return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, CATALOG_NAME, *views)], summary
 
 
-def _write_sheet(table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, local: bool) -> None:
+def _write_sheet(
+    table: CostTable, sheet: Path, place: SheetPlace, run: SheetRun, *, around: TileTable, local: bool
+) -> None:
     """Write one sheet, unless an interrupted run has finished it."""
     about = {"name": sheet.name, "column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
     if run.keep and is_finished(sheet, about):
         return
     own = {**run.manifest_of(table.tiles.window), "sheet": about, "points": _points(table.tiles), "seconds": {}}
-    write_products(table, sheet, local=local, manifest=own)
+    write_products(table, sheet, local=local, manifest=own, around=around)
 
 
 def _points(tiles: TileTable) -> int:

@@ -39,7 +39,7 @@ _TITLES = {
     ".xml": "names of the values, for GDAL",
 }
 _OVERVIEWS = (".html", ".qgs")
-_WITH_HEIGHTS = ("heightmap.tif", "tiles.parquet")
+_WITH_HEIGHTS = ("heightmap.tif", "relief.tif", "tiles.parquet")
 """Files in the survey's CRS with its vertical part."""
 _STATISTICS = {
     "STATISTICS_MINIMUM": "minimum",

@@ -28,7 +28,7 @@ _ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
 
 _PACK_BYTES, _ENTRY_BYTES = 8192, 32
 """Size of the header of a pack, and of its index entry of a block, bytes."""
-_LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 300
+_LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 350
 """Layers before compression: bytes per pixel of a heightmap (stored twice) and of obstacle.tif, and other bytes per
 tile."""
 

@@ -30,6 +30,7 @@ RASTERS = {
     "roughness.tif": "singlebandpseudocolor",
     "cost.tif": "singlebandpseudocolor",
     "heightmap.tif": "hillshade",
+    "relief.tif": "hillshade",
 }
 RASTERS = {name: kind for name, kind in RASTERS.items() if name in PRODUCT_NAMES}
 AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
@@ -104,7 +105,7 @@ def test_numbers_have_the_colours_of_their_stops(seen):
     assert shades["2.0"] == shades["99.0"] == list(CLASS_COLOURS[3])
     costs = seen["layers"]["cost.tif"]["shades"]
     assert costs["-1.0"] != costs["2.0"] != costs["99.0"]
-    assert seen["layers"]["heightmap.tif"]["resampling"] == ["bilinear", "bilinear"]
+    assert seen["layers"]["relief.tif"]["resampling"] == ["bilinear", "bilinear"]
     assert seen["layers"]["class.tif"]["resampling"] == ["nearest", "nearest"]
 
 
@@ -136,10 +137,10 @@ def test_the_project_opens_as_a_map(seen):
     assert {name: layer["renderer"] for name, layer in layers.items()} == RASTERS | {"cost.fgb": "categorizedSymbol"}
     assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
     assert layers["class.tif"]["multiply"]
-    assert not layers["heightmap.tif"]["multiply"]
+    assert not layers["relief.tif"]["multiply"]
     assert all(found for *_, found in project["tree"])
     shown = {layer_id for _, _, layer_id, is_shown, _ in project["tree"] if is_shown}
-    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_heightmap_tif"}
+    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_relief_tif"}
     assert project["colours"] > 100  # four classes, each as bright as the relief under it
     west, south, east, north = layers["class.tif"]["extent"]
     assert project["extent"][0] < west < east < project["extent"][2]

@@ -15,6 +15,7 @@ from bumpymap.core import (
     FAIL_SHARE,
     OBJECT_NAMES,
     REASON_TEXT,
+    Barred,
     CostTable,
     Georeference,
 )
@@ -140,7 +141,9 @@ def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, s
 def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
     foot = {"metres_per_unit": {"horizontal": 1200 / 3937, "vertical": 1.0}}
     for record, factor in (({}, 1.0), (foot, 3937 / 1200)):
-        root = styled(alone, **record)["heightmap.qml"]
+        styles = styled(alone, **record)
+        root = styles["relief.qml"]
+        assert ET.tostring(styles["heightmap.qml"]) == ET.tostring(root)
         renderer, sampler = root.find("pipe/rasterrenderer"), root.find("pipe/rasterresampler")
         assert renderer.get("type") == "hillshade"
         assert float(renderer.get("zfactor")) == pytest.approx(factor)
@@ -168,7 +171,7 @@ def test_a_project_lists_what_is_there(folder):
         assert (folder / layer.find("datasource").text).is_file()
         assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
     checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
-    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_heightmap_tif"}
+    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
 
 
@@ -193,11 +196,16 @@ def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
 def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     layers = {layer.find("datasource").text: layer for layer in read(folder / "map.qgs").find("projectlayers")}
     order = [*layers]
-    assert order.index("./class.tif") < order.index("./heightmap.tif")
+    assert order.index("./class.tif") < order.index("./relief.tif")
     assert layers["./class.tif"].find("blendMode").text == "6"
-    assert layers["./heightmap.tif"].find("blendMode").text == "0"
+    assert layers["./relief.tif"].find("blendMode").text == "0"
+    assert layers["./reason.tif"].find("blendMode").text == "6"  # unknown ground has a relief too
     bars = palette(layers["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
     assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
+    palette_of = layers["./barred.tif"].iter("paletteEntry")
+    alpha = {int(entry.get("value")): int(entry.get("alpha")) for entry in palette_of}
+    assert 128 < alpha.pop(Barred.UNKNOWN) < 255  # the relief shows through
+    assert set(alpha.values()) == {255}
 
 
 def test_a_project_has_the_crs_of_the_survey_and_shows_all_of_it(folder, cost_map):

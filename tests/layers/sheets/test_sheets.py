@@ -34,7 +34,7 @@ from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES, Grid
 
 SMALL = Grid(3.0, 5)
-RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "obstacle")
+RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle")
 VIEWS = sorted({*VIEW_NAMES, "catalog.json"} - {"tiles.qml"})
 
 

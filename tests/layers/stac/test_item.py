@@ -149,7 +149,12 @@ def test_codes_have_names_meanings_and_the_colours_of_the_raster(item, folder):
         hints = {value: one["color_hint"] for value, one in listed.items() if "color_hint" in one}
         assert hints == {value: "{:02X}{:02X}{:02X}".format(*colours[value]) for value in hints}
     assert classes(item, "class.tif", "class")[3]["color_hint"] == "{:02X}{:02X}{:02X}".format(*CLASS_COLOURS[3])
-    assert not assets_with(item, "classification:classes").keys() & {"roughness.tif", "cost.tif", "heightmap.tif"}
+    assert not assets_with(item, "classification:classes").keys() & {
+        "roughness.tif",
+        "cost.tif",
+        "heightmap.tif",
+        "relief.tif",
+    }
     assert all("classification:classes" not in band for band in item["assets"]["roughness.tif"]["bands"])
 
 
@@ -197,6 +202,7 @@ def test_name_dates_vehicle_and_software(item):
     assert {"bumpymap", "GDAL", "PROJ"} == set(properties["processing:software"])
     assert properties["gsd"] == 3
     assert item["assets"]["heightmap.tif"]["gsd"] == 0.2
+    assert item["assets"]["relief.tif"]["gsd"] == 1.0
 
 
 @pytest.mark.parametrize("dates", [None, [], ["", ""], ["unknown"], ["2024-13-01", "2024-01-01"], [None, None]])
@@ -248,7 +254,7 @@ def test_feet_and_heights_of_a_compound_crs(make_field, tmp_path):
     )
     assert item["properties"]["proj:code"] == "EPSG:6339"
     for name, asset in item["assets"].items():
-        if name in {"heightmap.tif", "tiles.parquet"}:
+        if name in {"heightmap.tif", "relief.tif", "tiles.parquet"}:
             assert asset["proj:code"] is None
             assert CRS.from_wkt(asset["proj:wkt2"]).is_compound
         else:

@@ -1,0 +1,130 @@
+"""relief.tif against loops by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from cost_maps import make_field, make_map, part_of
+from rio_cogeo import cog_validate
+
+from bumpymap.core.types import CostTable
+from bumpymap.layers import _tile_pixels, relief, write_relief
+from bumpytiles import BLOCK_TILES, Grid, TileWindow
+
+TEXT = "holes are filled; measure on heightmap.tif"
+
+
+def thin(cost_map, share, seed=1):
+    """The same map with heights in a share of the pixels, in none of every fifth tile; hills, so that means differ."""
+    rng = np.random.default_rng(seed)
+    heights = cost_map.patches.heights.copy()
+    heights += (3.0 * np.sin(cost_map.patches.col / 4.0) + cost_map.patches.row % 7)[:, None, None].astype(np.float32)
+    heights[rng.random(heights.shape) >= share] = np.nan
+    heights[rng.random(len(heights)) < 0.2] = np.nan
+    return replace(cost_map, patches=replace(cost_map.patches, heights=heights))
+
+
+def written(cost_map, path, **options):
+    write_relief(CostTable.of(cost_map), path, **options)
+    with rasterio.open(path) as file:
+        return file.read(1)
+
+
+def by_hand(cost_map):
+    """Means in whole cm, NaN where there are none, and which pixels are in a tile, (rows * 3, cols * 3) each."""
+    patches, fine = cost_map.patches, cost_map.patches.grid.pixels
+    west, north = patches.col.min(), patches.row.max()
+    shape = (3 * (north - patches.row.min() + 1), 3 * (patches.col.max() - west + 1))
+    means, tiles = np.full(shape, np.nan), np.zeros(shape, bool)
+    third = [int((i + 0.5) * 3 / fine) for i in range(fine)]
+    for col, row, heights in zip(patches.col, patches.row, patches.heights.astype(float), strict=True):
+        for i in range(3):
+            for j in range(3):
+                some = heights[[k for k in range(fine) if third[k] == i]][:, [k for k in range(fine) if third[k] == j]]
+                y, x = 3 * (north - row) + i, 3 * (col - west) + j
+                tiles[y, x] = True
+                if np.isfinite(some).any():
+                    means[y, x] = np.rint(100 * np.nanmean(some))
+    return means, tiles
+
+
+def near(values, y, x, half):
+    return values[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+
+
+@pytest.mark.parametrize("grid", [Grid(), Grid(3.0, 5), Grid(1.5, 16)])
+def test_known_pixels_are_means_and_others_are_filled_from_the_nearest(tmp_path, grid):
+    cost_map = thin(make_field(30, 25, west=-11, south=-9, grid=grid, holes=0.3), 0.02)
+    found = written(cost_map, tmp_path / "relief.tif")
+    means, tiles = by_hand(cost_map)
+    assert found.shape == means.shape
+    known = np.isfinite(means)
+    # half a centimetre may fall to either side
+    np.testing.assert_allclose(found[known], means[known] / 100, atol=0.0101)
+    assert np.mean(np.abs(found[known] - means[known] / 100) < 1e-3) > 0.99
+    assert np.isnan(found[~tiles]).all()
+    filled = 0
+    for y, x in zip(*np.nonzero(tiles & ~known), strict=True):
+        half = next((half for half in (1, 2, 4, 8) if np.isfinite(near(means, y, x, half)).any()), None)
+        if half is None:
+            assert np.isnan(found[y, x])
+            continue
+        around = near(means, y, x, half) / 100
+        assert np.nanmin(around) - 0.011 <= found[y, x] <= np.nanmax(around) + 0.011
+        assert found[y, x] == pytest.approx(np.nanmean(around), abs=0.02)
+        filled += 1
+    assert filled > 100
+
+
+def test_nothing_is_filled_beyond_eight_pixels(tmp_path):
+    cost_map = make_map(range(12), [0] * 12, [0] * 12, [0] * 12)
+    heights = np.full_like(cost_map.patches.heights, np.nan)
+    heights[0, 7, 0] = 12.344  # the pixel in the west of the westernmost tile
+    found = written(replace(cost_map, patches=replace(cost_map.patches, heights=heights)), tmp_path / "relief.tif")
+    assert np.isfinite(found).sum() == 27
+    assert (found[:, :9] == np.float32(12.34)).all()
+
+
+@pytest.mark.parametrize("share", [0.02, 0.8])
+def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
+    cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
+    written(cost_map, tmp_path / "whole.tif")
+    monkeypatch.setattr(_tile_pixels, "_WINDOW_PIXELS", 1)  # one block of tiles
+    monkeypatch.setattr(relief, "_READ_TILES", 1)
+    order = np.random.default_rng(2).permutation(len(cost_map.class_id))
+    written(part_of(cost_map, order), tmp_path / "windows.tif")
+    assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()
+
+
+def test_a_part_is_filled_from_beyond_its_edge(tmp_path):
+    cost_map = thin(make_field(64, 48, grid=Grid(3.0, 5), west=-32, south=-16, holes=0.0), 0.01)
+    table = CostTable.of(cost_map)
+    whole = written(cost_map, tmp_path / "whole.tif")
+    window = TileWindow(0, 0, 2 * BLOCK_TILES, BLOCK_TILES)
+    part = replace(table, tiles=table.tiles.part(window))
+    write_relief(part, tmp_path / "part.tif", None, table.tiles)
+    write_relief(part, tmp_path / "alone.tif")
+    same = whole[48:96, 96:192]
+    with rasterio.open(tmp_path / "part.tif") as one, rasterio.open(tmp_path / "alone.tif") as other:
+        np.testing.assert_array_equal(one.read(1), same)
+        assert not np.array_equal(other.read(1), same, equal_nan=True)
+
+
+def test_a_sparse_map_has_the_same_pixels(tmp_path, monkeypatch):
+    cost_map = thin(make_field(40, 30, holes=0.95), 0.05)
+    dense = written(cost_map, tmp_path / "dense.tif")
+    monkeypatch.setattr("bumpymap.layers._cog._SPARSE_FROM", 0)
+    np.testing.assert_array_equal(written(cost_map, tmp_path / "sparse.tif"), dense)
+    assert np.isfinite(dense).any()
+    with rasterio.open(tmp_path / "sparse.tif") as file:
+        assert file.block_shapes == [(128, 128)]
+    assert cog_validate(tmp_path / "sparse.tif", strict=True)[0]
+
+
+def test_the_file_says_that_it_is_for_looking_at(tmp_path, cost_map):
+    written(cost_map, tmp_path / "relief.tif")
+    with rasterio.open(tmp_path / "relief.tif") as file:
+        assert file.tags()["title"] == f"relief for looking at: {TEXT}"
+        assert file.tags(1)["long_name"].endswith("measure on heightmap.tif")
+        assert (file.units, file.dtypes) == (("m",), ("float32",))
