@@ -116,6 +116,7 @@ from .progress import (
     counted as counted,
 )
 from .remote import (
+    recorded_place as recorded_place,
     remote_files as remote_files,
     without_keys as without_keys,
 )

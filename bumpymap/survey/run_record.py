@@ -1,6 +1,7 @@
 """What a run depends on, and what it records in ``run.json``."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from bumpymap.core import (
     differences,
     flat_settings,
     read_record,
+    recorded_place,
     same_content,
     spec_of_manifest,
+    without_keys,
 )
 from bumpymap.layers import (
     MANIFEST_NAME,
@@ -90,7 +93,8 @@ def earlier_result(
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
         lines = FlightLines.from_record(record["flight_lines"])
         in_sheets = len(record.get("sheets", ()))
-    now = {**run_spec, "settings": flat_settings(config, ignored)}
+    inputs = {recorded_place(path): known for path, known in run_spec["inputs"].items()}
+    now = {**run_spec, "inputs": inputs, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
     require_whole(config.out, record)
     # Views may be deleted, or rewritten by other programs.
@@ -120,9 +124,11 @@ def run_manifest(
             [info.header_date for info, _, _ in read],
         ),
         "inputs": [_input_record(*each) for each in read],
-        "skipped": inputs.skipped,
-        "skipped_inputs": [{"path": path, **_file_version(run_spec["inputs"][path])} for path in inputs.skipped],
-        "settings": config,
+        "skipped": {recorded_place(path): without_keys(why) for path, why in inputs.skipped.items()},
+        "skipped_inputs": [
+            {"path": recorded_place(path), **_file_version(run_spec["inputs"][path])} for path in inputs.skipped
+        ],
+        "settings": {**asdict(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
         "versions": versions(config.ground),
         "ground_only": measured.ground_only,
         "points": measured.points,
@@ -160,7 +166,7 @@ def _file_version(known: Mapping[str, Any] | None) -> dict[str, Any]:
 
 def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
     record = {
-        "path": info.path,
+        "path": recorded_place(info.path),
         "format": info.format,
         "points": info.point_count,
         "dropped": dropped,

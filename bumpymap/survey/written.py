@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import CostTable, MapConfig, Progress
+from bumpymap.core import CostTable, MapConfig, Progress, recorded_place
 from bumpymap.layers import MapSummary, remove_sheets
 from bumpymap.survey.inputs import SurveyInputs
 from bumpytiles import BLOCK_TILES, Bounds, TileWindow
@@ -36,7 +36,7 @@ def write_layers(
         remove_sheets(config.out)  # of an earlier run
         return tuple(files), summary, 0
 
-    extents = {str(reader.info.path): reader.info.bounds for reader in inputs.readers}
+    extents = {recorded_place(reader.info.path): reader.info.bounds for reader in inputs.readers}
 
     def manifest_of(window: TileWindow) -> dict[str, Any]:
         # Only the files that matter: there may be thousands of files and hundreds of sheets.

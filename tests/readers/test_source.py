@@ -1,15 +1,12 @@
 """Files and URLs: the same survey from wherever it lies, no more bytes than needed."""
 
-import functools
-import http.server
 import os
 import sys
 import threading
-from contextlib import suppress
-from typing import ClassVar
 
 import numpy as np
 import pytest
+from range_server import serving
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import find_surveys, identity, is_url, open_survey, web
@@ -32,57 +29,12 @@ def memory():
         files.rm("/surveys", recursive=True)
 
 
-class _Ranges(http.server.SimpleHTTPRequestHandler):
-    """Serves byte ranges, as object stores do, and says how many bytes went out."""
-
-    sent = 0
-    whole_files_alone = False
-    headers_beside: ClassVar[dict[str, str]] = {}
-    shift = 0
-    """Bytes that it is wrong by."""
-    requests = 0
-    stalled = None
-    """An event: nothing is sent before it."""
-
-    def do_GET(self):
-        if self.stalled is not None:
-            type(self).requests += 1
-            self.stalled.wait(30)
-            return
-        with open(self.translate_path(self.path), "rb") as file:  # noqa: PTH123
-            data = file.read()
-        asked = self.headers.get("Range")
-        if asked and not self.whole_files_alone:
-            first, _, last = asked.removeprefix("bytes=").partition("-")
-            first = int(first) + self.shift
-            total, data = len(data), data[int(first) : int(last) + 1 if last else None]
-            self.send_response(206)
-            self.send_header("Content-Range", f"bytes {first}-{int(first) + len(data) - 1}/{total}")
-        else:
-            self.send_response(200)
-        self.send_header("Accept-Ranges", "none" if self.whole_files_alone else "bytes")
-        self.send_header("Content-Length", str(len(data)))
-        for name, value in self.headers_beside.items():
-            self.send_header(name, value)
-        self.end_headers()
-        with suppress(ConnectionError):
-            for start in range(0, len(data), 1 << 20):
-                self.wfile.write(data[start : start + (1 << 20)])
-                type(self).sent += len(data[start : start + (1 << 20)])
-
-    def log_message(self, *args):
-        pass
-
-
 @pytest.fixture
 def server(tmp_path):
     """A folder on the web: its address, and the handler that counts."""
     pytest.importorskip("aiohttp")
-    handler = type("Handler", (_Ranges,), {"sent": 0})
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(handler, directory=tmp_path)) as serving:
-        threading.Thread(target=serving.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{serving.server_port}", handler
-        serving.shutdown()
+    with serving(tmp_path) as found:
+        yield found
 
 
 def kinds(las, laz):
