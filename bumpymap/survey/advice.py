@@ -120,6 +120,8 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
                 "Most tiles hold enough: more points would help at the edge of the survey, and where it is sparse",
             )
         return why, _larger_tiles(outcome, grid, enough)
+    if outcome.points_per_tile >= _ALMOST_ALL * enough:
+        return why, "Most tiles hold enough; the others have little ground, as under trees and on buildings"
     mean_points = f"{outcome.all_points_per_tile:.0f} per tile on average"
     if outcome.all_points_per_tile < enough:
         return (

@@ -117,6 +117,10 @@ def thin_outcome(*given, **more):
         (outcome(Reason.TOO_FEW_POINTS, 0.1), ""),
         (outcome(Reason.TOO_FEW_POINTS, 0.9, held=0.1), "a denser one is needed"),
         (outcome(Reason.TOO_FEW_POINTS, 0.9, held=20.0), "bumpymap map --tile-size 6 --calibration my.json"),
+        (
+            outcome(Reason.TOO_FEW_POINTS, 0.3, CLASS_2, held=386.0),
+            "Most tiles hold enough; the others have little ground",
+        ),
         (outcome(Reason.NO_GROUND, 0.9, CLASS_2), "--ground csf detects ground points"),
         (outcome(Reason.NO_GROUND, 0.9, CLASS_2, every=10.0), "bumpymap info --tile-size 8 --ground all says"),
         (
