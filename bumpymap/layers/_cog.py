@@ -201,8 +201,6 @@ def _write_scratch(
     with open_raster(scratch, placement, spec, size) as file:
         for window in placement.windows(side, aligned=True):
             canvas = paint(window)
-            if canvas is None and spec.counts_nodata:  # a block that is not written has no value but nodata
-                canvas = np.full((len(spec.bands), window.tiles.rows, window.tiles.cols), spec.nodata, spec.dtype)
             if canvas is not None:
                 across, down = canvas.shape[2], canvas.shape[1]
                 place = Window(window.column * pixels, window.line * pixels, across, down)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CostTable
+from bumpymap.layers._box_sum import box_sum
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers._tile_pixels import HEIGHT_BLOCK, layer_tags, write_pixels
 from bumpymap.layers.placement import Placement
@@ -73,8 +74,8 @@ def _filled(
     for half in _GAPS:
         if not left.any():
             break
-        count = _box_sum(known.astype(np.int64), half)
-        total = _box_sum(heights, half)
+        count = box_sum(known.astype(np.int64), half)
+        total = box_sum(heights, half)
         near = left & (count > 0)
         values[near] = np.rint(total[near] / count[near])
         left &= ~near
@@ -109,14 +110,3 @@ def _means(tiles: TileTable, window: TileWindow) -> tuple[NDArray[np.int64], NDA
                 known[where] = True
     flat = (window.rows * _PIXELS, window.cols * _PIXELS)
     return means.reshape(flat), known.reshape(flat)
-
-
-def _box_sum(values: NDArray[np.int64], half: int) -> NDArray[np.int64]:
-    """Return the sum in the square of ``2 * half + 1`` pixels around each pixel."""
-    for axis in (0, 1):
-        pad = [(half + 1, half) if other == axis else (0, 0) for other in (0, 1)]
-        total = np.cumsum(np.pad(values, pad), axis=axis)
-        size = values.shape[axis]
-        upper, lower = (np.take(total, np.arange(size) + at, axis=axis) for at in (2 * half + 1, 0))
-        values = upper - lower
-    return values

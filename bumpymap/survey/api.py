@@ -26,7 +26,7 @@ from bumpymap.layers import Layers, temporary_folder
 from bumpymap.survey.end_of_run import require_known
 from bumpymap.survey.pipeline import map_surveys
 
-__all__ = ["EachSettings", "MapSettings", "PathLike", "map_survey"]
+__all__ = ["EachSettings", "MapSettings", "PathLike", "map_survey", "place_text"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -110,7 +110,7 @@ def map_survey(
     own = settings_of_call(given, MapConfig, "map_survey")
     places = _places(surveys)
     if out is not None:
-        folder = _place("out", out)
+        folder = place_text("out", out)
         if "://" in folder:
             raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
         _map(MapConfig(surveys=places, out=Path(folder), **own))
@@ -148,13 +148,13 @@ def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
     several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
     if not isinstance(several, Iterable):
         raise UsageError(f"surveys is {several!r}; give a path or a list of them")
-    texts = [_place("surveys", survey) for survey in several]
+    texts = [place_text("surveys", survey) for survey in several]
     if not texts:
         raise UsageError("surveys is empty; give a path or a list of them")
     return tuple(text if "://" in text else Path(text) for text in texts)
 
 
-def _place(name: str, place: PathLike) -> str:
+def place_text(name: str, place: PathLike) -> str:
     """Return a path as text; raise UsageError if it is not a valid path."""
     if not isinstance(place, str | os.PathLike):
         raise UsageError(f"{name} is {place!r}; it must be a path")

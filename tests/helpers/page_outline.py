@@ -1,6 +1,7 @@
 """What a page holds: tables, ids and attributes; elements that do not nest are an error."""
 
 import html.parser
+import re
 from collections import defaultdict
 
 VOID = {"meta", "img", "input", "br"}
@@ -48,3 +49,16 @@ class Outline(html.parser.HTMLParser):
             self.caption += data
         elif self.cells and self.cells[-1] and self.open[-1] in {"td", "th"}:
             self.cells[-1][-1] += data
+
+
+def require_no_requests(text):
+    """A page that parses, has each id once, asks nobody for anything, and forbids a browser to."""
+    outline = Outline(text)
+    assert len(outline.ids) == len(set(outline.ids))
+    outside = re.sub(r"<script type=\"application/json\".*?</script>", "", text, flags=re.DOTALL)
+    assert not re.findall(r"(?i)https?:|//[a-z]+\.|@import|url\(|xmlns", outside)
+    assert set(outline.attributes) & {"href", "action", "style", "onclick", "srcset"} == set()
+    assert all(source.startswith("data:image/jpeg;base64,") for source in outline.attributes["src"])
+    (policy,) = [text for text in outline.attributes["content"] if "default-src" in text]
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
+    assert "unsafe" not in policy

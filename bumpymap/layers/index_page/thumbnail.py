@@ -77,8 +77,7 @@ def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDA
         class_id = raster.read(1, out_shape=shape)
     with open_raster(folder, "barred.tif") as raster:
         barred = raster.read(1, out_shape=shape)
-    # A pixel of an overview has the class of most tiles that have one, even where more are unknown; barred.tif counts
-    # those too.
+    # A tile may have a class although it is not known whether it can be crossed.
     unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
     kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
     kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, Barred
+from bumpymap.layers._box_sum import box_sum
 from bumpymap.layers.ride_scale import RideScale
 from bumpymap.layers.route.source import MapSource
 from bumpytiles import Grid, TileWindow
@@ -166,20 +167,9 @@ def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:
         if known.all() or not known.any():
             break
         base = float(heights[known].mean())  # sums of small numbers lose no digits
-        count = _box_sum(known.astype(np.float64), half)
-        total = _box_sum(np.where(known, heights - base, 0.0), half)
+        count = box_sum(known.astype(np.float64), half)
+        total = box_sum(np.where(known, heights - base, 0.0), half)
         near = ~known & (count > 0.5)
         heights = heights.copy()
         heights[near] = total[near] / count[near] + base
     return heights
-
-
-def _box_sum(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
-    """Return the sum in the square of ``2 * half + 1`` pixels around each pixel."""
-    for axis in (0, 1):
-        pad = [(half + 1, half) if other == axis else (0, 0) for other in (0, 1)]
-        total = np.cumsum(np.pad(values, pad), axis=axis)
-        size = values.shape[axis]
-        upper, lower = (np.take(total, np.arange(size) + at, axis=axis) for at in (2 * half + 1, 0))
-        values = upper - lower
-    return values

@@ -44,20 +44,6 @@ __all__ = ["SheetRun", "write_sheets"]
 _log = logging.getLogger(__name__)
 
 
-def _views(folder: Path, _: Sequence[Path], record: Mapping[str, Any]) -> None:
-    write_views(folder, record)
-
-
-def _catalogue(folder: Path, sheets: Sequence[Path], record: Mapping[str, Any]) -> None:
-    survey = record.get("survey")
-    name = survey.get("name") if isinstance(survey, Mapping) else None
-    names = [sheet.relative_to(folder).as_posix() for sheet in sheets]
-    write_catalog(folder, names, title=str(name or "Map in sheets"))
-
-
-_INDEXES: tuple[Callable[[Path, Sequence[Path], Mapping[str, Any]], None], ...] = (_views, _catalogue)
-"""Write files of the whole map, such as its page or a catalogue: given its folder, which holds everything but run.json,
-the folders of its sheets, and the record of the run."""
 _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
 
 
@@ -150,8 +136,8 @@ def write_sheets(
             "sheets": sheets,
         }
     with utf8_path(folder) as root:
-        for index in _INDEXES:
-            index(root, [root / path for path in windows], record)
+        write_views(root, record)
+        write_catalog(root, list(windows), title=_title(record))
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
@@ -204,3 +190,9 @@ def _write_table(path: Path, sheets: Sequence[Mapping[str, Any]]) -> None:
             writer.writerow(
                 (sheet["folder"], sheet["column"], sheet["row"], *places, *(values[name] for name in numbers))
             )
+
+
+def _title(record: Mapping[str, Any]) -> str:
+    survey = record.get("survey")
+    name = survey.get("name") if isinstance(survey, Mapping) else None
+    return str(name or "Map in sheets")

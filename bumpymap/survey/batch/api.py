@@ -1,14 +1,13 @@
 """Map many surveys from Python: one call that returns what became of each."""
 
-import os
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Unpack
 
-from bumpymap.core import CLASHES, MapConfig, UsageError, path_fault, refuse_clashes, settings_of_call
+from bumpymap.core import CLASHES, MapConfig, refuse_clashes, settings_of_call
 from bumpymap.layers import SurveyRow
-from bumpymap.survey.api import EachSettings, PathLike
+from bumpymap.survey.api import EachSettings, PathLike, place_text
 from bumpymap.survey.batch.night import BatchResult, run_batch
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 
@@ -76,17 +75,7 @@ def map_batch(
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
     own = {name: given.pop(name) for name in _OF_BATCH if name in given}
     refuse_clashes(given, CLASHES)
-    places = [_place("source", source), _place("out", out)]
+    places = [place_text("source", source), place_text("out", out)]
     target = places[1] if "://" in places[1] else Path(places[1])
     config = BatchConfig(Path(places[0]), target, settings_of_call(given, MapConfig, "map_batch"), **own)
     return run_batch(config, report)
-
-
-def _place(name: str, place: PathLike) -> str:
-    """Return a path as text; raise UsageError if it is not a valid path."""
-    if not isinstance(place, str | os.PathLike):
-        raise UsageError(f"{name} is {place!r}; it must be a path")
-    text = os.fspath(place)
-    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
-        raise UsageError(f"{name}: {reason}")
-    return text

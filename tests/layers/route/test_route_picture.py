@@ -12,6 +12,7 @@ from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
+from bumpymap.layers._box_sum import box_sum
 from bumpymap.layers.ride_scale import RideScale, nice_limit
 from bumpymap.layers.route import _relief, picture as picture_module
 from bumpymap.layers.route._pen import Pen, bar_length, tick_step, ticks
@@ -106,7 +107,7 @@ def test_a_sum_in_boxes_is_a_sum_in_boxes(half, rows, cols, seed):
     values = np.random.default_rng(seed).integers(0, 9, (rows, cols)).astype(float)
     padded = np.pad(values, half)
     windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * half + 1, 2 * half + 1))
-    np.testing.assert_array_equal(_relief._box_sum(values, half), windows.sum(axis=(2, 3)))
+    np.testing.assert_array_equal(box_sum(values, half), windows.sum(axis=(2, 3)))
 
 
 @given(

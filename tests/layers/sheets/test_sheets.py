@@ -13,6 +13,7 @@ import rasterio
 from cost_maps import make_field, make_map, part_of
 from route_maps import RUN, copy_folder
 from route_sites import place, site
+from sheet_maps import SMALL, write_in_sheets as write
 
 import bumpymap
 from bumpymap.core import REASON_TEXT
@@ -21,49 +22,17 @@ from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import (
     PRODUCT_NAMES,
     VIEW_NAMES,
-    SheetLayout,
-    SheetRun,
     check_folder,
     open_map,
     open_pair,
     sheet_folders,
     write_products,
-    write_sheets,
 )
 from bumpymap.layers.sheets import write as writing
-from bumpytiles import BLOCK_TILES, Grid
+from bumpytiles import BLOCK_TILES
 
-SMALL = Grid(3.0, 5)
 RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle")
 VIEWS = sorted({*VIEW_NAMES, "catalog.json"} - {"tiles.qml"})
-
-
-def write(cost_map, folder, *, blocks=1, keep=False, key="k"):
-    folder.mkdir(exist_ok=True, parents=True)
-    layout = SheetLayout(cost_map.patches.grid, blocks * BLOCK_TILES)
-    run = SheetRun(layout, key, keep, lambda _: RUN)
-    local = cost_map.georeference.crs is None
-    return write_sheets(CostTable.of(cost_map), folder, run, local=local, manifest=RUN)
-
-
-@pytest.fixture(scope="module")
-def made():
-    """A map on both sides of the CRS origin, with gaps."""
-    return make_field(70, 50, grid=SMALL, west=-37, south=-20, seed=8)
-
-
-@pytest.fixture(scope="module")
-def whole(made, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole")
-    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def sheets(made, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("parent") / "sheets of a map"
-    write(made, folder, blocks=4)
-    return folder
 
 
 def names_in(folder):
@@ -290,7 +259,7 @@ class TestUnfinished:
             raise OutputError("no space left on device")
 
         with monkeypatch.context() as patch:
-            patch.setattr(writing, "_INDEXES", (full,))
+            patch.setattr(writing, "write_views", full)
             with pytest.raises(OutputError, match="no space left"):
                 write(made, tmp_path / "out", blocks=4)
         assert (tmp_path / "out" / "class.vrt").exists()

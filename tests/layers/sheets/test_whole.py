@@ -13,6 +13,7 @@ import pytest
 from cost_maps import make_field, make_map
 from PIL import Image
 from route_maps import RUN
+from sheet_maps import SMALL, write_in_sheets as write
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
@@ -20,46 +21,18 @@ from bumpymap.layers import (
     PRODUCT_NAMES,
     VIEW_NAMES,
     SheetLayout,
-    SheetRun,
     read_thumbnail,
     remove_sheets,
     sheet_folders,
     write_catalog,
     write_products,
     write_reports,
-    write_sheets,
 )
 from bumpymap.layers.report import site as pages
 from bumpymap.layers.report.sheet_table import sheet_table
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.sheets.virtual import write_virtual
-from bumpytiles import BLOCK_TILES, Grid
-
-SMALL = Grid(3.0, 5)
-
-
-def write(cost_map, folder, blocks=4):
-    folder.mkdir(exist_ok=True, parents=True)
-    run = SheetRun(SheetLayout(cost_map.patches.grid, blocks * BLOCK_TILES), "k", False, lambda _: RUN)
-    write_sheets(CostTable.of(cost_map), folder, run, local=False, manifest=RUN)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def made():
-    return make_field(70, 50, grid=SMALL, west=-37, south=-20, seed=8)
-
-
-@pytest.fixture(scope="module")
-def whole(made, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole")
-    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def sheets(made, tmp_path_factory):
-    return write(made, tmp_path_factory.mktemp("parent") / "sheets of a map")
+from bumpytiles import BLOCK_TILES
 
 
 def record_of(folder):
@@ -132,7 +105,8 @@ class TestPage:
 
     def test_sites_far_apart_have_a_page_and_a_picture(self, tmp_path):
         """Nothing that takes room or time lies between them: 2.8 million million pixels."""
-        far = write(make_map([0, 333_333], [0, 333_333], [0, 1], [0, 0], grid=SMALL), tmp_path / "far", blocks=100)
+        far = tmp_path / "far"
+        write(make_map([0, 333_333], [0, 333_333], [0, 1], [0, 0], grid=SMALL), far, blocks=100)
         site = Site.read(far, record_of(far))
         assert np.isfinite(site.grids[-1].values()).sum() == 2
         assert read_thumbnail(far, 12_000)
