@@ -18,8 +18,9 @@ _READING_BASE = 330 << 20
 """Interpreter, libraries and decoder while points are read and measured, bytes."""
 _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
-_WRITING_BASE = 620 << 20
-"""The same while layers are written, with the caches of the libraries that write them, bytes."""
+_WRITING_BASE = 700 << 20
+"""The same while layers are written, bytes: with the caches of the libraries that write them, and with what the rasters
+of three groups hold at the same time, which differs by 160 MB from run to run."""
 _RASTER_BLOCK, _RASTER_IN_MEMORY, _RASTER_COPIES = 512, 128 << 20, 7 / 3
 """Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels; largest raster that it keeps in memory, bytes;
 copies of it there: the scratch raster, the finished one, if nothing can be compressed, and the overviews."""
