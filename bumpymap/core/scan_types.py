@@ -91,6 +91,13 @@ class PolarSettings:
     overhead_m: float = 2.0
     """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
     ground. The margin allows for frames whose origin is at the robot's base."""
+    ground_only: bool = True
+    """Whether ground is found in each sector, and only ground points are measured; False: all points are, as in the
+    paper."""
+    belly_m: float = 0.25
+    """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
+    height_m: float = 1.38
+    """Height of the vehicle: what is higher above the ground is overhead."""
     anchored: bool = True
     """Whether the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
 
@@ -112,10 +119,12 @@ class PolarSettings:
             or not 3 <= self.pixels <= 64
             or not 0.0 <= self.least_normal_z <= 1.0
             or math.isnan(self.overhead_m)
+            or not 0.0 < self.belly_m < self.height_m < math.inf
         ):
             raise UsageError(
                 f"least_points is {self.least_points} (3 or more), pixels {self.pixels} (3 to 64), least_normal_z "
-                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number)"
+                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} (above "
+                f"0), height_m {self.height_m} (above belly_m)"
             )
 
 
@@ -149,12 +158,24 @@ class SectorStack:
     """(n,) mean perpendicular distance of all the sector's points to the RANSAC plane, m."""
     label: NDArray[np.int16]
     """(n,) most frequent label of the points (the smallest if tied); -1 if the scan has no labels."""
+    ground_count: NDArray[np.int32]
+    """(n,) points that are ground."""
+    obstacle: NDArray[np.bool_]
+    """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it."""
+    obstacle_height: NDArray[np.float32]
+    """(n,) top of what stands there, above the ground, m; NaN without an obstacle."""
+    clearance: NDArray[np.float32]
+    """(n,) height above the ground of the lowest thing that is higher than ``height_m``, m; NaN if nothing is."""
     point_sector: NDArray[np.int32]
     """(m,) row of the sector that holds each point of the scan; -1 if none does."""
+    point_ground: NDArray[np.bool_]
+    """(m,) whether the point is ground."""
+    point_height: NDArray[np.float32]
+    """(m,) height above the ground of its sector, m; NaN where no ground is known."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[2:-1]:
+        for field in fields(self)[2:-3]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 

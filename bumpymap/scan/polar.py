@@ -90,6 +90,8 @@ def polar_sectors(
     zone, ring, sector = _places(cells, sectors, rings)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
     rows[cells] = np.arange(len(cells), dtype=np.int32)
+    traversable = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
+    no_metres = np.full(len(cells), np.nan, np.float32)
     return SectorStack(
         settings,
         start,
@@ -98,13 +100,19 @@ def polar_sectors(
         sector,
         counts[cells].astype(np.int32),
         normal,
-        (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m),
+        traversable,
         heights,
         scalars[:, 2].astype(np.float32),
         scalars[:, 0].astype(np.float32),
         scalars[:, 1].astype(np.float32),
         _labels(scan, by_cell, cells),
+        np.where(traversable, counts[cells], 0).astype(np.int32),
+        np.zeros(len(cells), np.bool_),
+        no_metres,
+        no_metres.copy(),
         rows[cell],
+        np.append(traversable, False)[rows[cell]],
+        np.full(len(points), np.nan, np.float32),
     )
 
 
