@@ -97,7 +97,7 @@ def scene_scan(seed: int, index: int) -> Scan:
 
     sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
     seen = simulate_scan(make_scene(seed, index), sensor, index)
-    there = seen.label > 0
+    there = seen.points.any(axis=1)
     return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
 
 
