@@ -143,7 +143,8 @@ def _mirrored(world: "_World", hits: _Hits, eye: Floats, level: Floats, rows: ND
     facing = (normal * way).sum(axis=1, keepdims=True)
     on = way - 2 * facing * normal
     start = eye + hits.distance[rows, None] * way + _CLEAR_M * on
-    return hits.distance[rows] + world.first_hit(start, on)["t_hit"].numpy().astype(np.float64)
+    whole: Floats = hits.distance[rows] + world.first_hit(start, on)["t_hit"].numpy().astype(np.float64)
+    return whole
 
 
 @dataclass(frozen=True, slots=True)

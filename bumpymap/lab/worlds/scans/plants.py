@@ -46,10 +46,8 @@ def hedge(rng: np.random.Generator, feet: Floats) -> Triangles:
     """Make a dense row of shrubs at ``feet`` (n, 3), 0.5 to 2.5 m high."""
     tall, path = log_uniform(rng, 0.5, 2.5) / 2, log_uniform(rng, 0.08, 0.25)
     apart = float(np.linalg.norm(feet[1, :2] - feet[0, :2]))
-    radii = np.array([0.7 * apart, 0.7 * apart, tall])
-    return np.concatenate(
-        [_cloud(rng, foot + [0, 0, tall * rng.uniform(0.85, 1.0)], radii, foot, path) for foot in feet]
-    )
+    radii, up = np.array([0.7 * apart, 0.7 * apart, tall]), np.array([0.0, 0.0, tall])
+    return np.concatenate([_cloud(rng, foot + up * rng.uniform(0.85, 1.0), radii, foot, path) for foot in feet])
 
 
 def tree(rng: np.random.Generator, base: Floats, height_m: float, clear_m: float | None = None) -> Triangles:

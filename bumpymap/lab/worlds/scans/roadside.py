@@ -96,13 +96,18 @@ ROADSIDES = {
 
 
 def make_street(rng: np.random.Generator, side: Roadside) -> Road:
-    """Draw the road past the origin, which lies in a lane, or at times on the pavement or verge."""
+    """Draw the road past the origin, which lies in a lane, or at times on the pavement; most robots look along it."""
     half = float(rng.uniform(*side.half_width_m))
-    bends = ((float(rng.uniform(0, side.bend_m)), 2 * np.pi / float(rng.uniform(90, 250)), float(rng.uniform(0, 6.28))),)
-    stand = half * rng.uniform(-0.7, 0.7) if rng.uniform() < 0.75 else (half + 1.0) * rng.choice([-1.0, 1.0])
-    bearing = rng.uniform(0, 2 * np.pi)
+    bends = (
+        (float(rng.uniform(0, side.bend_m)), 2 * np.pi / float(rng.uniform(90, 250)), float(rng.uniform(0, 6.28))),
+    )
+    pavement = float(rng.uniform(*side.pavement_m))
+    stand = half * rng.uniform(-0.7, 0.7)
+    if pavement and rng.uniform() < 0.35:
+        stand = (half + 0.5 * pavement) * rng.choice([-1.0, 1.0])
+    bearing = rng.normal(0, 0.15) if rng.uniform() < 0.7 else rng.uniform(0, 2 * np.pi)
     kerbed, ditched = rng.uniform(size=2) < 0.5
-    kerb = float(rng.uniform(*side.kerb_m)) if kerbed or side.pavement_m[1] else 0.0
+    kerb = float(rng.uniform(*side.kerb_m)) if kerbed or pavement else 0.0
     verge = float(rng.uniform(1.5, 4.5))
     high = rng.uniform(-1.0, 1.0, 2) * side.bank_m
     return Road(
@@ -114,7 +119,7 @@ def make_street(rng: np.random.Generator, side: Roadside) -> Road:
         log_uniform(rng, 0.001, 0.006),
         float(rng.uniform(0.02, 0.12)),
         kerb_m=kerb,
-        pavement_m=float(rng.uniform(*side.pavement_m)),
+        pavement_m=pavement,
         ditch_m=float(rng.uniform(*side.ditch_m)) if ditched else 0.0,
         verge_m=verge,
         banks_m=(float(high[0]), float(high[1])),

@@ -55,15 +55,27 @@ THEMES = {
     "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
     "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
     "quarry": Theme(
-        mud=0, rubble=9, puddles=3, herbs=10, bushes=8, trees=10, vehicles=8, barriers=4, persons=4, grassy=0.15, banks=1
+        mud=0,
+        rubble=9,
+        puddles=3,
+        herbs=10,
+        bushes=8,
+        trees=10,
+        vehicles=8,
+        barriers=4,
+        persons=4,
+        grassy=0.15,
+        banks=1,
     ),
     "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
     "yard": Theme(
         mud=0, roads=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
     ),
     "street": Theme(roads=0, mud=0, herbs=10, bushes=5, trees=5, persons=0, fences=0, barriers=0, street=True),
-    "highway": Theme(roads=0, mud=0, puddles=1, trees=10, persons=0, vehicles=0, fences=0, street=True, grassy=1.0),
-    "avenue": Theme(roads=0, mud=0, herbs=60, trees=40, persons=0, vehicles=0, fences=0, street=True),
+    "highway": Theme(
+        roads=0, mud=0, puddles=1, trees=80, bushes=60, persons=0, vehicles=0, fences=0, street=True, grassy=1.0
+    ),
+    "avenue": Theme(roads=0, mud=0, herbs=60, bushes=80, trees=220, persons=0, vehicles=0, fences=0, street=True),
     "hillside": Theme(roads=0, mud=0, puddles=0, bushes=60, trees=60, fences=2, slope_deg=25.0, banks=3),
 }
 
@@ -152,14 +164,14 @@ def _draw_ground(rng: np.random.Generator, theme: Theme, name: str) -> SceneGrou
     cover = Label.GRASS if rng.uniform() < theme.grassy else Label.DIRT
     bare = SceneGround(
         hills=make_field(rng, 256, 1.0, 1.0, (25.0, 200.0)),
-        hills_m=log_uniform(rng, 0.1, 2.0),
+        hills_m=log_uniform(rng, 0.05, 0.6) if theme.street else log_uniform(rng, 0.1, 2.0),
         bumps=make_field(rng, 512, 0.25, 0.8, (2.0, 20.0)),
         bumps_m=log_uniform(rng, 0.02, 0.15),
         fine=make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
         cover=cover,
         cover_rough_m=log_uniform(rng, *theme.floor_m),
         regions=(),
-        grass_m=log_uniform(rng, 0.03, 0.4),
+        grass_m=log_uniform(rng, 0.01, 0.4),
         grass_tufts=make_field(rng, 512, 0.1, 0.4, (0.3, 8.0)),
         grass_path_m=log_uniform(rng, 0.08, 0.4),
         slope=_draw_slope(rng, theme),

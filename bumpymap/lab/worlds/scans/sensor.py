@@ -58,8 +58,8 @@ class Sensor:
             raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} deg; they must rise within -90 to 90")
         if not (0.0 < self.view_deg <= 360.0 and self.dense_deg[0] < self.dense_deg[1] and self.dense > 0):
             raise UsageError(
-                f"view_deg is {self.view_deg}, dense_deg {self.dense_deg}, dense {self.dense}; the view must be above 0 "
-                "and at most 360 degrees, the band must rise, its density be above 0"
+                f"view_deg is {self.view_deg}, dense_deg {self.dense_deg}, dense {self.dense}; the view must be above "
+                "0 and at most 360 degrees, the band must rise, its density be above 0"
             )
         if not 0 <= self.stray < 1:
             raise UsageError(f"stray is {self.stray}; it must be 0 or more, and below 1")
@@ -88,14 +88,13 @@ class Sensor:
         band = np.clip(self.dense_deg, self.lowest_deg, self.highest_deg)
         edges = np.array([self.lowest_deg, *band, self.highest_deg])
         below = np.concatenate([[0.0], np.cumsum(np.diff(edges) * [1.0, self.dense, 1.0])])
-        return np.interp(np.linspace(0.0, below[-1], self.lines), below, edges)
+        spaced: NDArray[np.float64] = np.interp(np.linspace(0.0, below[-1], self.lines), below, edges)
+        return spaced
 
     def _loops(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return elevations and azimuths (n, 1) of a rosette; with a full view it winds around the vertical axis."""
         time = np.arange(self.lines * self.columns)[:, None] / (2 * _LOOP_POINTS)
-        middle, half = np.radians(
-            [(self.highest_deg + self.lowest_deg) / 2, (self.highest_deg - self.lowest_deg) / 2]
-        )
+        middle, half = np.radians([(self.highest_deg + self.lowest_deg) / 2, (self.highest_deg - self.lowest_deg) / 2])
         swing, turn = np.sin(2 * np.pi * time), 2 * np.pi * _LOOP_TURN * time
         if self.view_deg == 360.0:
             return middle + half * swing, np.mod(turn, 2 * np.pi) - np.pi
@@ -123,7 +122,7 @@ SENSORS = {
     "64_dense": Sensor(lowest_deg=-16.6, highest_deg=16.6, height_m=1.5),
     "64_down": Sensor(lowest_deg=-24.8, highest_deg=2.0, height_m=1.75, reach_m=70.0),
     "64_blocks": Sensor(
-        lowest_deg=-24.9, highest_deg=2.0, dense_deg=(-8.5, 2.0), dense=1.5, height_m=1.73, reach_m=70.0
+        columns=1800, lowest_deg=-24.9, highest_deg=2.0, dense_deg=(-8.5, 2.0), dense=1.5, height_m=1.73, reach_m=90.0
     ),
     "64_wide": Sensor(lowest_deg=-45.0, highest_deg=45.0, height_m=0.9, reach_m=30.0, noise_m=0.02),
     "64_coarse": Sensor(columns=1024, height_m=1.1),
@@ -133,12 +132,12 @@ SENSORS = {
         lines=128, columns=1800, lowest_deg=-25.0, highest_deg=15.0, dense_deg=(-6.0, 2.0), dense=4.0, height_m=1.8
     ),
     "rosette_80": Sensor(
-        lines=60, columns=500, lowest_deg=-35.0, highest_deg=35.0, pattern="rosette", view_deg=80.0, reach_m=45.0
+        lines=60, columns=500, lowest_deg=-35.0, highest_deg=35.0, pattern="rosette", view_deg=80.0, reach_m=90.0
     ),
     "rosette_360": Sensor(
         lines=40, columns=500, lowest_deg=-7.0, highest_deg=52.0, pattern="rosette", height_m=0.6, reach_m=30.0
     ),
-    "raster_120": Sensor(lines=125, columns=600, lowest_deg=-12.5, highest_deg=12.5, view_deg=120.0),
+    "raster_120": Sensor(lines=125, columns=600, lowest_deg=-12.5, highest_deg=12.5, view_deg=120.0, reach_m=80.0),
 }
 """Typical sensors on the market, named by number of lines and vertical field of view, or by the pattern of a
 solid-state sensor and its horizontal field of view in degrees."""
