@@ -515,7 +515,7 @@ def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
     dc = planes.plane[cell, 2] - planes.plane[other, 2]
     here = abs(da * planes.centre[cell, 0] + db * planes.centre[cell, 1] + dc)
     there = abs(da * planes.centre[other, 0] + db * planes.centre[other, 1] + dc)
-    return max(here, there) <= limit
+    return bool(max(here, there) <= limit)
 
 
 @kernel

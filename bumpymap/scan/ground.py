@@ -189,13 +189,14 @@ def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
 
 
 def _geometry(settings: PolarSettings, start: float) -> CellGeometry:
-    distance, azimuth, near, *rest = _layout(settings)
-    return CellGeometry(distance * np.cos(azimuth + start), distance * np.sin(azimuth + start), near, *rest)
+    layout = _layout(settings)
+    azimuth = layout.y + start
+    return layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
 
 
 @cache
-def _layout(settings: PolarSettings) -> tuple[NDArray[np.float64] | NDArray[np.int32], ...]:
-    """Return distance, azimuth from sector 0, neighbours, zone, ring and sector of the cells; first, rings, sectors."""
+def _layout(settings: PolarSettings) -> CellGeometry:
+    """Return the cells with distances in the place of x, and azimuths from sector 0 in the place of y."""
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
     first = np.concatenate([[0], np.cumsum(sectors * rings)[:-1]]).astype(np.int32)
@@ -218,4 +219,6 @@ def _layout(settings: PolarSettings) -> tuple[NDArray[np.float64] | NDArray[np.i
         opposite = ((sector[there] + 0.5) / counts[line[there]] * counts[to]).astype(np.int64)
         for k in range(3):
             near[there, column + k] = starts[to] + (opposite + k - 1) % counts[to]
-    return distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
+    return CellGeometry(
+        distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
+    )
