@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, ClassedSectors, Scan, SectorStack
+from bumpymap.core import CLASSES, ClassedSectors, Scan
 from bumpymap.readers import LabelSet
 
 __all__ = ["RANGE_M", "GroundScore", "ObstacleScore", "ground_score", "mean_ground", "obstacle_score", "sum_obstacles"]
@@ -51,10 +51,10 @@ def _judged(scan: Scan, labels: LabelSet) -> tuple[NDArray[np.bool_], NDArray[np
     return (label > 0) & labels.is_known(label) & (away >= RANGE_M[0]) & (away < RANGE_M[1]), label
 
 
-def ground_score(scan: Scan, stack: SectorStack, labels: LabelSet) -> GroundScore:
-    """Compare the ground points of a scan's sectors with the labels; points without a label are left out."""
+def ground_score(scan: Scan, ground: NDArray[np.bool_], labels: LabelSet) -> GroundScore:
+    """Compare points (n,) found as ground with the labels of a scan; points without a label are left out."""
     judged, label = _judged(scan, labels)
-    truth, found = labels.is_ground(label[judged]), stack.point_ground[judged]
+    truth, found = labels.is_ground(label[judged]), ground[judged]
     both, all_found, all_true = (float(part.sum()) for part in (truth & found, found, truth))
     f1 = _share(2 * both, all_found + all_true)
     return GroundScore(scan.name, int(judged.sum()), _share(both, all_found), _share(both, all_true), f1)

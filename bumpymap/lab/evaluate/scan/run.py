@@ -179,7 +179,7 @@ def evaluate_scans(
         stack = polar_sectors(scan)
         found = {name: classifier(stack) for name, classifier in methods.by_sectors.items()}
         if labels is not None and scan.label is not None:
-            ground.append(ground_score(scan, stack, labels))
+            ground.append(ground_score(scan, stack.point_ground, labels))
             for name, own in found.items():
                 obstacles[name].append(obstacle_score(scan, own, labels))
         classed.append({name: _without_points(own) for name, own in found.items()})

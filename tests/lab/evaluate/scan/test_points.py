@@ -23,18 +23,13 @@ def _scan(away, label):
 def _stack(scan, **known):
     empty = polar_sectors(Scan(np.zeros((0, 3), np.float32)))
     count = len(scan.points)
-    own = {
-        "point_sector": np.full(count, -1, np.int32),
-        "point_ground": np.zeros(count, np.bool_),
-        "point_height": np.full(count, np.nan, np.float32),
-    }
-    return replace(empty, **(own | known))
+    return replace(empty, **({"point_ground": np.zeros(count, np.bool_)} | known))
 
 
 def test_ground_is_counted_between_4_and_80_m_where_points_have_a_label():
     scan = _scan([5, 6, 7, 8, 9, 10, 3, 81], [ROAD, ROAD, ROAD, FENCE, NONE, OTHER, ROAD, ROAD])
     found = np.array([True, True, False, True, True, True, True, True])
-    score = ground_score(scan, _stack(scan, point_ground=found), KITTI)
+    score = ground_score(scan, found, KITTI)
     assert (score.frame, score.points) == ("one", 4)
     assert score.precision == pytest.approx(2 / 3)
     assert score.recall == pytest.approx(2 / 3)
@@ -43,10 +38,10 @@ def test_ground_is_counted_between_4_and_80_m_where_points_have_a_label():
 
 def test_nothing_found_has_no_precision_and_a_frame_without_ground_no_part_in_the_mean():
     scan = _scan([5, 6], [ROAD, FENCE])
-    score = ground_score(scan, _stack(scan), KITTI)
+    score = ground_score(scan, np.zeros(2, np.bool_), KITTI)
     assert np.isnan(score.precision)
     assert (score.recall, score.f1) == (0.0, 0.0)
-    bare = ground_score(_scan([5], [FENCE]), _stack(_scan([5], [FENCE])), KITTI)
+    bare = ground_score(_scan([5], [FENCE]), np.zeros(1, np.bool_), KITTI)
     good = GroundScore("two", 10, 1.0, 0.5, 0.8)
     mean = mean_ground([score, good, bare])
     assert (mean.points, mean.precision, mean.recall, mean.f1) == (12, 1.0, 0.25, 0.4)

@@ -11,7 +11,7 @@ from bumpymap.cli import main
 from bumpymap.core import Scan
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.evaluate.scan.plain import plain_classes
-from bumpymap.lab.evaluate.scan.timing import require_libraries
+from bumpymap.lab.evaluate.scan.timing import PlainCost, require_libraries
 from bumpymap.lab.evaluate.scan.turning import kept_share, turn_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 
@@ -66,6 +66,13 @@ def label_drive(folder, ids):
         np.where(left, *ids).astype("<u4").tofile(frame.with_suffix(".label"))
 
 
+@pytest.fixture
+def _no_timing(monkeypatch):
+    monkeypatch.setattr("bumpymap.lab.evaluate.scan.run.method_costs", lambda *_: [])
+    monkeypatch.setattr("bumpymap.lab.evaluate.scan.run.plain_cost", lambda *_: PlainCost(1, 1.0))
+
+
+@pytest.mark.usefixtures("_no_timing")
 def test_labels_set_both_methods_beside_constant_answers(drive, tmp_path):
     label_drive(drive, (14, 9))  # a fence all over the left side, road on the right
     out = tmp_path / "out"

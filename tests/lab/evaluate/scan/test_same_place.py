@@ -61,8 +61,8 @@ def test_agreement_is_whole_with_itself_and_falls_with_what_differs():
 @pytest.mark.open3d
 def test_both_sensors_stand_at_one_place(monkeypatch):
     monkeypatch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
-    (first, second), *more = list(scene_pairs(3, range(2)))
-    assert len(more) == 1
+    (first, second), *more = list(scene_pairs(3, range(1)))
+    assert not more
     assert len(first.points) > 1.3 * len(second.points)
     floors = [np.median(scan.points[np.hypot(*scan.points[:, :2].T) < 5, 2]) for scan in (first, second)]
     assert floors == pytest.approx([-1.7, -1.0], abs=0.3)
