@@ -87,7 +87,7 @@ def tree(
     for k in range(lobes):
         share = start + (1 - start) * (k + 0.5) / lobes
         wide = widest * ((1.15 - share) if conifer else rng.uniform(0.5, 0.8))
-        tall = height_m * (1 - start) / lobes * rng.uniform(0.7, 1.1)
+        tall = height_m * min((1 - start) / lobes * rng.uniform(0.7, 1.1), share - start)
         away = 0.0 if conifer else widest * rng.uniform(0, 0.6)
         where = rng.uniform(0, 2 * np.pi)
         middle = base + share * lean + away * np.array([np.cos(where), np.sin(where), 0.0])

@@ -66,8 +66,8 @@ def test_a_crown_that_a_vehicle_passes_below_is_vegetation_and_a_low_one_a_tree(
         (trunk, wood), (crown, foliage) = tree(rng, np.array([20.0, 0.0, 1.0]), 8.0, clear)
         assert (trunk, crown) == (Label.TREE, expected)
         assert wood[..., 2].min() < 1.0  # it stands in the ground
-        assert foliage[..., 2].min() == pytest.approx(1.0 + clear, abs=0.9)
-        assert foliage[..., 2].max() == pytest.approx(9.0, abs=1.2)
+        assert foliage[..., 2].min() == pytest.approx(1.0 + clear, abs=0.5)
+        assert foliage[..., 2].max() == pytest.approx(9.0, abs=1.5)
 
 
 def test_a_scene_without_anything_is_no_error(monkeypatch):
