@@ -19,7 +19,7 @@ from bumpymap.lab.evaluate.scan.points import (
     obstacle_score,
     sum_obstacles,
 )
-from bumpymap.lab.evaluate.scan.same_place import Agreement, agreement, scene_pairs
+from bumpymap.lab.evaluate.scan.same_place import SensorAgreement, agreement, scene_pairs
 from bumpymap.lab.evaluate.scan.settings import ScanEvaluateSettings
 from bumpymap.lab.evaluate.scan.timing import MethodCost, PlainCost, method_costs, plain_cost
 from bumpymap.lab.evaluate.scan.turning import kept_share
@@ -59,7 +59,7 @@ class ScanFindings:
     """Frame by frame, and then their mean; empty without labels."""
     obstacles: dict[str, ObstacleScore] = field(default_factory=dict)
     """Method -> points of obstacles in sectors called free; empty without labels."""
-    sensors: dict[str, Agreement] = field(default_factory=dict)
+    sensors: dict[str, SensorAgreement] = field(default_factory=dict)
     """Method -> agreement of two sensors at one place; empty for scans from files."""
     kept: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Method -> share of the points that keep their class in a rotated scan: mean and minimum over the scans."""
@@ -134,14 +134,17 @@ class ScanMethods:
         self.by_points = {name: _from_points(classifier) for name, classifier in self.by_sectors.items()}
 
 
-def compare_sensors(settings: ScanEvaluateSettings, methods: ScanMethods, progress: Progress) -> dict[str, Agreement]:
+def compare_sensors(
+    settings: ScanEvaluateSettings, methods: ScanMethods, progress: Progress
+) -> dict[str, SensorAgreement]:
     """Return, by method, how well two sensors agree on the classes of scenes that are never used in training."""
-    found: dict[str, list[Agreement]] = {name: [] for name in methods.by_points}
+    found: dict[str, list[SensorAgreement]] = {name: [] for name in methods.by_points}
     for pair in counted(scene_pairs(settings.seed, range(UNSEEN, UNSEEN + settings.pairs)), progress):
         for name, classify in methods.by_points.items():
             found[name].append(agreement(pair, classify))
     return {
-        name: Agreement(sum(one.cells for one in each), sum(one.same for one in each)) for name, each in found.items()
+        name: SensorAgreement(sum(one.cells for one in each), sum(one.same for one in each))
+        for name, each in found.items()
     }
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, ClassedSectors, Scan, point_classes
 
-__all__ = ["Agreement", "agreement", "cell_classes", "scene_pairs"]
+__all__ = ["SensorAgreement", "agreement", "cell_classes", "scene_pairs"]
 
 CELL_M = 0.5
 END_M = 30.0
@@ -18,7 +18,7 @@ _MOUNTS_M = (1.7, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class SensorAgreement:
     """Cells of 0.5 m within 30 m that both sensors give a class."""
 
     cells: int
@@ -58,8 +58,8 @@ def cell_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.int16]:
     return np.where(counts.any(axis=1), counts.argmax(axis=1), -1).astype(np.int16)
 
 
-def agreement(pair: tuple[Scan, Scan], classify: Callable[[Scan], ClassedSectors]) -> Agreement:
+def agreement(pair: tuple[Scan, Scan], classify: Callable[[Scan], ClassedSectors]) -> SensorAgreement:
     """Compare the classes of two scans of one place, in one frame of x and y."""
     first, second = (cell_classes(scan, classify(scan)) for scan in pair)
     both = (first >= 0) & (second >= 0)
-    return Agreement(int(both.sum()), int((both & (first == second)).sum()))
+    return SensorAgreement(int(both.sum()), int((both & (first == second)).sum()))
