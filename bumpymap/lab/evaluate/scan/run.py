@@ -23,7 +23,7 @@ from bumpymap.lab.evaluate.scan.same_place import SensorAgreement, agreement, sc
 from bumpymap.lab.evaluate.scan.settings import ScanEvaluateSettings
 from bumpymap.lab.evaluate.scan.timing import MethodCost, PlainCost, method_costs, plain_cost
 from bumpymap.lab.evaluate.scan.turning import kept_share
-from bumpymap.lab.train import UNSEEN, scene_scan
+from bumpymap.lab.train import UNSEEN, crowns_as_bushes, scene_scan
 from bumpymap.readers import LABEL_SETS, LabelSet, label_file, label_set, read_scan, require_label_set, tell_label_set
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
@@ -70,7 +70,7 @@ class ScanFindings:
 def simulated_scans(settings: ScanEvaluateSettings) -> Iterator[Scan]:
     """Simulate scans of scenes that are never used in training."""
     for index in range(settings.scenes):
-        yield scene_scan(settings.seed, UNSEEN + index)
+        yield crowns_as_bushes(scene_scan(settings.seed, UNSEEN + index))
 
 
 def read_frames(frames: Sequence[Path], labels: LabelSet | None = None) -> Iterator[Scan]:

@@ -1,6 +1,6 @@
 """Classes of one place that is seen by two sensors."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, ClassedSectors, Scan, point_classes
 
-__all__ = ["SensorAgreement", "agreement", "cell_classes", "scene_pairs"]
+__all__ = ["SensorAgreement", "agreement", "cell_classes", "scene_pairs", "sum_agreements"]
 
 CELL_M = 0.5
 END_M = 30.0
@@ -63,3 +63,8 @@ def agreement(pair: tuple[Scan, Scan], classify: Callable[[Scan], ClassedSectors
     first, second = (cell_classes(scan, classify(scan)) for scan in pair)
     both = (first >= 0) & (second >= 0)
     return SensorAgreement(int(both.sum()), int((both & (first == second)).sum()))
+
+
+def sum_agreements(each: Sequence[SensorAgreement]) -> SensorAgreement:
+    """Add the counts of many places."""
+    return SensorAgreement(sum(one.cells for one in each), sum(one.same for one in each))

@@ -4,13 +4,8 @@ import numpy as np
 
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
 from bumpymap.lab.worlds.scans._solids import Triangles, leaves, tube
-from bumpymap.lab.worlds.scans.labels import Label
 
 __all__ = ["bush", "hedge", "herb", "tree"]
-
-
-_PASSED_BELOW_M = 1.5
-"""A vehicle passes below a crown that starts higher than this."""
 
 
 def _leaf_count(base: Floats, volume_m3: float) -> int:
@@ -55,29 +50,15 @@ def hedge(rng: np.random.Generator, feet: Floats) -> Triangles:
     return np.concatenate([_cloud(rng, foot + up * rng.uniform(0.85, 1.0), radii, foot, path) for foot in feet])
 
 
-def tree(
-    rng: np.random.Generator, base: Floats, height_m: float, clear_m: float | None = None
-) -> list[tuple[Label, Triangles]]:
+def tree(rng: np.random.Generator, base: Floats, height_m: float, clear_m: float | None = None) -> Triangles:
     """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a conifer with lower branches.
 
-    Parameters
-    ----------
-    rng : Generator
-    base : (3,) array
-    height_m : float
-    clear_m : float, optional
-        Height at which the crown starts, as over a road; such a tree is broad-leaved.
-
-    Returns
-    -------
-    list of (Label, (m, 3, 3) array)
-        Trunk and branches, then the crown. A crown that a vehicle passes below is labelled as a bush: annotators of
-        roads call it vegetation, and it makes nothing rough.
+    With ``clear_m`` it is broad-leaved and its crown starts at this height, as over a road.
     """
     thick = height_m * rng.uniform(0.012, 0.028) + 0.03
     lean = np.array([rng.normal(0, 0.04), rng.normal(0, 0.04), 1.0]) * height_m
     foot = base - np.array([0.0, 0.0, 0.2])
-    wood, crown = [tube(foot, base + 0.85 * lean, thick, 0.3 * thick, 10)], []
+    parts = [tube(foot, base + 0.85 * lean, thick, 0.3 * thick, 10)]
     path = log_uniform(rng, 0.3, 1.2)
     conifer = rng.uniform() < 0.35 and clear_m is None
     lobes = int(rng.integers(3, 7))
@@ -87,11 +68,10 @@ def tree(
     for k in range(lobes):
         share = start + (1 - start) * (k + 0.5) / lobes
         wide = widest * ((1.15 - share) if conifer else rng.uniform(0.5, 0.8))
-        tall = height_m * min((1 - start) / lobes * rng.uniform(0.7, 1.1), share - start)
+        tall = height_m * (1 - start) / lobes * rng.uniform(0.7, 1.1)
         away = 0.0 if conifer else widest * rng.uniform(0, 0.6)
         where = rng.uniform(0, 2 * np.pi)
         middle = base + share * lean + away * np.array([np.cos(where), np.sin(where), 0.0])
-        crown.append(_cloud(rng, middle, np.array([wide, wide, tall]), base, path))
-        wood.append(tube(base + 0.8 * share * lean, middle, 0.25 * thick, 0.1 * thick, 5))
-    label = Label.BUSH if start * height_m > _PASSED_BELOW_M else Label.TREE
-    return [(Label.TREE, np.concatenate(wood)), (label, np.concatenate(crown))]
+        parts.append(_cloud(rng, middle, np.array([wide, wide, tall]), base, path))
+        parts.append(tube(base + 0.8 * share * lean, middle, 0.25 * thick, 0.1 * thick, 5))
+    return np.concatenate(parts)

@@ -15,8 +15,6 @@ __all__ = ["ROADSIDES", "Roadside", "make_street", "roadside_things"]
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""
-_WITH_TREES = 0.75
-"""Share of the sides with a row of trees, where the road may have one."""
 _NEAREST_M = 2.5
 """Nothing but a crown is nearer to the robot."""
 
@@ -134,10 +132,8 @@ def roadside_things(
 ) -> list[tuple[Label, Triangles]]:
     """Draw what stands on a road and along it, as labels and triangles."""
     things = _vehicles(rng, side, road, height)
-    trees: list[tuple[Label, Triangles]] = []
     for way in (-1.0, 1.0):
         things += _row(rng, side, road, way, height)
-        trees += _trees(rng, side, road, way, height)
     edge = road.half_width_m + road.pavement_m
     for _ in range(int(rng.integers(0, side.persons + 1))):
         feet = _feet(road, rng.uniform(-30, 30, 1), rng.choice([-1, 1]) * rng.uniform(0.4, 1.0) * edge, height)
@@ -146,8 +142,11 @@ def roadside_things(
         away = (edge + 1.5 * road.verge_m + rng.exponential(8.0)) * rng.choice([-1, 1])
         feet = _feet(road, rng.uniform(-60, 60, 1), away, height)
         things.append((Label.BUSH, bush(rng, feet[0, :3], log_uniform(rng, 0.4, 2.5))))
-    far = [(label, soup) for label, soup in things if np.hypot(soup[..., 0], soup[..., 1]).min() > _NEAREST_M]
-    return far + trees
+    return [
+        (label, soup)
+        for label, soup in things
+        if label == Label.TREE or np.hypot(soup[..., 0], soup[..., 1]).min() > _NEAREST_M
+    ]
 
 
 def _feet(road: Road, along: Floats, across: float | Floats, height: Height) -> Floats:
@@ -173,26 +172,10 @@ def _vehicles(rng: np.random.Generator, side: Roadside, road: Road, height: Heig
     return [(Label.VEHICLE, vehicle(rng, foot[:3], float(foot[3]))) for foot in feet[far]]
 
 
-def _trees(
-    rng: np.random.Generator, side: Roadside, road: Road, way: float, height: Height
-) -> list[tuple[Label, Triangles]]:
-    """Draw a row of trees along one side, whose crowns may hang over the road."""
-    things: list[tuple[Label, Triangles]] = []
-    if not side.trees_m[1] or rng.uniform() > _WITH_TREES:
-        return things
-    step, away = rng.uniform(*side.trees_m), road.half_width_m + rng.uniform(0.6, 2.5)
-    feet = _feet(road, np.arange(-_END_M, _END_M, step) + rng.uniform(0, step), way * away, height)
-    stands = (rng.uniform(size=len(feet)) < 0.85) & (np.hypot(feet[:, 0], feet[:, 1]) > _NEAREST_M)
-    for foot in feet[stands]:
-        clear = rng.uniform(*side.clear_m)
-        things += tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)
-    return things
-
-
 def _row(
     rng: np.random.Generator, side: Roadside, road: Road, way: float, height: Height
 ) -> list[tuple[Label, Triangles]]:
-    """Draw the poles, rails, fences, hedges and walls of one side, which is to the left if ``way`` is 1."""
+    """Draw the trees, poles, rails, fences, hedges and walls of one side, which is to the left if ``way`` is 1."""
     edge = road.half_width_m + road.pavement_m
     things: list[tuple[Label, Triangles]] = []
 
@@ -200,6 +183,12 @@ def _row(
         start, length = rng.uniform(-_END_M, 30.0), rng.uniform(10.0, longest)
         return _feet(road, np.arange(start, start + max(length, 2.5 * step), step), way * across, height)[:, :3]
 
+    if side.trees_m[1] and rng.uniform() < 0.75:
+        step, away = rng.uniform(*side.trees_m), road.half_width_m + rng.uniform(0.6, 2.5)
+        feet = _feet(road, np.arange(-_END_M, _END_M, step) + rng.uniform(0, step), way * away, height)
+        for foot in feet[rng.uniform(size=len(feet)) < 0.85]:
+            clear = rng.uniform(*side.clear_m)
+            things.append((Label.TREE, tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)))
     if rng.uniform() < side.poles:
         away = road.half_width_m + rng.uniform(0.3, 1.0)
         feet = _feet(road, np.arange(-_END_M, _END_M, rng.uniform(15.0, 40.0)), way * away, height)

@@ -228,8 +228,7 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
         (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 70.0)),
     ):
         z = height(places[:, 0], places[:, 1])
-        for place, up in zip(places, z, strict=True):
-            things += _grow(rng, label, np.array([*place, up]))
+        things += [(label, _grow(rng, label, np.array([*place, up]))) for place, up in zip(places, z, strict=True)]
     for label, most, build in ((Label.FENCE, theme.fences, fence), (Label.BARRIER, theme.barriers, barrier)):
         lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
         things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
@@ -240,17 +239,17 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
     return [(label, soup) for label, soup in things if len(soup)]
 
 
-def _grow(rng: np.random.Generator, label: Label, base: Floats) -> list[tuple[Label, Triangles]]:
+def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Triangles:
     match label:
         case Label.GRASS:
-            return [(label, herb(rng, base, log_uniform(rng, 0.1, 0.4)))]
+            return herb(rng, base, log_uniform(rng, 0.1, 0.4))
         case Label.BUSH:
-            return [(label, bush(rng, base, log_uniform(rng, 0.4, 4.0)))]
+            return bush(rng, base, log_uniform(rng, 0.4, 2.5))
         case Label.TREE:
             return tree(rng, base, log_uniform(rng, 2.5, 14.0))
         case Label.PERSON:
-            return [(label, person(rng, base))]
-    return [(label, vehicle(rng, base))]
+            return person(rng, base)
+    return vehicle(rng, base)
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:
