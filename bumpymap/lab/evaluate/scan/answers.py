@@ -16,7 +16,7 @@ __all__ = ["DEVIATION", "Accuracy", "accuracy_of", "all_answers", "best_limits"]
 
 Ints = NDArray[np.int64]
 DEVIATION = "deviation of z"
-"""Name of the answers from two limits on the standard deviation of z of a sector's points."""
+"""Name of the answers from two limits on the standard deviation of z of all points of a sector."""
 _ROUGHEST = CLASSES - 1
 _LIMITS = 40
 """Number of limits that are tried."""
@@ -47,10 +47,10 @@ def all_answers(table: ClassedSectorTable) -> dict[str, Ints]:
     }
     for number in range(CLASSES):
         answers[f"always {number}"] = np.full(len(table.truth), number, np.int64)
-    deviation = np.sqrt(table.variance)
     known = table.traversable & (table.truth >= 0)
-    limits = best_limits(deviation[known], table.truth[known])
-    answers[DEVIATION] = np.where(table.traversable, np.searchsorted(limits, deviation, side="right"), _ROUGHEST)
+    limits = best_limits(table.deviation[known], table.truth[known])
+    below = np.searchsorted(limits, table.deviation, side="right")
+    answers[DEVIATION] = np.where(table.traversable, below, _ROUGHEST)
     return answers
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, ClassedSectors
+from bumpymap.core import CLASSES, ClassedSectors, Scan, SectorStack
 from bumpymap.readers import LabelSet
 
-__all__ = ["ClassedSectorTable", "ScanClassRow", "class_rows", "join_sectors"]
+__all__ = ["ClassedSectorTable", "ScanClassRow", "class_rows", "join_sectors", "z_deviation"]
 
 Floats = NDArray[np.float64]
 _MEASURES = ("stripes", "variance", "residual")
@@ -31,6 +31,8 @@ class ClassedSectorTable:
     """(n,) m^2"""
     residual: Floats
     """(n,) m"""
+    deviation: Floats
+    """(n,) standard deviation of z over all points of the sector, ground or not, m"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +51,27 @@ class ScanClassRow:
     """m"""
 
 
-def join_sectors(classed: Sequence[dict[str, ClassedSectors]], labels: LabelSet | None) -> ClassedSectorTable:
+def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
+    """Return the standard deviation of z over all points of each sector (n,), m."""
+    inside = stack.point_sector >= 0
+    place, z = stack.point_sector[inside], scan.points[inside, 2].astype(np.float64)
+    count = np.maximum(np.bincount(place, minlength=len(stack.zone)), 1)
+    off = z - (np.bincount(place, z, len(stack.zone)) / count)[place]
+    deviation: Floats = np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
+    return deviation
+
+
+def join_sectors(
+    classed: Sequence[dict[str, ClassedSectors]], deviations: Sequence[Floats], labels: LabelSet | None
+) -> ClassedSectorTable:
     """Collect the sectors of one or more scans, classified by the same methods, one of them the filter.
 
     Parameters
     ----------
     classed : sequence of dict
         Method -> sectors, for each scan.
+    deviations : sequence of arrays
+        ``z_deviation`` of each scan.
     labels : LabelSet or None
         The meaning of the labels of the scans; None if they have none.
     """
@@ -72,6 +88,7 @@ def join_sectors(classed: Sequence[dict[str, ClassedSectors]], labels: LabelSet 
         stripes=gathered([_stripes(methods) for methods in classed]),
         variance=gathered([stack.variance for stack in stacks]),
         residual=gathered([stack.residual for stack in stacks]),
+        deviation=gathered(deviations),
     )
 
 

@@ -55,7 +55,7 @@ def _set_name(facts: dict[str, Any]) -> str:
 
 _ANSWERS = (
     "A method is of use if it beats the constant answers in accuracy *and* in balanced accuracy (the mean of the "
-    f"recalls). *{DEVIATION}* sets two limits on the standard deviation of z of a sector's points, chosen to suit "
+    f"recalls). *{DEVIATION}* sets two limits on the standard deviation of z of all points of a sector, chosen to suit "
     "these very scans, which no method in use can do. The class of a sector's most frequent label counts as true."
 )
 _GROUND = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError, ClassedSectors, Progress, Scan, SectorStack, counted
 from bumpymap.lab.evaluate.scan.answers import Accuracy, accuracy_of, all_answers
-from bumpymap.lab.evaluate.scan.class_stats import ScanClassRow, class_rows, join_sectors
+from bumpymap.lab.evaluate.scan.class_stats import ScanClassRow, class_rows, join_sectors, z_deviation
 from bumpymap.lab.evaluate.scan.points import (
     GroundScore,
     ObstacleScore,
@@ -174,7 +174,7 @@ def evaluate_scans(
         No scan has a sector that can be classified.
     """
     angles = np.random.default_rng(settings.seed).uniform(0.0, 2 * math.pi, settings.turns).tolist()
-    classed, kept, fullest = [], dict[str, list[float]]({name: [] for name in methods.by_points}), None
+    classed, deviations, kept, fullest = [], [], dict[str, list[float]]({name: [] for name in methods.by_points}), None
     ground: list[GroundScore] = []
     obstacles = dict[str, list[ObstacleScore]]({name: [] for name in methods.by_points})
     progress.start("classing scans", count)
@@ -185,13 +185,14 @@ def evaluate_scans(
             ground.append(ground_score(scan, stack.point_ground, labels))
             for name, own in found.items():
                 obstacles[name].append(obstacle_score(scan, own, labels))
+        deviations.append(z_deviation(scan, stack))
         classed.append({name: _without_points(own) for name, own in found.items()})
         for name, classify in methods.by_points.items():
             kept[name].append(kept_share(scan, classify, angles))
         if fullest is None or abs(len(scan.points) - _FULL_TURN) < abs(len(fullest.points) - _FULL_TURN):
             fullest = scan
         progress.advance(1)
-    table = join_sectors(classed, labels) if classed else None
+    table = join_sectors(classed, deviations, labels) if classed else None
     if fullest is None or table is None or not table.traversable.any():
         raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
     progress.start("timing rounds of both methods", settings.repeats)

@@ -13,8 +13,9 @@ TABLE = ClassedSectorTable(
     truth=np.array([0, 1, 1, 2, -1, 0, 2], np.int16),
     traversable=np.array([True] * 6 + [False]),
     stripes=np.full(7, 5.0),
-    variance=np.array([1.0, 4.0, 4.0, 25.0, 36.0, 1.0, 0.0]),
+    variance=np.full(7, 0.1),
     residual=np.full(7, 0.25),
+    deviation=np.array([1.0, 2.0, 2.0, 5.0, 6.0, 1.0, 0.0]),
 )
 
 
