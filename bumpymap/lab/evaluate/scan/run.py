@@ -24,7 +24,7 @@ from bumpymap.lab.evaluate.scan.settings import ScanEvaluateSettings
 from bumpymap.lab.evaluate.scan.timing import MethodCost, PlainCost, method_costs, plain_cost
 from bumpymap.lab.evaluate.scan.turning import kept_share
 from bumpymap.lab.train import UNSEEN, crowns_as_bushes, scene_scan
-from bumpymap.readers import LABEL_SETS, LabelSet, label_file, label_set, read_scan, require_label_set, tell_label_set
+from bumpymap.readers import LABEL_SETS, LabelSet, label_set, read_scan, require_label_set, tell_label_set
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
 __all__ = [
@@ -115,7 +115,8 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     if name is not None:
         if not there:
             raise BadInputError(
-                f"`labels` is '{name}', but {frames[0]} has no labels: {label_file(frames[0])} does not exist"
+                f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in a folder "
+                "labels next to its folder, or in a field named label of a PLY or PCD file"
             )
         return label_set(name)
     return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
