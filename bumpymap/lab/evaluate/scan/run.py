@@ -115,8 +115,8 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     if name is not None:
         if not there:
             raise BadInputError(
-                f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in a folder "
-                "labels next to its folder, or in a field named label of a PLY or PCD file"
+                f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in "
+                "a folder labels next to its folder, or in a field named label of a PLY or PCD file"
             )
         return label_set(name)
     return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
