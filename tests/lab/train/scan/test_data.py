@@ -90,7 +90,7 @@ def test_sectors_without_ground_are_left_out():
 
 
 def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
-    floor = _ring(3, lambda rng, n: np.full(n, -1.5))
+    floor = _ring(3, lambda rng, n: rng.normal(-1.5, 0.001, n))
     rng = np.random.default_rng(2)
     height = np.repeat([0.5, 4.0], 4000)
     above = floor.points + np.column_stack([np.zeros((8000, 2)), height]).astype(np.float32)
