@@ -69,6 +69,10 @@ from .files import (
     utf8_path as utf8_path,
     write_together as write_together,
 )
+from .frame_source import (
+    BagMessage as BagMessage,
+    FrameSource as FrameSource,
+)
 from .interrupts import (
     Terminated as Terminated,
     interruptible as interruptible,

@@ -13,8 +13,20 @@ from .detect import (
 from .find import (
     find_surveys as find_surveys,
 )
+from .frames.bag import (
+    BagReader as BagReader,
+    bag_files as bag_files,
+)
+from .frames.bag_frames import (
+    BagTopics as BagTopics,
+)
+from .frames.cloud_message import (
+    points_of as points_of,
+)
 from .frames.find import (
+    bags_at as bags_at,
     find_frames as find_frames,
+    find_sources as find_sources,
 )
 from .frames.kitti import (
     label_file as label_file,
@@ -24,6 +36,7 @@ from .frames.poses import (
 )
 from .frames.read import (
     Robot as Robot,
+    read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
-from bumpymap.readers import Robot
+from bumpymap.readers import BagTopics, Robot, bags_at
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
@@ -18,9 +18,15 @@ class ScanConfig:
     """All settings of a scan run."""
 
     frames: tuple[Path, ...]
-    """Files of scans, or folders of them."""
+    """Files of scans, folders of them, or bags."""
     out: Path
     """Folder for the products; of a fit, the file for the stripe classes."""
+    topic: str | None = None
+    """Topic of the scans in a bag; None: the only one of its type."""
+    odometry: str | None = None
+    """Topic of the odometry in a bag; None: the only one of its type, or else the transforms (tf)."""
+    bag: Path | None = None
+    """File (``.mcap``) for the grids of all frames, as messages of ROS 2."""
     poses: Path | None = None
     """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
     crs: str | None = None
@@ -64,8 +70,22 @@ class ScanConfig:
             )
         if self.stripes is not None and self.compat == "paper":
             raise UsageError("`compat='paper'` fits stripe classes in every scan, so it cannot use those of `stripes`")
+        if self.poses is not None and self.odometry is not None:
+            raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
+        if self.bag is not None and self.bag.suffix.lower() != ".mcap":
+            raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
+        if self.poses is None and not any(map(bags_at, self.frames)):
+            self.refuse_map_settings()
+
+    @property
+    def bag_topics(self) -> BagTopics:
+        """Which topics of a bag are read."""
+        return BagTopics(self.topic, self.odometry)
+
+    def refuse_map_settings(self) -> None:
+        """Raise UsageError if there are settings for the map of the drive; for runs without poses."""
         maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
-        if maps and self.poses is None:
+        if maps:
             raise UsageError(
                 f"`{maps[0]}` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
             )

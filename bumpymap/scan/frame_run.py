@@ -98,7 +98,7 @@ class FrameRun:
         if finished is not None:
             products.add_finished(frame, finished)
             return finished.report
-        version: Mapping[str, Any] = self.run_spec["inputs"][str(frame.path)]
+        version: Mapping[str, Any] | None = self.run_spec["inputs"].get(str(frame.path))
         scan, classed, seconds = self._classify_scan(frame, reader)
         report = report_frame(frame, version, scan, classed, seconds)
         products.add(frame, number, report, scan, classed)
@@ -112,5 +112,5 @@ class FrameRun:
             classed = self.method.classify(scan)
         seconds = time.perf_counter() - begin
         if reason := explain_empty_scan(scan, classed):
-            _log.warning("no ground was classified in %s: %s", frame.path, reason)
+            _log.warning("no ground was classified in %s: %s", frame.origin, reason)
         return scan, classed, seconds

@@ -12,7 +12,7 @@ from bumpymap.core import (
     remove_empty_on_error,
 )
 from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_scan_folder, is_complete, name_frames
-from bumpymap.readers import find_frames, read_poses
+from bumpymap.readers import find_sources, read_poses
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.drive import crs_of_poses, drive_settings, map_drive
 from bumpymap.scan.frame_run import FrameRun
@@ -61,15 +61,15 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
         method = choose_method(config)
         crs = crs_of_poses(config)
-        drive = drive_settings(config)
-        paths = find_frames(config.frames)
-        frames = name_frames(paths, None if config.poses is None else read_poses(config.poses, len(paths)))
+        sources = find_sources(config.frames, config.bag_topics)
+        frames = name_frames(sources, None if config.poses is None else read_poses(config.poses, len(sources)))
+        drive = drive_settings(config, frames)
         run_spec = describe_scan(config, frames, method)
     if is_done:
         classified = earlier_frames(config, run_spec, frames)
         seconds = dict(classified.seconds)
     else:
-        check_scan_folder(config.out, paths, overwrite=config.overwrite, unfinished=unfinished)
+        check_scan_folder(config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished)
         classified = FrameRun(config, frames, method, crs, run_spec).classify(progress, clock)
         seconds = clock.seconds
     mapped = None

@@ -19,7 +19,7 @@ from bumpymap.layers import (
     software_versions,
     verified_record,
 )
-from bumpymap.readers import identity, label_file
+from bumpymap.readers import bag_files, identity, label_file
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import Method
 
@@ -48,7 +48,7 @@ class ClassifiedFrames:
 
 def describe_scan(config: ScanConfig, frames: Sequence[Frame], method: Method) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
-    paths = [frame.path for frame in frames] + _side_files(config, frames)
+    paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
@@ -69,7 +69,7 @@ def scan_manifest(
         "settings": config,
         "method": {"name": method.name, "basis": method.basis},
         "skipped": skipped,
-        "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped],
+        "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
         "side_files": [
             describe_file(path) | {"mtime_ns": known[str(path)]["mtime_ns"]} for path in _side_files(config, frames)
         ],
@@ -86,15 +86,15 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
     """
     with verified_record(config.out, (), SCAN_MANIFEST_NAME) as record:
         method = record["method"]
-        inputs = [*record["frames"], *record["side_files"]]
+        inputs = [*(frame for frame in record["frames"] if frame.get("message") is None), *record["side_files"]]
         ignored = _WITHOUT_EFFECT - {"skip_bad"} if record["skipped"] else _WITHOUT_EFFECT
         before = spec_of_manifest(
             {**record, "inputs": inputs}, ignored, {"method": f"{method['name']}, {method['basis']}"}
         )
         now = {**run_spec, "settings": flat_settings(config, ignored)}
         refuse_replacing(config.out, differences(before, now, same_content))
-        own = {str(frame.path): frame for frame in frames}
-        reports = tuple(FrameReport.of(own[each["path"]], each) for each in record["frames"])
+        own = {frame.name: frame for frame in frames}
+        reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, reports)
         files = tuple(
             name
@@ -106,9 +106,10 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
-    """List the files that are read beside the frames: poses and labels."""
+    """List the files that are read beside the files of frames: poses, labels and bags."""
+    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
     labels = [found for frame in frames if frame.path.suffix == ".bin" and (found := label_file(frame.path))]
-    return [*([] if config.poses is None else [config.poses]), *labels]
+    return [*([] if config.poses is None else [config.poses]), *labels, *(file for bag in bags for file in bag_files(bag))]
 
 
 def _require_files(config: ScanConfig, reports: Sequence[FrameReport]) -> None:

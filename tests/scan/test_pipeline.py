@@ -16,7 +16,7 @@ import rasterio
 from ply_files import read_vertices
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import PolarSettings, point_classes
+from bumpymap.core import FrameSource, PolarSettings, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.lock import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
@@ -546,7 +546,7 @@ def test_a_frame_by_itself_is_what_the_run_wrote(drive, mapped, tmp_path):
     path = drive / "frames" / "1.bin"
     scan = read_scan(path)
     write_frame(
-        name_frames([path])[0].name, scan, classify_filter(polar_sectors(scan)), tmp_path, ("polygons", "picture")
+        name_frames([FrameSource(path)])[0].name, scan, classify_filter(polar_sectors(scan)), tmp_path, ("polygons", "picture")
     )
     for ending in ("json", "png"):
         name = f"frames/1.{ending}"

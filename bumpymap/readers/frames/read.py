@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Dropped, Scan, UsageError
+from bumpymap.core import BadInputError, BagMessage, Dropped, Scan, UsageError
+from bumpymap.readers.frames.bag import BagReader
+from bumpymap.readers.frames.cloud_message import read_cloud
 from bumpymap.readers.frames.raw import RawScan
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
-__all__ = ["Robot", "read_scan", "scene_points"]
+__all__ = ["Robot", "read_message", "read_scan", "scene_points"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,14 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
         raw = _read(path)
     require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
+
+
+def read_message(bag: BagReader, message: BagMessage, robot: Robot, name: str) -> Scan:
+    """Read a scan from an open bag. Raises BadInputError if the message is damaged or holds no points."""
+    try:
+        return _keep_points(read_cloud(bag.read(message)), robot, name)
+    except BadInputError as error:
+        raise BadInputError(f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}") from error
 
 
 def _read(path: Path) -> RawScan:

@@ -1,0 +1,95 @@
+"""Points of a message ``sensor_msgs/PointCloud2``, whatever the layout of its fields.
+
+The functions take the message of any library: rclpy gives the data as ``array.array``, rosbags as an array of numpy.
+They look only at its attributes and need neither library.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+from bumpymap.readers.frames.raw import RawScan
+
+__all__ = ["points_of", "read_cloud"]
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""Types of numpy of the constants in sensor_msgs/PointField."""
+_INTENSITY = ("intensity", "intensities", "reflectivity")
+"""Names of fields with the strength of the return; the first one that is there is taken."""
+
+
+def points_of(message: Any) -> NDArray[np.float32]:
+    """Return the points of a message.
+
+    Parameters
+    ----------
+    message : sensor_msgs/PointCloud2
+        From rclpy, rosbags or any other library with the same names of attributes.
+
+    Returns
+    -------
+    (n, 3) float32
+        x, y and z of all returns, m, also of those that are NaN; of an organised cloud row by row.
+
+    Raises
+    ------
+    BadInputError
+        The message has no x, y and z, or less data than it declares.
+    """
+    return _xyz(_rows(message))
+
+
+def read_cloud(message: Any) -> RawScan:
+    """Read all returns of a message: points and, if there is a field for it, intensity. Raises as `points_of`."""
+    rows = _rows(message)
+    name = next((name for name in _INTENSITY if name in (rows.dtype.names or ())), None)
+    intensity = None if name is None else rows[name].astype(np.float32).ravel()
+    return RawScan(_xyz(rows), intensity, None)
+
+
+def _xyz(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    points = np.empty((*rows.shape, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped and counted later
+        for column, axis in enumerate("xyz"):
+            points[..., column] = rows[axis]
+    return points.reshape(-1, 3)
+
+
+def _rows(message: Any) -> NDArray[np.void]:
+    """Return a view of the points, (height, width), with the fields that hold one number each."""
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    dtype = _dtype(message, step)
+    data = np.frombuffer(message.data, np.uint8)
+    pitch = int(message.row_step) if height > 1 else width * step
+    needed = (height - 1) * pitch + width * step if height and width else 0
+    if pitch < width * step or needed > data.size:
+        raise BadInputError(
+            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, rows of {message.row_step:,} bytes, "
+            f"and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
+        )
+    return np.ndarray((height, width) if needed else (0, 0), dtype, data, strides=(pitch, step))
+
+
+def _dtype(message: Any, step: int) -> np.dtype[np.void]:
+    order = ">" if message.is_bigendian else "<"
+    fields = {
+        str(field.name): (np.dtype(order + _TYPES[int(field.datatype)]), int(field.offset))
+        for field in message.fields
+        if int(field.datatype) in _TYPES and int(field.count) <= 1
+    }
+    missing = [axis for axis in "xyz" if axis not in fields]
+    outside = [name for name, (kind, offset) in fields.items() if offset + kind.itemsize > step]
+    if missing or outside:
+        names = ", ".join(str(field.name) for field in message.fields) or "none"
+        what = f"has no {', '.join(missing)}" if missing else f"declares {outside[0]} outside of its {step} bytes a point"
+        raise BadInputError(f"the point cloud {what}; its fields are {names}. x, y and z are needed, a number each")
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [kind for kind, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": step,
+        }
+    )

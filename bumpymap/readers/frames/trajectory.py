@@ -1,0 +1,168 @@
+"""Transforms between the coordinate frames of a robot over time, as the messages of a bag give them."""
+
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+
+__all__ = ["FIXED_FRAMES", "FrameTree", "Trajectory", "frame_name"]
+
+FIXED_FRAMES = ("map", "odom")
+"""Coordinate frames that a drive can be mapped in; the first one that is known is taken (REP-105)."""
+_LONGEST_GAP_S = 1.0
+"""Between transforms farther apart than this, nothing is interpolated."""
+
+
+def frame_name(name: str) -> str:
+    """Return the name of a coordinate frame without the slash that older drivers put before it."""
+    return name.strip("/")
+
+
+class Trajectory:
+    """The transform from one coordinate frame to another over time; 64 bytes a sample."""
+
+    def __init__(self) -> None:
+        self._rows = array("d")
+
+    def add(self, stamp: Any, place: Any, turn: Any) -> None:
+        """Add a sample: a time (``sec``, ``nanosec``), a place (``x`` to ``z``, m) and a quaternion (``x`` to ``w``)."""
+        self._rows.extend((_seconds(stamp), place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+
+    def at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Interpolate: the place linearly, the turn along the shortest arc.
+
+        Parameters
+        ----------
+        times_s : (n,) float64
+
+        Returns
+        -------
+        (n, 4, 4) float64
+            Transforms.
+        (n,) bool
+            Whether each is known: its time is that of a sample, or lies between two that are at most 1 s apart.
+
+        Raises
+        ------
+        BadInputError
+            A sample is not finite, or its quaternion has no length.
+        """
+        rows = np.frombuffer(self._rows, np.float64).reshape(-1, 8)
+        length = np.linalg.norm(rows[:, 4:], axis=1)
+        if not (np.isfinite(rows).all() and (length > 0.5).all()):
+            raise BadInputError("it holds a transform that is not finite, or a quaternion whose length is not 1")
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        rows = rows[np.append(np.diff(rows[:, 0]) > 0.0, True)]  # of equal times the last one counts
+        after = np.clip(np.searchsorted(rows[:, 0], times_s), 0, len(rows) - 1)
+        before = np.where(rows[after, 0] > times_s, np.maximum(after - 1, 0), after)
+        gap = rows[after, 0] - rows[before, 0]
+        share = np.divide(times_s - rows[before, 0], gap, out=np.zeros(len(times_s)), where=gap > 0.0)
+        known = (rows[before, 0] <= times_s) & (times_s <= rows[after, 0]) & (gap <= _LONGEST_GAP_S)
+        place = rows[before, 1:4] + share[:, None] * (rows[after, 1:4] - rows[before, 1:4])
+        return _matrices(place, _slerp(rows[before, 4:], rows[after, 4:], share)), known
+
+
+class FrameTree:
+    """The coordinate frames of ``/tf`` and ``/tf_static``, each with its parent."""
+
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
+        self._static: dict[str, Trajectory] = {}
+        self._moving: dict[str, Trajectory] = {}
+
+    def add(self, message: Any, *, static: bool) -> None:
+        """Add the transforms of a message ``tf2_msgs/TFMessage``."""
+        for each in message.transforms:
+            child = frame_name(each.child_frame_id)
+            self._parent[child] = frame_name(each.header.frame_id)
+            if static:
+                self._static[child] = Trajectory()  # the last one counts
+            samples = self._static if static else self._moving
+            part = each.transform
+            samples.setdefault(child, Trajectory()).add(each.header.stamp, part.translation, part.rotation)
+
+    def ancestors(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on up to the root."""
+        found = [frame]
+        while (parent := self._parent.get(found[-1])) is not None and parent not in found:
+            found.append(parent)
+        return found
+
+    def mount(self, base: str, sensor: str) -> NDArray[np.float64] | None:
+        """Return the fixed transform (4, 4) from a sensor to the base; None if it is unknown or the sensor moves."""
+        if base == sensor:
+            return np.eye(4)
+        up, down = self.ancestors(sensor), self.ancestors(base)
+        common = next((frame for frame in up if frame in down), None)
+        if common is None:
+            return None
+        ways = [way[: way.index(common)] for way in (up, down)]
+        if any(frame in self._moving for way in ways for frame in way):
+            return None
+        ends = [_product([self._static[frame].at(np.zeros(1))[0] for frame in way])[0] for way in ways]
+        pose: NDArray[np.float64] = np.linalg.inv(ends[1]) @ ends[0]
+        return pose
+
+    def poses(self, sensor: str, times_s: NDArray[np.float64]) -> tuple[str, NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the pose of a sensor in a fixed frame.
+
+        Returns
+        -------
+        str
+            Name of the fixed frame; empty if the sensor is not connected with one.
+        (n, 4, 4) float64
+        (n,) bool
+            Whether each pose is known.
+        """
+        chain = self.ancestors(sensor)
+        fixed = next((frame for frame in FIXED_FRAMES if frame in chain[1:]), "")
+        if not fixed:
+            return "", np.tile(np.eye(4), (len(times_s), 1, 1)), np.zeros(len(times_s), np.bool_)
+        known, steps = np.ones(len(times_s), np.bool_), []
+        for frame in chain[: chain.index(fixed)]:
+            if frame in self._moving:
+                step, there = self._moving[frame].at(times_s)
+                known &= there
+            else:
+                step = self._static[frame].at(np.zeros(1))[0]
+            steps.append(step)
+        return fixed, np.broadcast_to(_product(steps), (len(times_s), 4, 4)), known
+
+
+def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Multiply transforms (n or 1, 4, 4), each from a frame to its parent, beginning with the lowest frame."""
+    product = np.eye(4)[None]
+    for step in steps:
+        product = step @ product
+    return product
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate between quaternions (n, 4) along the shortest arc; they need not have length 1."""
+    first, last = (turn / np.linalg.norm(turn, axis=1, keepdims=True) for turn in (first, last))
+    cosine = np.sum(first * last, axis=1)
+    last, cosine = np.where(cosine[:, None] < 0.0, -last, last), np.minimum(np.abs(cosine), 1.0)
+    angle = np.arccos(cosine)
+    sine = np.sin(angle)
+    wide = sine > 1e-6  # nearly equal quaternions are interpolated linearly
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weights = [np.where(wide, np.sin(part * angle) / sine, part) for part in (1.0 - share, share)]
+    return weights[0][:, None] * first + weights[1][:, None] * last
+
+
+def _matrices(place: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, z, w = (turn / np.linalg.norm(turn, axis=1, keepdims=True)).T
+    poses = np.tile(np.eye(4), (len(place), 1, 1))
+    poses[:, :3, 3] = place
+    poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
+    poses[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
+    poses[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
+    return poses
