@@ -33,6 +33,8 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     if result.skipped:
         print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
     print_line(f"Output in {config.out}: {', '.join(result.files)}")
+    if config.bag is not None:
+        print_line(f"Grids of the frames in {config.bag}")
     if result.drive is not None:
         tiles = result.drive.summary
         print_line(

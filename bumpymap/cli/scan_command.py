@@ -30,6 +30,8 @@ _NOT_OF_A_FIT = (
     "stripes",
     "compat",
     "products",
+    "odometry",
+    "bag",
     "vehicle",
     "calibration",
     "resume",
@@ -47,6 +49,9 @@ _NOT_OF_A_FIT = (
 )
 @click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
 @click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
+@click.option("--topic", metavar="NAME", help="Topic of the scans in a bag [default: the only PointCloud2].")
+@click.option("--odometry", metavar="NAME", help="Topic of the poses in a bag [default: the only Odometry, or tf].")
+@click.option("--bag", type=PATH, metavar="FILE", help="Write grids of all frames to this bag of ROS 2 (.mcap).")
 @click.option(
     "--method", type=click.Choice(METHODS), help="How sectors are classified [default: learned if available]."
 )
@@ -71,11 +76,12 @@ _NOT_OF_A_FIT = (
 def command(
     ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
 ) -> None:
-    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
+    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
     bumpymap scan frame.pcd --out out
     bumpymap scan drive --poses poses.txt --out out
+    bumpymap scan drive.mcap --out out --bag grids.mcap
     bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli import _scan_summary
@@ -85,7 +91,7 @@ def command(
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
     if ctx.obj:
-        import_without_pandas(*["pyogrio.raw"] if config.poses else [])
+        import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         if fit is None:
             result = scan_frames(config, progress)

@@ -189,6 +189,13 @@ from .scan.frame import (
     has_files as has_files,
     write_frame as write_frame,
 )
+from .scan.grid_bag import (
+    GridBag as GridBag,
+    check_bag_file as check_bag_file,
+)
+from .scan.ground_grid import (
+    GroundGrid as GroundGrid,
+)
 from .scan.manifest import (
     write_scan_manifest as write_scan_manifest,
 )

@@ -74,8 +74,13 @@ class ScanConfig:
             raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
         if self.bag is not None and self.bag.suffix.lower() != ".mcap":
             raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
-        if self.poses is None and not any(map(bags_at, self.frames)):
+        if not self.may_have_poses:
             self.refuse_map_settings()
+
+    @property
+    def may_have_poses(self) -> bool:
+        """Whether poses are given, or bags that may hold some."""
+        return self.poses is not None or any(map(bags_at, self.frames))
 
     @property
     def bag_topics(self) -> BagTopics:

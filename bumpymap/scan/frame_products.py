@@ -18,6 +18,7 @@ from bumpymap.layers import (
     Frame,
     FramePart,
     FrameReport,
+    GridBag,
     SectorTable,
     ground_points,
     has_files,
@@ -52,10 +53,14 @@ class FrameProducts:
     """None if no table is wanted."""
     accumulated: AccumulatedSurvey | None
     """Points of all frames at their poses; None without poses."""
+    grids: GridBag | None
+    """Grids of all frames; None if no bag is wanted."""
 
     def load(self, frame: Frame, number: int) -> FramePart | None:
         """Return a frame that an earlier run has finished; None if it is not finished."""
         if not has_files(frame.name, self.staged, self.config.products):
+            return None
+        if self.grids is not None and not self.grids.has(number):
             return None
         return load_part(part_path(self.run_folder, number), frame)
 
@@ -75,6 +80,8 @@ class FrameProducts:
         part = self._part(report, scan, classed)
         self._accumulate(frame, part)  # first: it may refuse the frame
         write_frame(frame.name, scan, classed, self.staged, self.config.products)
+        if self.grids is not None:
+            self.grids.add(frame, number, scan, classed)
         save_part(part, part_path(self.run_folder, number))
         self._add_rows(part)
 
@@ -111,7 +118,8 @@ def open_products(
         accumulated = (
             open_files.enter_context(open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs)) if poses else None
         )
-        yield FrameProducts(config, run_folder, staged, table, accumulated)
+        grids = None if config.bag is None else GridBag(run_folder)
+        yield FrameProducts(config, run_folder, staged, table, accumulated, grids)
     for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME):
         if (staged / name).exists():
             sync_to_disk(staged / name)

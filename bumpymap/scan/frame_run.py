@@ -13,6 +13,7 @@ from bumpymap.core import ClassedSectors, Kept, Progress, RunFolder, Scan, Stopw
 from bumpymap.layers import (
     Frame,
     FrameReport,
+    describe_file,
     explain_empty_scan,
     has_finished_parts,
     output_errors,
@@ -65,7 +66,11 @@ class FrameRun:
                 reports = self._classify_each(reader, products, progress)
             accumulated = products.point_counts()
             manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
-            manifest |= {"gathered": accumulated, "seconds": clock.seconds}
+            manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+            if self.config.bag is not None and products.grids is not None:
+                done = {report.frame.name for report in reports}
+                products.grids.write(self.config.bag, (n for n, f in enumerate(self.frames) if f.name in done))
+                manifest["bag"] = describe_file(self.config.bag)
             drop_empty_folder(staged)
             write_scan_manifest(staged, manifest, reports, self.run_spec["inputs"])
             files = move_products(staged, out)

@@ -11,7 +11,7 @@ from bumpymap.core import (
     locked,
     remove_empty_on_error,
 )
-from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_scan_folder, is_complete, name_frames
+from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_bag_file, check_scan_folder, is_complete, name_frames
 from bumpymap.readers import find_sources, read_poses
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.drive import crs_of_poses, drive_settings, map_drive
@@ -69,7 +69,12 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         classified = earlier_frames(config, run_spec, frames)
         seconds = dict(classified.seconds)
     else:
-        check_scan_folder(config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished)
+        check_scan_folder(
+            config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished
+        )
+        if config.bag is not None:
+            inputs = [frame.path for frame in frames]
+            check_bag_file(config.bag, inputs, overwrite=config.overwrite or unfinished)
         classified = FrameRun(config, frames, method, crs, run_spec).classify(progress, clock)
         seconds = clock.seconds
     mapped = None

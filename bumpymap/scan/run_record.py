@@ -109,10 +109,19 @@ def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     """List the files that are read beside the files of frames: poses, labels and bags."""
     bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
     labels = [found for frame in frames if frame.path.suffix == ".bin" and (found := label_file(frame.path))]
-    return [*([] if config.poses is None else [config.poses]), *labels, *(file for bag in bags for file in bag_files(bag))]
+    return [
+        *([] if config.poses is None else [config.poses]),
+        *labels,
+        *(file for bag in bags for file in bag_files(bag)),
+    ]
 
 
 def _require_files(config: ScanConfig, reports: Sequence[FrameReport]) -> None:
+    if config.bag is not None and not config.bag.exists():
+        raise OutputError(
+            f"{config.out} already holds a complete run, but its bag {config.bag} is missing. Pass `overwrite=True` to "
+            "make both again"
+        )
     for report in reports:
         if not has_files(report.frame.name, config.out, config.products):
             raise OutputError(

@@ -546,7 +546,11 @@ def test_a_frame_by_itself_is_what_the_run_wrote(drive, mapped, tmp_path):
     path = drive / "frames" / "1.bin"
     scan = read_scan(path)
     write_frame(
-        name_frames([FrameSource(path)])[0].name, scan, classify_filter(polar_sectors(scan)), tmp_path, ("polygons", "picture")
+        name_frames([FrameSource(path)])[0].name,
+        scan,
+        classify_filter(polar_sectors(scan)),
+        tmp_path,
+        ("polygons", "picture"),
     )
     for ending in ("json", "png"):
         name = f"frames/1.{ending}"

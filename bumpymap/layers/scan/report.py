@@ -93,6 +93,7 @@ def report_frame(
         tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
         for class_id in (classed.class_id, point_classes(scan, classed))
     )
+    file: Mapping[str, Any]
     if frame.message is not None:
         file = {"bytes": frame.message.bytes, "sha256": None}
     else:

@@ -1,7 +1,7 @@
 """Read the messages of ROS 2 bags (``.mcap``, ``.db3``, or a folder with ``metadata.yaml``), one at a time."""
 
 import weakref
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from bumpymap.core import BadInputError, BagMessage, UsageError
 from bumpymap.readers.checks import decoding
-from bumpymap.readers.source import Version, require_unchanged, version_of
+from bumpymap.readers.source import Version, read_range, require_unchanged, size_of, version_of
 
 __all__ = ["BAG_SUFFIXES", "CLOUD", "BagReader", "BagRecord", "bag_files", "is_bag", "message_types"]
 
@@ -83,18 +83,22 @@ class BagReader:
         self._types = message_types()
         self._versions: dict[Path, Version] = {file: version_of(file) for file in bag_files(path)}
         self._lock = Lock()
-        self._stream: Iterator[BagRecord] = iter(())
+        self._streams: list[Generator[BagRecord, None, None]] = []  # at most one: where `read` has got to
         self._next: tuple[str, int] = ("", 0)
-        with self._reading():
+        for file in self._versions:
+            _refuse_truncated(file)
+        with _reading(path):
             from rosbags.rosbag2 import Reader
 
             self._reader = Reader(path)
             self._reader.open()
-            weakref.finalize(self, self._reader.close)
-            self.topics = {topic: (str(info.msgtype), int(info.msgcount)) for topic, info in self._reader.topics.items()}
+            weakref.finalize(self, _close, self._reader, self._streams)
+            self.topics = {
+                topic: (str(info.msgtype), int(info.msgcount)) for topic, info in self._reader.topics.items()
+            }
             """Type and number of messages of each topic."""
 
-    def messages(self, topics: Collection[str], start_ns: int | None = None) -> Iterator[BagRecord]:
+    def messages(self, topics: Collection[str], start_ns: int | None = None) -> Generator[BagRecord, None, None]:
         """Yield the messages of some topics in order of time, holding one at a time.
 
         Raises
@@ -102,10 +106,7 @@ class BagReader:
         BadInputError
             The bag is damaged.
         """
-        wanted = [connection for connection in self._reader.connections if connection.topic in topics]
-        with self._reading():
-            for connection, time_ns, data in self._reader.messages(wanted, start=start_ns) if wanted else ():
-                yield BagRecord(connection.topic, time_ns, bytes(data))
+        return _records(self._reader, self.path, topics, start_ns)
 
     def read(self, message: BagMessage) -> Any:
         """Return a message, deserialised.
@@ -119,10 +120,10 @@ class BagReader:
             topic, number = self._next
             if topic != message.topic or not 0 <= message.number - number <= _AHEAD:
                 number = message.number - message.place
-                self._stream = self.messages([message.topic], message.time_ns)
+                self._streams[:] = [self.messages([message.topic], message.time_ns)]
             record = None
             for _ in range(message.number - number + 1):
-                record = next(self._stream, None)
+                record = next(self._streams[0], None)
             self._next = (message.topic, message.number + 1)
             for file, version in self._versions.items():
                 require_unchanged(file, version)
@@ -132,18 +133,51 @@ class BagReader:
 
     def decode(self, data: bytes, kind: str) -> Any:
         """Deserialise a message. Raises BadInputError if it is damaged."""
-        with self._reading():
+        with _reading(self.path):
             return self._types.deserialize_cdr(data, kind)
 
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        try:
-            with decoding(self.path, "the bag"):
-                yield
-        except BadInputError as error:
-            if error.__cause__ is None:  # of our own
-                raise
-            raise BadInputError(
-                f"cannot read the bag {self.path}: {str(error.__cause__).rstrip('.') or 'it is damaged'}. If the recording "
-                "was cut off, mend it: mcap recover IN.mcap -o OUT.mcap, or ros2 bag reindex FOLDER; else copy it again"
-            ) from error.__cause__
+
+def _records(reader: Any, path: Path, topics: Collection[str], start_ns: int | None) -> Generator[BagRecord, None, None]:
+    wanted = [connection for connection in reader.connections if connection.topic in topics]
+    with _reading(path):
+        for connection, time_ns, data in reader.messages(wanted, start=start_ns) if wanted else ():
+            yield BagRecord(connection.topic, time_ns, bytes(data))
+
+
+def _close(reader: Any, streams: list[Generator[BagRecord, None, None]]) -> None:
+    """Close a bag; first what is being read from it, without which a ``.db3`` cannot be closed."""
+    for stream in streams:
+        stream.close()
+    streams.clear()
+    reader.close()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn the exceptions of rosbags and of its libraries, which differ, into BadInputError."""
+    try:
+        with decoding(path, "the bag"):
+            yield
+    except BadInputError as error:
+        if error.__cause__ is None:  # of our own
+            raise
+        raise _damaged(path, str(error.__cause__)) from error.__cause__
+
+
+def _damaged(path: Path, why: str) -> BadInputError:
+    return BadInputError(
+        f"cannot read the bag {path}: {why.strip().rstrip('.') or 'it is damaged'}. If the recording was cut off, mend "
+        "it: mcap recover IN.mcap -o OUT.mcap, or ros2 bag reindex FOLDER; else copy it again"
+    )
+
+
+def _refuse_truncated(file: Path) -> None:
+    """Compare the size of a database with the number of its pages; SQLite does not, and reads zeros."""
+    if file.suffix.lower() != ".db3":
+        return
+    head = read_range(file, 0, 32).tobytes()
+    if head.startswith(b"SQLite format 3"):
+        page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        declared, held = (65_536 if page == 1 else page) * pages, size_of(file)
+        if held < declared:
+            raise _damaged(file, f"it has {held:,} bytes, and its header declares {declared:,}")

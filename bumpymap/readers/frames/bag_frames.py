@@ -99,7 +99,8 @@ def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessa
         frame = record.data[16 : 16 + length].rstrip(b"\0").decode()
     except (IndexError, struct.error, UnicodeDecodeError) as error:
         raise BadInputError(
-            f"message {number} of {record.topic} in {path} has no valid header ({error}). The bag is damaged: copy it again"
+            f"message {number} of {record.topic} in {path} has no valid header ({error}). The bag is damaged: "
+            "copy it again"
         ) from error
     stamp = seconds * 1_000_000_000 + rest
     return BagMessage(
@@ -153,7 +154,9 @@ class _Poses:
                 int((~known).sum()),
                 len(known),
             )
-        return [replace(source, pose=pose if ok else None) for source, pose, ok in zip(sources, poses, known, strict=True)]
+        return [
+            replace(source, pose=pose if ok else None) for source, pose, ok in zip(sources, poses, known, strict=True)
+        ]
 
     def _by_odometry(self, sensor: str, stamps: NDArray[np.float64]) -> tuple[Any, NDArray[np.bool_]] | None:
         if self._base is None:

@@ -66,8 +66,8 @@ def _rows(message: Any) -> NDArray[np.void]:
     needed = (height - 1) * pitch + width * step if height and width else 0
     if pitch < width * step or needed > data.size:
         raise BadInputError(
-            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, rows of {message.row_step:,} bytes, "
-            f"and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
+            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, in rows of {message.row_step:,} "
+            f"bytes, and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
         )
     return np.ndarray((height, width) if needed else (0, 0), dtype, data, strides=(pitch, step))
 
@@ -83,7 +83,9 @@ def _dtype(message: Any, step: int) -> np.dtype[np.void]:
     outside = [name for name, (kind, offset) in fields.items() if offset + kind.itemsize > step]
     if missing or outside:
         names = ", ".join(str(field.name) for field in message.fields) or "none"
-        what = f"has no {', '.join(missing)}" if missing else f"declares {outside[0]} outside of its {step} bytes a point"
+        what = (
+            f"has no {', '.join(missing)}" if missing else f"declares {outside[0]} outside of its {step} bytes a point"
+        )
         raise BadInputError(f"the point cloud {what}; its fields are {names}. x, y and z are needed, a number each")
     return np.dtype(
         {

@@ -53,6 +53,8 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
 
 def bags_at(path: Path) -> list[Path]:
     """Return the bags at a path: itself, or the files of bags in a folder that lost its metadata; else none."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        raise BadInputError(f"{path} is a bag of ROS 1; convert it to one of ROS 2 first, with rosbags-convert")
     if is_bag(path):
         return [path] if path.exists() else []
     if not path.is_dir() or _scans(path):

@@ -66,7 +66,9 @@ def read_message(bag: BagReader, message: BagMessage, robot: Robot, name: str) -
     try:
         return _keep_points(read_cloud(bag.read(message)), robot, name)
     except BadInputError as error:
-        raise BadInputError(f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}") from error
+        raise BadInputError(
+            f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}"
+        ) from error
 
 
 def _read(path: Path) -> RawScan:

@@ -29,7 +29,7 @@ class Trajectory:
         self._rows = array("d")
 
     def add(self, stamp: Any, place: Any, turn: Any) -> None:
-        """Add a sample: a time (``sec``, ``nanosec``), a place (``x`` to ``z``, m) and a quaternion (``x`` to ``w``)."""
+        """Add a sample: time (``sec``, ``nanosec``), place (``x`` to ``z``, m) and quaternion (``x`` to ``w``)."""
         self._rows.extend((_seconds(stamp), place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
 
     def at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

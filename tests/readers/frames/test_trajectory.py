@@ -1,0 +1,139 @@
+"""Interpolated transforms and chains of them, against scipy."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from bumpymap.core import BadInputError
+from bumpymap.readers.frames.trajectory import FrameTree, Trajectory
+
+START = 1_700_000_000
+
+
+def vector(**values):
+    return SimpleNamespace(**values)
+
+
+def stamp(seconds):
+    return vector(sec=int(seconds // 1), nanosec=round(seconds % 1 * 1e9))
+
+
+def link(parent, child, pose, seconds=0.0):
+    turn, place = pose
+    x, y, z, w = turn.as_quat()
+    return vector(
+        header=vector(frame_id=parent, stamp=stamp(seconds)),
+        child_frame_id=child,
+        transform=vector(
+            translation=vector(**dict(zip("xyz", place, strict=True))), rotation=vector(x=x, y=y, z=z, w=w)
+        ),
+    )
+
+
+def matrix(pose):
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = pose[0].as_matrix(), pose[1]
+    return found
+
+
+def random_pose(rng):
+    return Rotation.random(random_state=rng.integers(2**31)), rng.normal(0, 20, 3)
+
+
+def trajectory(times, poses):
+    found = Trajectory()
+    for seconds, (turn, place) in zip(times, poses, strict=True):
+        each = link("", "", (turn, place), seconds).transform
+        found.add(stamp(seconds), each.translation, each.rotation)
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31), st.integers(2, 12))
+def test_between_samples_as_scipy_does(seed, count):
+    rng = np.random.default_rng(seed)
+    times = START + np.cumsum(rng.uniform(0.01, 0.9, count))
+    turns, places = Rotation.random(count, random_state=seed), rng.normal(0, 20, (count, 3))
+    wanted = np.sort(rng.uniform(times[0], times[-1], 20))
+    mixed = rng.permutation(count)  # the order in which they came does not matter
+    found, known = trajectory(times[mixed], [(turns[int(i)], places[i]) for i in mixed]).at(wanted)
+    assert known.all()
+    expected = Slerp(times, turns)(wanted).as_matrix()
+    np.testing.assert_allclose(found[:, :3, :3], expected, atol=2e-5)  # times have steps of 0.2 microseconds
+    for axis in range(3):
+        np.testing.assert_allclose(found[:, axis, 3], np.interp(wanted, times, places[:, axis]), atol=1e-3)
+
+
+def test_outside_of_the_samples_and_in_gaps_nothing_is_known():
+    pose = (Rotation.identity(), np.zeros(3))
+    moving = trajectory([START, START + 0.5, START + 4.0, START + 4.5], [pose] * 4)
+    wanted = START + np.array([-0.001, 0.0, 0.2, 0.5, 0.6, 3.9, 4.0, 4.5, 4.6])
+    assert moving.at(wanted)[1].tolist() == [False, True, True, True, False, False, True, True, False]
+
+
+def test_of_equal_times_the_last_one_counts():
+    poses = [(Rotation.identity(), np.full(3, value)) for value in (1.0, 2.0, 3.0)]
+    found, _ = trajectory([START, START, START + 0.5], poses).at(np.array([float(START)]))
+    np.testing.assert_array_equal(found[0, :3, 3], 2.0)
+
+
+@pytest.mark.parametrize("value", [np.nan, 0.0])
+def test_an_invalid_quaternion_is_refused(value):
+    moving = Trajectory()
+    moving.add(stamp(START), vector(x=0.0, y=0.0, z=0.0), vector(x=value, y=0.0, z=0.0, w=0.0))
+    with pytest.raises(BadInputError, match="quaternion"):
+        moving.at(np.zeros(1))
+
+
+@pytest.mark.parametrize("fixed", ["map", "odom"])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_chain_of_transforms_is_their_product(fixed, seed):
+    rng = np.random.default_rng(seed)
+    tree, steps = FrameTree(), {}
+    names = ["earth", "map", "odom", "base", "mast", "lidar"][1 if fixed == "map" else 2 :]
+    for parent, child in zip(names, names[1:], strict=False):
+        steps[child] = random_pose(rng)
+        static = child in {"mast", "lidar"}
+        for seconds in [0] if static else [START, START + 1]:
+            tree.add(vector(transforms=[link(f"/{parent}", child, steps[child], seconds)]), static=static)
+    tree.add(vector(transforms=[link("base", "wheel", random_pose(rng), START)]), static=False)
+    name, poses, known = tree.poses("lidar", np.array([START + 0.5, START + 1.5]))
+    expected = np.eye(4)
+    for child in names[1:]:
+        expected = expected @ matrix(steps[child])
+    assert (name, known.tolist()) == (fixed, [True, False])
+    np.testing.assert_allclose(poses[0], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("base", ["base", "mast", "other", "lidar"])
+def test_the_mount_of_a_sensor_goes_over_the_common_ancestor(base):
+    rng = np.random.default_rng(3)
+    steps = {name: random_pose(rng) for name in ("mast", "lidar", "other")}
+    tree = FrameTree()
+    for parent, child in (("base", "mast"), ("mast", "lidar"), ("base", "other")):
+        tree.add(vector(transforms=[link(parent, child, steps[child])]), static=True)
+    mast, lidar, other = (matrix(steps[name]) for name in ("mast", "lidar", "other"))
+    expected = {
+        "base": mast @ lidar,
+        "mast": lidar,
+        "other": np.linalg.inv(other) @ mast @ lidar,
+        "lidar": np.eye(4),
+    }
+    np.testing.assert_allclose(tree.mount(base, "lidar"), expected[base], atol=1e-9)
+    assert tree.mount("elsewhere", "lidar") is None
+
+
+def test_a_sensor_that_turns_on_the_base_has_no_mount():
+    tree = FrameTree()
+    tree.add(vector(transforms=[link("base", "lidar", random_pose(np.random.default_rng(0)))]), static=False)
+    assert tree.mount("base", "lidar") is None
+
+
+def test_a_sensor_that_hangs_on_nothing_has_no_poses():
+    tree = FrameTree()
+    tree.add(vector(transforms=[link("base", "lidar", random_pose(np.random.default_rng(0)))]), static=True)
+    name, _, known = tree.poses("lidar", np.zeros(3))
+    assert (name, known.any()) == ("", False)
