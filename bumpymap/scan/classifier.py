@@ -187,19 +187,26 @@ class ScanClassifier:
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
         results = SectorBuffers() if self._results is None else self._results
         array = _columns(points, results)
-        # Points nearer than the inner border of the grid are in no sector.
-        kept = None if self._blind and np.isfinite(array).all() else scene_points(array, self._robot)
-        scan = Scan(array if kept is None else self._keep(array, kept))
+        rows = self._scene(array)
+        scan = Scan(array if rows is None else self._keep(array, rows))
         classed = self._method.classify(scan)
         classes, sector = point_classes(scan, classed), classed.sectors.point_sector
-        if kept is not None:
-            classes = _spread(classes, kept, NOT_TRAVERSABLE, results.empty("class", len(kept), np.uint8))
-            sector = _spread(sector, kept, -1, results.empty("sector", len(kept), np.int32))
+        if rows is not None:
+            classes = _spread(classes, rows, NOT_TRAVERSABLE, results.empty("class", len(array), np.uint8))
+            sector = _spread(sector, rows, -1, results.empty("sector", len(array), np.int32))
         return ScanResult(array, classes, sector, classed)
 
-    def _keep(self, points: NDArray[np.float32], kept: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Return the kept points, in a buffer: only the classification of this scan reads them."""
-        rows = np.flatnonzero(kept)
+    def _scene(self, points: NDArray[np.float32]) -> NDArray[np.intp] | None:
+        """Return the rows of points of the scene; None if all may be classified."""
+        if not self._blind:
+            return np.flatnonzero(scene_points(points, self._robot))
+        # Points nearer than the inner border of the grid are in no sector: only those that are not finite are left out.
+        with np.errstate(over="ignore", invalid="ignore"):
+            finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
+        return None if finite.all() else np.flatnonzero(finite)
+
+    def _keep(self, points: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return some points, in a buffer: only the classification of this scan reads them."""
         out = self._scratch.empty("points", 3 * len(rows), np.float32).reshape(-1, 3)
         return points.take(rows, axis=0, out=out, mode="clip")
 
@@ -253,8 +260,8 @@ def _columns(points: ArrayLike, buffers: SectorBuffers) -> NDArray[np.float32]:
     raise UsageError(f"points are {what}; give an array (n, 3) of x, y and z in metres, or the path of a file")
 
 
-def _spread(values: NDArray[Any], kept: NDArray[np.bool_], gap: int, full: NDArray[Any]) -> NDArray[Any]:
-    """Put the values of the kept points in their rows of the full array, ``gap`` elsewhere; return it."""
+def _spread(values: NDArray[Any], rows: NDArray[np.intp], gap: int, full: NDArray[Any]) -> NDArray[Any]:
+    """Put values in their rows of the full array, ``gap`` elsewhere; return it."""
     full.fill(gap)
-    full[kept] = values
+    full[rows] = values
     return full

@@ -137,7 +137,9 @@ class BagReader:
             return self._types.deserialize_cdr(data, kind)
 
 
-def _records(reader: Any, path: Path, topics: Collection[str], start_ns: int | None) -> Generator[BagRecord, None, None]:
+def _records(
+    reader: Any, path: Path, topics: Collection[str], start_ns: int | None
+) -> Generator[BagRecord, None, None]:
     wanted = [connection for connection in reader.connections if connection.topic in topics]
     with _reading(path):
         for connection, time_ns, data in reader.messages(wanted, start=start_ns) if wanted else ():

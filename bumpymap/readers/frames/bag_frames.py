@@ -138,7 +138,7 @@ class _Poses:
 
     def add_poses(self, sources: Sequence[FrameSource]) -> list[FrameSource]:
         """Return the sources with their poses, as far as they are known."""
-        stamps = np.array([source.message.stamp_ns for source in sources if source.message]) * 1e-9
+        stamps = np.array([source.message.stamp_ns for source in sources if source.message])
         sensor = sources[0].message.frame_id if sources[0].message else ""
         try:
             found = self._by_odometry(sensor, stamps) or self._by_transforms(sensor, stamps)
@@ -158,7 +158,7 @@ class _Poses:
             replace(source, pose=pose if ok else None) for source, pose, ok in zip(sources, poses, known, strict=True)
         ]
 
-    def _by_odometry(self, sensor: str, stamps: NDArray[np.float64]) -> tuple[Any, NDArray[np.bool_]] | None:
+    def _by_odometry(self, sensor: str, stamps: NDArray[np.int64]) -> tuple[Any, NDArray[np.bool_]] | None:
         if self._base is None:
             return None
         mount = self._tree.mount(self._base, sensor)
@@ -173,7 +173,7 @@ class _Poses:
         poses, known = self._trajectory.at(stamps)
         return poses @ mount, known
 
-    def _by_transforms(self, sensor: str, stamps: NDArray[np.float64]) -> tuple[Any, NDArray[np.bool_]] | None:
+    def _by_transforms(self, sensor: str, stamps: NDArray[np.int64]) -> tuple[Any, NDArray[np.bool_]] | None:
         fixed, poses, known = self._tree.poses(sensor, stamps)
         if fixed:
             return poses, known

@@ -13,7 +13,7 @@ __all__ = ["FIXED_FRAMES", "FrameTree", "Trajectory", "frame_name"]
 
 FIXED_FRAMES = ("map", "odom")
 """Coordinate frames that a drive can be mapped in; the first one that is known is taken (REP-105)."""
-_LONGEST_GAP_S = 1.0
+_LONGEST_GAP_NS = 1_000_000_000
 """Between transforms farther apart than this, nothing is interpolated."""
 
 
@@ -26,18 +26,20 @@ class Trajectory:
     """The transform from one coordinate frame to another over time; 64 bytes a sample."""
 
     def __init__(self) -> None:
+        self._times = array("q")
         self._rows = array("d")
 
     def add(self, stamp: Any, place: Any, turn: Any) -> None:
         """Add a sample: time (``sec``, ``nanosec``), place (``x`` to ``z``, m) and quaternion (``x`` to ``w``)."""
-        self._rows.extend((_seconds(stamp), place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+        self._times.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        self._rows.extend((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
 
-    def at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def at(self, times_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Interpolate: the place linearly, the turn along the shortest arc.
 
         Parameters
         ----------
-        times_s : (n,) float64
+        times_ns : (n,) int64
 
         Returns
         -------
@@ -51,19 +53,20 @@ class Trajectory:
         BadInputError
             A sample is not finite, or its quaternion has no length.
         """
-        rows = np.frombuffer(self._rows, np.float64).reshape(-1, 8)
-        length = np.linalg.norm(rows[:, 4:], axis=1)
+        times, rows = np.frombuffer(self._times, np.int64), np.frombuffer(self._rows, np.float64).reshape(-1, 7)
+        length = np.linalg.norm(rows[:, 3:], axis=1)
         if not (np.isfinite(rows).all() and (length > 0.5).all()):
             raise BadInputError("it holds a transform that is not finite, or a quaternion whose length is not 1")
-        rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        rows = rows[np.append(np.diff(rows[:, 0]) > 0.0, True)]  # of equal times the last one counts
-        after = np.clip(np.searchsorted(rows[:, 0], times_s), 0, len(rows) - 1)
-        before = np.where(rows[after, 0] > times_s, np.maximum(after - 1, 0), after)
-        gap = rows[after, 0] - rows[before, 0]
-        share = np.divide(times_s - rows[before, 0], gap, out=np.zeros(len(times_s)), where=gap > 0.0)
-        known = (rows[before, 0] <= times_s) & (times_s <= rows[after, 0]) & (gap <= _LONGEST_GAP_S)
-        place = rows[before, 1:4] + share[:, None] * (rows[after, 1:4] - rows[before, 1:4])
-        return _matrices(place, _slerp(rows[before, 4:], rows[after, 4:], share)), known
+        order = np.argsort(times, kind="stable")
+        order = order[np.append(np.diff(times[order]) > 0, True)]  # of equal times the last one counts
+        times, rows = times[order], rows[order]
+        after = np.clip(np.searchsorted(times, times_ns), 0, len(times) - 1)
+        before = np.where(times[after] > times_ns, np.maximum(after - 1, 0), after)
+        gap = times[after] - times[before]
+        share = np.divide(times_ns - times[before], gap, out=np.zeros(len(times_ns)), where=gap > 0)
+        known = (times[before] <= times_ns) & (times_ns <= times[after]) & (gap <= _LONGEST_GAP_NS)
+        place = rows[before, :3] + share[:, None] * (rows[after, :3] - rows[before, :3])
+        return _matrices(place, _slerp(rows[before, 3:], rows[after, 3:], share)), known
 
 
 class FrameTree:
@@ -103,11 +106,11 @@ class FrameTree:
         ways = [way[: way.index(common)] for way in (up, down)]
         if any(frame in self._moving for way in ways for frame in way):
             return None
-        ends = [_product([self._static[frame].at(np.zeros(1))[0] for frame in way])[0] for way in ways]
+        ends = [_product([self._static[frame].at(np.zeros(1, np.int64))[0] for frame in way])[0] for way in ways]
         pose: NDArray[np.float64] = np.linalg.inv(ends[1]) @ ends[0]
         return pose
 
-    def poses(self, sensor: str, times_s: NDArray[np.float64]) -> tuple[str, NDArray[np.float64], NDArray[np.bool_]]:
+    def poses(self, sensor: str, times_ns: NDArray[np.int64]) -> tuple[str, NDArray[np.float64], NDArray[np.bool_]]:
         """Return the pose of a sensor in a fixed frame.
 
         Returns
@@ -121,16 +124,16 @@ class FrameTree:
         chain = self.ancestors(sensor)
         fixed = next((frame for frame in FIXED_FRAMES if frame in chain[1:]), "")
         if not fixed:
-            return "", np.tile(np.eye(4), (len(times_s), 1, 1)), np.zeros(len(times_s), np.bool_)
-        known, steps = np.ones(len(times_s), np.bool_), []
+            return "", np.tile(np.eye(4), (len(times_ns), 1, 1)), np.zeros(len(times_ns), np.bool_)
+        known, steps = np.ones(len(times_ns), np.bool_), []
         for frame in chain[: chain.index(fixed)]:
             if frame in self._moving:
-                step, there = self._moving[frame].at(times_s)
+                step, there = self._moving[frame].at(times_ns)
                 known &= there
             else:
-                step = self._static[frame].at(np.zeros(1))[0]
+                step = self._static[frame].at(np.zeros(1, np.int64))[0]
             steps.append(step)
-        return fixed, np.broadcast_to(_product(steps), (len(times_s), 4, 4)), known
+        return fixed, np.broadcast_to(_product(steps), (len(times_ns), 4, 4)), known
 
 
 def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -139,10 +142,6 @@ def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     for step in steps:
         product = step @ product
     return product
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
 def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,8 +17,13 @@ def vector(**values):
     return SimpleNamespace(**values)
 
 
+def nanoseconds(seconds):
+    return np.rint(np.asarray(seconds) * 1e9).astype(np.int64)
+
+
 def stamp(seconds):
-    return vector(sec=int(seconds // 1), nanosec=round(seconds % 1 * 1e9))
+    sec, nanosec = divmod(int(nanoseconds(seconds)), 10**9)
+    return vector(sec=sec, nanosec=nanosec)
 
 
 def link(parent, child, pose, seconds=0.0):
@@ -59,7 +64,7 @@ def test_between_samples_as_scipy_does(seed, count):
     turns, places = Rotation.random(count, random_state=seed), rng.normal(0, 20, (count, 3))
     wanted = np.sort(rng.uniform(times[0], times[-1], 20))
     mixed = rng.permutation(count)  # the order in which they came does not matter
-    found, known = trajectory(times[mixed], [(turns[int(i)], places[i]) for i in mixed]).at(wanted)
+    found, known = trajectory(times[mixed], [(turns[int(i)], places[i]) for i in mixed]).at(nanoseconds(wanted))
     assert known.all()
     expected = Slerp(times, turns)(wanted).as_matrix()
     np.testing.assert_allclose(found[:, :3, :3], expected, atol=2e-5)  # times have steps of 0.2 microseconds
@@ -71,12 +76,12 @@ def test_outside_of_the_samples_and_in_gaps_nothing_is_known():
     pose = (Rotation.identity(), np.zeros(3))
     moving = trajectory([START, START + 0.5, START + 4.0, START + 4.5], [pose] * 4)
     wanted = START + np.array([-0.001, 0.0, 0.2, 0.5, 0.6, 3.9, 4.0, 4.5, 4.6])
-    assert moving.at(wanted)[1].tolist() == [False, True, True, True, False, False, True, True, False]
+    assert moving.at(nanoseconds(wanted))[1].tolist() == [False, True, True, True, False, False, True, True, False]
 
 
 def test_of_equal_times_the_last_one_counts():
     poses = [(Rotation.identity(), np.full(3, value)) for value in (1.0, 2.0, 3.0)]
-    found, _ = trajectory([START, START, START + 0.5], poses).at(np.array([float(START)]))
+    found, _ = trajectory([START, START, START + 0.5], poses).at(nanoseconds([START]))
     np.testing.assert_array_equal(found[0, :3, 3], 2.0)
 
 
@@ -85,7 +90,7 @@ def test_an_invalid_quaternion_is_refused(value):
     moving = Trajectory()
     moving.add(stamp(START), vector(x=0.0, y=0.0, z=0.0), vector(x=value, y=0.0, z=0.0, w=0.0))
     with pytest.raises(BadInputError, match="quaternion"):
-        moving.at(np.zeros(1))
+        moving.at(np.zeros(1, np.int64))
 
 
 @pytest.mark.parametrize("fixed", ["map", "odom"])
@@ -100,7 +105,7 @@ def test_a_chain_of_transforms_is_their_product(fixed, seed):
         for seconds in [0] if static else [START, START + 1]:
             tree.add(vector(transforms=[link(f"/{parent}", child, steps[child], seconds)]), static=static)
     tree.add(vector(transforms=[link("base", "wheel", random_pose(rng), START)]), static=False)
-    name, poses, known = tree.poses("lidar", np.array([START + 0.5, START + 1.5]))
+    name, poses, known = tree.poses("lidar", nanoseconds([START + 0.5, START + 1.5]))
     expected = np.eye(4)
     for child in names[1:]:
         expected = expected @ matrix(steps[child])
@@ -135,5 +140,5 @@ def test_a_sensor_that_turns_on_the_base_has_no_mount():
 def test_a_sensor_that_hangs_on_nothing_has_no_poses():
     tree = FrameTree()
     tree.add(vector(transforms=[link("base", "lidar", random_pose(np.random.default_rng(0)))]), static=True)
-    name, _, known = tree.poses("lidar", np.zeros(3))
+    name, _, known = tree.poses("lidar", np.zeros(3, np.int64))
     assert (name, known.any()) == ("", False)
