@@ -194,6 +194,7 @@ from .scan.grid_bag import (
     check_bag_file as check_bag_file,
 )
 from .scan.ground_grid import (
+    GridSettings as GridSettings,
     GroundGrid as GroundGrid,
 )
 from .scan.manifest import (

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
+from bumpymap.layers import GridSettings
 from bumpymap.readers import BagTopics, Robot, bags_at
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
@@ -53,6 +54,8 @@ class ScanConfig:
     """Continue an interrupted run."""
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
+    grid: GridSettings = field(default_factory=GridSettings)
+    """Size of the grids in ``bag``."""
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))

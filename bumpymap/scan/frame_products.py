@@ -118,7 +118,7 @@ def open_products(
         accumulated = (
             open_files.enter_context(open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs)) if poses else None
         )
-        grids = None if config.bag is None else GridBag(run_folder)
+        grids = None if config.bag is None else GridBag(run_folder, config.grid)
         yield FrameProducts(config, run_folder, staged, table, accumulated, grids)
     for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME):
         if (staged / name).exists():

@@ -161,7 +161,7 @@ def test_a_complete_run_is_recognised(ran, bag, tmp_path):
     assert scan_frames(ran[0]).already_done
     moved = tmp_path / "away.mcap"
     shutil.move(ran[0].bag, moved)
-    with pytest.raises(OutputError, match="its bag .* is missing"):
+    with pytest.raises(OutputError, match=r"its bag .* is missing"):
         scan_frames(ran[0])
     shutil.move(moved, ran[0].bag)
     with pytest.raises(OutputError, match="topic was not given, is /points"):

@@ -15,7 +15,7 @@ import numpy as np
 
 from bumpymap.core import ClassedSectors, OutputError, Scan, atomic, remove_path
 from bumpymap.layers.export.gridmap import GRID_MAP, GridLayers, grid_map_message, require_rosbags, typestore
-from bumpymap.layers.scan.ground_grid import GroundGrid
+from bumpymap.layers.scan.ground_grid import GridSettings, GroundGrid
 from bumpymap.layers.scan.names import Frame
 
 __all__ = ["GRID_TOPICS", "GridBag", "check_bag_file"]
@@ -57,10 +57,12 @@ class GridBag:
     ----------
     folder : Path
         Folder of the run, for the messages of the frames.
+    settings : GridSettings
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, settings: GridSettings) -> None:
         self._folder = folder
+        self._grid = GroundGrid(settings.resolution_m, settings.reach_m)
         self._store = typestore()
 
     def has(self, number: int) -> bool:
@@ -69,7 +71,7 @@ class GridBag:
 
     def add(self, frame: Frame, number: int, scan: Scan, classed: ClassedSectors) -> None:
         """Add the grids of a frame."""
-        grid, header = GroundGrid(), self._header(frame, number)
+        grid, header = self._grid, self._header(frame, number)
         occupancy = grid.fill(self._blank(), classed, header)
         occupancy.data = np.frombuffer(occupancy.data, np.int8)
         layers = GridLayers({name: layer[::-1] for name, layer in grid.layers(scan, classed).items()})

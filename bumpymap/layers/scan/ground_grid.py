@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, UsageError
 
-__all__ = ["GRID_LAYERS", "OCCUPANCY", "UNKNOWN_OCCUPANCY", "GroundGrid", "sector_occupancy"]
+__all__ = ["GRID_LAYERS", "OCCUPANCY", "UNKNOWN_OCCUPANCY", "GridSettings", "GroundGrid", "sector_occupancy"]
 
 OCCUPANCY = (0, 33, 66, 100)
 """Occupancy of sectors of class 0 (smooth), 1 (fair) and 2 (rough), and of those that must not be entered."""
@@ -23,6 +23,24 @@ GRID_LAYERS = ("class", "elevation", "obstacle_height", "ground")
 _MOST_CELLS = 4_000_000
 
 Message = TypeVar("Message")
+
+
+@dataclass(frozen=True, slots=True)
+class GridSettings:
+    """Size of the grids of scans."""
+
+    resolution_m: float = 0.25
+    """Side of a cell."""
+    reach_m: float = 30.0
+    """Distance from the sensor to each side of the grid."""
+
+    def __post_init__(self) -> None:
+        resolution, reach = self.resolution_m, self.reach_m
+        if not (0.0 < resolution <= reach < math.inf) or (2.0 * reach / resolution) ** 2 > _MOST_CELLS:
+            raise UsageError(
+                f"a grid reaches {reach} m with cells of {resolution} m; both are above 0, and there are at most "
+                f"{_MOST_CELLS:,} cells"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +73,9 @@ class GroundGrid:
     """
 
     def __init__(self, resolution_m: float = 0.25, reach_m: float = 30.0) -> None:
-        if not (0.0 < resolution_m <= reach_m < math.inf) or (2.0 * reach_m / resolution_m) ** 2 > _MOST_CELLS:
-            raise UsageError(
-                f"a grid reaches {reach_m} m with cells of {resolution_m} m; both are above 0, and there are at most "
-                f"{_MOST_CELLS:,} cells"
-            )
-        half = math.ceil(reach_m / resolution_m - 1e-9)
-        self.resolution_m = resolution_m
+        settings = GridSettings(resolution_m, reach_m)
+        half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
+        self.resolution_m = settings.resolution_m
         self.side = 2 * half
         """Cells along each side."""
         self._places: _CellPlaces | None = None

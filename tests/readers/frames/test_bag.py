@@ -271,8 +271,8 @@ def test_what_is_no_bag_or_not_alone(tmp_path):
         find_sources([tmp_path / "a.bin"], BagTopics("/points"))
     with pytest.raises(BadInputError, match="does not exist"):
         find_sources([tmp_path / "none.mcap"], BagTopics())
-    with pytest.raises(BadInputError, match="ROS 1.*rosbags-convert"):
-        (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(BadInputError, match=r"ROS 1.*rosbags-convert"):
         find_sources([tmp_path / "old.bag"], BagTopics())
     with pytest.raises(BadInputError, match="holds no messages"):
         found_in(_emptied(write_bag(tmp_path / "empty", clouds(2), "sqlite3")))

@@ -1,5 +1,6 @@
 """Interpolated transforms and chains of them, against scipy."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -99,7 +100,7 @@ def test_a_chain_of_transforms_is_their_product(fixed, seed):
     rng = np.random.default_rng(seed)
     tree, steps = FrameTree(), {}
     names = ["earth", "map", "odom", "base", "mast", "lidar"][1 if fixed == "map" else 2 :]
-    for parent, child in zip(names, names[1:], strict=False):
+    for parent, child in pairwise(names):
         steps[child] = random_pose(rng)
         static = child in {"mast", "lidar"}
         for seconds in [0] if static else [START, START + 1]:
