@@ -13,6 +13,12 @@ from .detect import (
 from .find import (
     find_surveys as find_surveys,
 )
+from .frames.bin_columns import (
+    BIN_COLUMNS as BIN_COLUMNS,
+)
+from .frames.deskew import (
+    deskew as deskew,
+)
 from .frames.find import (
     find_frames as find_frames,
 )
@@ -27,6 +33,8 @@ from .frames.label_sets import (
     tell_label_set as tell_label_set,
 )
 from .frames.poses import (
+    FramePoses as FramePoses,
+    files_beside_poses as files_beside_poses,
     read_poses as read_poses,
 )
 from .frames.read import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from bumpymap.core import BadInputError, Scan
 from bumpymap.layers import Frame
-from bumpymap.readers import read_scan
+from bumpymap.readers import LabelSet, deskew, label_set, read_scan, require_label_set
 from bumpymap.scan.config import ScanConfig
 
 __all__ = ["FrameReader", "naming_frame"]
@@ -28,12 +28,16 @@ class FrameReader:
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
+        self._labels: LabelSet | None = None if config.labels is None else label_set(config.labels)
         self.skipped: dict[str, str] = {}
         """Path -> error message of each frame that was skipped."""
 
     def read(self, frame: Frame) -> Scan:
-        """Read a frame. Raises BadInputError if it cannot be read."""
-        return replace(read_scan(frame.path, self._config.robot), name=frame.name)
+        """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
+        scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
+        if self._labels is not None and scan.label is not None:
+            require_label_set(scan.label, self._labels, str(frame.path))
+        return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
 
     @contextmanager
     def skipping(self, frame: Frame) -> Iterator[None]:

@@ -63,8 +63,9 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         crs = crs_of_poses(config)
         drive = drive_settings(config)
         paths = find_frames(config.frames)
-        frames = name_frames(paths, None if config.poses is None else read_poses(config.poses, len(paths)))
-        run_spec = describe_scan(config, frames, method)
+        found = None if config.poses is None else read_poses(config.poses, paths)
+        frames = name_frames(paths) if found is None else name_frames(paths, found.poses, found.motions)
+        run_spec = describe_scan(config, frames, method, found)
     if is_done:
         classified = earlier_frames(config, run_spec, frames)
         seconds = dict(classified.seconds)

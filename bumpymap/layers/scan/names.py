@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import PoseTrack
+
 __all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "sample_evenly"]
 
 FRAME_FOLDER = "frames"
@@ -24,9 +26,15 @@ class Frame:
     path: Path
     pose: NDArray[np.float64] | None = None
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
+    motion: PoseTrack | None = None
+    """Poses around the frame, at times relative to it; None if unknown."""
 
 
-def name_frames(paths: Sequence[Path], poses: NDArray[np.float64] | None = None) -> list[Frame]:
+def name_frames(
+    paths: Sequence[Path],
+    poses: NDArray[np.float64] | None = None,
+    motions: Sequence[PoseTrack | None] | None = None,
+) -> list[Frame]:
     """Give each frame a unique name.
 
     Returns
@@ -41,7 +49,8 @@ def name_frames(paths: Sequence[Path], poses: NDArray[np.float64] | None = None)
     if len({name.casefold() for name in names}) < len(names):
         names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
     places = [None] * len(names) if poses is None else list(poses)
-    return [Frame(*known) for known in zip(names, paths, places, strict=True)]
+    moving = [None] * len(names) if motions is None else list(motions)
+    return [Frame(*known) for known in zip(names, paths, places, moving, strict=True)]
 
 
 def _as_text(stem: str) -> str:

@@ -27,7 +27,9 @@ _STRETCH, _STRETCHES = 840, 12
 """Values of a stretch (a multiple of every rival and of 8), and the number of stretches that are looked at."""
 _LEVELS = 64
 """Steps to which values are rounded, by their rank; the step after them is for values that are not finite."""
-_SURE_BITS, _SURE_SHARE = 60.0, 0.05
+_FEWEST = 56
+"""Values per step, at least: 8 for each of 7 columns."""
+_SURE_BITS, _SURE_SHARE = 100.0, 0.05
 """A width is sure if it saves this many bits, and this many for each value, against every rival."""
 _SAMPLED = 4_096
 """Rows, about, in which files of other widths are looked for."""
@@ -66,9 +68,9 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
     found = [width for width in fitting if width in likely]
     if not found:
         raise BadInputError(
-            f"the values of {path} lie in {likely[0]} columns of float32, but its size of {4 * len(values):,} bytes fits "
-            f"{' or '.join(map(str, fitting))} columns ({_listed()}): is it truncated, or of another kind? Copy it "
-            f"again, or convert it to PLY. If that is wrong, say `columns={fitting[0]}`"
+            f"the values of {path} lie in {likely[0]} columns of float32, but its size of {4 * len(values):,} bytes "
+            f"fits {' or '.join(map(str, fitting))} columns ({_listed()}): is it truncated, or of another kind? Copy "
+            f"it again, or convert it to PLY. If that is wrong, say `columns={fitting[0]}`"
         )
     if len(found) > 1:
         raise BadInputError(
@@ -116,10 +118,11 @@ def _stretches(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _levels(stretches: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Round values to ``_LEVELS`` steps that hold about equally many of them."""
+    """Round values to at most ``_LEVELS`` steps that hold about equally many of them."""
     finite = np.isfinite(stretches)
     values = np.where(finite, stretches, np.float32(0.0))
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _LEVELS + 1)[1:-1], method="nearest"))
+    steps = min(max(values.size // _FEWEST, 2), _LEVELS)
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, steps + 1)[1:-1], method="nearest"))
     return np.where(finite, np.searchsorted(edges, values, side="right"), _LEVELS)
 
 
@@ -127,7 +130,7 @@ def _bits(levels: NDArray[np.int64], width: int) -> float:
     """Return the bits per value that describe a table of so many columns.
 
     Each column is described by how often each step occurs in it, or by how often each change from row to row occurs,
-    whichever is shorter, and by half a logarithm for each of these frequencies.
+    whichever is shorter.
     """
     rows = levels[:, : levels.shape[1] // width * width].reshape(len(levels), -1, width)
     changes = rows[:, 1:] - rows[:, :-1] + _LEVELS
@@ -136,12 +139,15 @@ def _bits(levels: NDArray[np.int64], width: int) -> float:
 
 
 def _code_length(table: NDArray[np.int64], kinds: int) -> NDArray[np.float64]:
-    """Return the bits per value of each column of a table (.., columns) of numbers below ``kinds``."""
+    """Return the bits per value of each column of a table (.., columns) of numbers below ``kinds``.
+
+    This is the entropy with the correction of Miller and Madow; without it, columns with fewer values seem simpler.
+    """
     columns, each = table.shape[-1], max(table.size // table.shape[-1], 1)
     places = (table + kinds * np.arange(columns)).ravel()
     share = np.bincount(places, minlength=columns * kinds).reshape(columns, kinds) / each
     entropy = -(share * np.log2(np.where(share > 0.0, share, 1.0))).sum(axis=1)
-    bits: NDArray[np.float64] = entropy + 0.5 * np.log2(max(each, 2)) * (share > 0.0).sum(axis=1) / each
+    bits: NDArray[np.float64] = entropy + ((share > 0.0).sum(axis=1) - 1) / (2.0 * np.log(2.0) * each)
     return bits
 
 
