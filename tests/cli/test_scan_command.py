@@ -192,7 +192,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     ("points", "words"),
     [
         (np.zeros((100, 3)), "100 returns at (0, 0, 0)"),
-        (np.full((100, 3), np.nan), "100 not finite"),
+        (np.full((100, 3), np.nan), "100 returns at (0, 0, 0) or NaN"),
         (np.array([[5.0, 0.0, -1.0]]), "1 of 1 points lie"),
     ],
 )

@@ -64,7 +64,8 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
             f"{path} holds {len(values):,} float32 values, which is no multiple of 4, 5 or 6 columns ({_listed()}): it "
             "is truncated, or another kind of file. Copy it again, or convert it to PLY"
         )
-    likely = _likely_widths(values) or fitting[:1]  # no return at all: nothing can be misread
+    stretches = _stretches(values)
+    likely = [width for width in fitting if _has_no_return(stretches, width)] or _likely_widths(stretches)
     found = [width for width in fitting if width in likely]
     if not found:
         raise BadInputError(
@@ -72,7 +73,7 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
             f"fits {' or '.join(map(str, fitting))} columns ({_listed()}): is it truncated, or of another kind? Copy "
             f"it again, or convert it to PLY. If that is wrong, say `columns={fitting[0]}`"
         )
-    if len(found) > 1:
+    if len(found) > 1 and np.nan_to_num(stretches).any():
         raise BadInputError(
             f"{path} may have {' or '.join(map(str, found))} columns of float32: its size fits each of them, and its "
             f"values do not tell which. Say it: `columns={found[0]}` ({_listed()})"
@@ -96,11 +97,14 @@ def _listed() -> str:
     return "; ".join(f"{width}: {names}" for width, names in BIN_COLUMNS.items())
 
 
-def _likely_widths(values: NDArray[np.float32]) -> list[int]:
-    """Return the width with the shortest description and those that are not clearly longer; none if all is 0."""
-    stretches = _stretches(values)
-    if not np.nan_to_num(stretches).any():
-        return []
+def _has_no_return(stretches: NDArray[np.float32], width: int) -> bool:
+    """Return whether all rows are beams without return: then there are no points that could be misread."""
+    rows = stretches[:, : stretches.shape[1] // width * width].reshape(-1, width)[:, :3]
+    return not np.nan_to_num(rows).any()
+
+
+def _likely_widths(stretches: NDArray[np.float32]) -> list[int]:
+    """Return the width with the shortest description and those that are not clearly longer."""
     levels = _levels(stretches)
     bits = {width: _bits(levels, width) for width in _RIVALS}
     sure = max(_SURE_BITS / levels.size, _SURE_SHARE)
