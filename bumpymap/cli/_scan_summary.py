@@ -26,7 +26,7 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     )
     dropped = record["dropped"]
     print_line(
-        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
+        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
     print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))

@@ -25,6 +25,7 @@ _NOT_OF_A_FIT = (
     "out",
     "poses",
     "crs",
+    "deskew",
     "method",
     "model",
     "stripes",
@@ -48,6 +49,11 @@ _NOT_OF_A_FIT = (
     help="Fit the stripe classes of the filter to the frames and write only this file.",
 )
 @click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
+@click.option("--no-deskew", "deskew", flag_value=False, type=bool, help="Keep points as measured in motion.")
+@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: told from them].")
+@click.option(
+    "--labels", metavar="NAME_OR_FILE", help="Label set: kitti, semantic-kitti, rellis, or a file (id,class)."
+)
 @click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
 @click.option("--topic", metavar="NAME", help="Topic of the scans in a bag [default: the only PointCloud2].")
 @click.option("--odometry", metavar="NAME", help="Topic of the poses in a bag [default: the only Odometry, or tf].")

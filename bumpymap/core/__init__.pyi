@@ -103,6 +103,12 @@ from .ply_file import (
     PLY_TYPES as PLY_TYPES,
     write_vertices as write_vertices,
 )
+from .pose_track import (
+    LONGEST_GAP_S as LONGEST_GAP_S,
+    NEAREST_S as NEAREST_S,
+    SCAN_S as SCAN_S,
+    PoseTrack as PoseTrack,
+)
 from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,

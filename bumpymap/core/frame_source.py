@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core.pose_track import PoseTrack
+
 __all__ = ["BagMessage", "FrameSource"]
 
 
@@ -37,4 +39,6 @@ class FrameSource:
     message: BagMessage | None = None
     """None if ``path`` is a file of its own."""
     pose: NDArray[np.float64] | None = None
-    """(4, 4) transform from the sensor frame to the world frame, m, if the bag knows it."""
+    """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
+    motion: PoseTrack | None = None
+    """Poses around the frame, at times relative to it; None if unknown."""

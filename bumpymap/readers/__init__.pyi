@@ -20,8 +20,14 @@ from .frames.bag import (
 from .frames.bag_frames import (
     BagTopics as BagTopics,
 )
+from .frames.bin_columns import (
+    BIN_COLUMNS as BIN_COLUMNS,
+)
 from .frames.cloud_message import (
     points_of as points_of,
+)
+from .frames.deskew import (
+    deskew as deskew,
 )
 from .frames.find import (
     bags_at as bags_at,
@@ -31,7 +37,17 @@ from .frames.find import (
 from .frames.kitti import (
     label_file as label_file,
 )
+from .frames.label_sets import (
+    LABEL_SETS as LABEL_SETS,
+    LabelSet as LabelSet,
+    label_set as label_set,
+    require_label_set as require_label_set,
+    tell_label_set as tell_label_set,
+)
 from .frames.poses import (
+    FramePoses as FramePoses,
+    files_beside_poses as files_beside_poses,
+    place_sources as place_sources,
     read_poses as read_poses,
 )
 from .frames.read import (

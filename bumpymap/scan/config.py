@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
 from bumpymap.layers import GridSettings
-from bumpymap.readers import BagTopics, Robot, bags_at
+from bumpymap.readers import BIN_COLUMNS, BagTopics, Robot, bags_at
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
@@ -32,6 +32,12 @@ class ScanConfig:
     """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
     crs: str | None = None
     """CRS of the poses, in metres; None: local coordinates."""
+    deskew: bool = True
+    """Move points to where they are seen at the time of the frame, if poses and points have times."""
+    columns: int | None = None
+    """Number of float32 columns of ``.bin`` files: 4, 5 or 6; None: told from their values."""
+    labels: NameOrFile | None = None
+    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
     method: ScanMethod | None = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Path | None = None
@@ -63,6 +69,8 @@ class ScanConfig:
             raise UsageError(
                 f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
             )
+        if self.columns not in {None, *BIN_COLUMNS}:
+            raise UsageError(f"`columns` is {self.columns}; .bin files have 4, 5 or 6 columns")
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"

@@ -9,7 +9,15 @@ from threading import Lock
 
 from bumpymap.core import BadInputError, Scan
 from bumpymap.layers import Frame
-from bumpymap.readers import BagReader, read_message, read_scan
+from bumpymap.readers import (
+    BagReader,
+    LabelSet,
+    deskew,
+    label_set,
+    read_message,
+    read_scan,
+    require_label_set,
+)
 from bumpymap.scan.config import ScanConfig
 
 __all__ = ["FrameReader", "naming_frame"]
@@ -30,16 +38,21 @@ class FrameReader:
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
+        self._labels: LabelSet | None = None if config.labels is None else label_set(config.labels)
         self.skipped: dict[str, str] = {}
         """Origin -> error message of each frame that was skipped."""
         self._bags: dict[Path, BagReader] = {}
         self._lock = Lock()
 
     def read(self, frame: Frame) -> Scan:
-        """Read a frame. Raises BadInputError if it cannot be read."""
+        """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
         if frame.message is not None:
-            return read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
-        return replace(read_scan(frame.path, self._config.robot), name=frame.name)
+            scan = read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
+        else:
+            scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
+        if self._labels is not None and scan.label is not None:
+            require_label_set(scan.label, self._labels, frame.origin)
+        return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
 
     def _bag(self, path: Path) -> BagReader:
         """Return a bag, which is opened once."""

@@ -12,7 +12,7 @@ from bumpymap.core import (
     remove_empty_on_error,
 )
 from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_bag_file, check_scan_folder, is_complete, name_frames
-from bumpymap.readers import find_sources, read_poses
+from bumpymap.readers import find_sources, place_sources
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.drive import crs_of_poses, drive_settings, map_drive
 from bumpymap.scan.frame_run import FrameRun
@@ -62,9 +62,12 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         method = choose_method(config)
         crs = crs_of_poses(config)
         sources = find_sources(config.frames, config.bag_topics)
-        frames = name_frames(sources, None if config.poses is None else read_poses(config.poses, len(sources)))
+        found = None
+        if config.poses is not None:
+            found, sources = place_sources(config.poses, sources)
+        frames = name_frames(sources)
         drive = drive_settings(config, frames)
-        run_spec = describe_scan(config, frames, method)
+        run_spec = describe_scan(config, frames, method, found)
     if is_done:
         classified = earlier_frames(config, run_spec, frames)
         seconds = dict(classified.seconds)

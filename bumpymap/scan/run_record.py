@@ -19,13 +19,13 @@ from bumpymap.layers import (
     software_versions,
     verified_record,
 )
-from bumpymap.readers import bag_files, identity, label_file
+from bumpymap.readers import FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "vehicle", "calibration"}
+_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "labels", "vehicle", "calibration"}
 """Settings that do not change the files of the frames: a resumed run may use other values. Those of the map of the
 drive are checked when it is made."""
 
@@ -46,13 +46,24 @@ class ClassifiedFrames:
     """Wall time by stage."""
 
 
-def describe_scan(config: ScanConfig, frames: Sequence[Frame], method: Method) -> dict[str, Any]:
+def describe_scan(
+    config: ScanConfig, frames: Sequence[Frame], method: Method, poses: FramePoses | None
+) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
     paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
         "made with": software_versions() | {"method": f"{method.name}, {method.basis}"},
+        "poses": None if all(frame.pose is None for frame in frames) else _describe_poses(config, frames, poses),
+    }
+
+
+def _describe_poses(config: ScanConfig, frames: Sequence[Frame], poses: FramePoses | None) -> dict[str, Any]:
+    return {
+        "matched_by": "time" if poses is None else poses.matched_by,
+        "calib": None if poses is None or poses.calib is None else str(poses.calib),
+        "deskew": config.deskew and any(frame.motion is not None for frame in frames),
     }
 
 
@@ -68,6 +79,7 @@ def scan_manifest(
     return {
         "settings": config,
         "method": {"name": method.name, "basis": method.basis},
+        "poses": run_spec["poses"],
         "skipped": skipped,
         "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
         "side_files": [
@@ -106,14 +118,12 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
-    """List the files that are read beside the files of frames: poses, labels and bags."""
-    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
+    """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
     labels = [found for frame in frames if frame.path.suffix == ".bin" and (found := label_file(frame.path))]
-    return [
-        *([] if config.poses is None else [config.poses]),
-        *labels,
-        *(file for bag in bags for file in bag_files(bag)),
-    ]
+    beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
+    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
+    stored = [file for bag in bags for file in bag_files(bag)]
+    return [*([] if config.poses is None else [config.poses]), *beside, *labels, *stored]
 
 
 def _require_files(config: ScanConfig, reports: Sequence[FrameReport]) -> None:

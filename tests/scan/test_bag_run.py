@@ -19,6 +19,7 @@ from bumpymap.cli import main
 from bumpymap.core import OutputError, UsageError
 from bumpymap.layers import ExportSettings, GroundGrid, export_map, open_map
 from bumpymap.layers.scan.ground_grid import sector_occupancy
+from bumpymap.readers import Robot
 from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
 
 pytestmark = pytest.mark.slow
@@ -100,6 +101,31 @@ def test_the_map_of_the_drive_is_made_from_the_poses_of_the_bag(ran):
     north = las.y > 2.0
     np.testing.assert_allclose(las.z[ground & north], 0.0, atol=0.01)
     assert result.drive.summary.tiles > 100
+
+
+@pytest.mark.parametrize("clock", ["since the header", "of the day"])
+def test_points_with_times_are_deskewed_by_the_poses_of_the_bag(clock, tmp_path):
+    truth, rng = world()[:6000], np.random.default_rng(1)
+    late = np.sort(rng.uniform(0.0, 0.1, len(truth)))
+    kind = np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("timestamp", "f8")])
+    messages = [("/odom", t, odometry(t, pose(t), child="lidar")) for t in range(T0 - 10**8, T0 + 5 * 10**8, 10**7)]
+    for stamp in STAMPS[:2]:
+        moments = [pose(stamp + seconds * 1e9) for seconds in late]
+        turns, places = Rotation.concatenate([turn for turn, _ in moments]), np.array([place for _, place in moments])
+        rows = lidar_rows(turns.inv().apply(truth - places), kind)
+        rows["timestamp"] = late + (stamp * 1e-9 if clock == "of the day" else 0.0)
+        messages.append(("/points", stamp, cloud(rows, stamp)))
+    folder = write_bag(tmp_path / "drive", sorted(messages, key=lambda each: each[1]))
+    config = ScanConfig((folder,), tmp_path / "out", method="filter", products=("table",), robot=Robot(0.0))
+    off = []
+    for number, deskewed in enumerate((True, False)):
+        scan_frames(replace(config, out=tmp_path / str(number), deskew=deskewed))
+        record = json.loads((tmp_path / str(number) / "scan.json").read_text(encoding="utf-8"))
+        assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": deskewed}
+        found = laspy.read(tmp_path / str(number) / "gathered.laz").xyz
+        off.append(np.abs(found - np.concatenate([truth, truth])).max())
+    assert off[0] < 0.004
+    assert off[1] > 0.3
 
 
 def test_the_map_of_a_drive_becomes_a_map_for_nav2(ran, tmp_path):

@@ -202,9 +202,9 @@ def done_frames(monkeypatch):
     """Names of the frames that are read."""
     read = []
 
-    def reading(path, robot):
+    def reading(path, robot, columns):
         read.append(path.stem)
-        return read_scan(path, robot)
+        return read_scan(path, robot, columns)
 
     monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
     return read
@@ -431,7 +431,8 @@ def test_nothing_but_bad_frames_is_a_failure_that_names_some(tmp_path):
     ("points", "why"),
     [
         (np.zeros((50, 3)), r"it holds no points: 50 returns at \(0, 0, 0\)"),
-        (np.full((40, 3), np.nan), "40 not finite"),
+        (np.full((40, 3), np.nan), r"40 returns at \(0, 0, 0\) or NaN"),
+        (np.tile([np.nan, 6.0, -1.0], (400, 1)), "400 not finite"),
         (np.array([[0.1, 0.1, -1.0]]), "1 on the robot"),
         (np.array([[6.0, 0.0, -1.0]]), "1 of 1 points lie 4 to 100 m"),
         (np.array([[2.0, 0.0, -1.0]] * 60), "0 of 60 points lie 4 to 100 m"),

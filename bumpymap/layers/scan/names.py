@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BagMessage, FrameSource
+from bumpymap.core import BagMessage, FrameSource, PoseTrack
 
 __all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "sample_evenly"]
 
@@ -27,6 +27,8 @@ class Frame:
     """File of the scan; or the bag that holds it."""
     pose: NDArray[np.float64] | None = None
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
+    motion: PoseTrack | None = None
+    """Poses around the frame, at times relative to it; None if unknown."""
     message: BagMessage | None = None
     """Its place in a bag; None if it has a file of its own."""
 
@@ -37,14 +39,8 @@ class Frame:
         return f"{self.path}{where}"
 
 
-def name_frames(sources: Sequence[FrameSource], poses: NDArray[np.float64] | None = None) -> list[Frame]:
+def name_frames(sources: Sequence[FrameSource]) -> list[Frame]:
     """Give each frame a unique name.
-
-    Parameters
-    ----------
-    sources : sequence of FrameSource
-    poses : (n, 4, 4) float64, optional
-        Poses of the sensor, instead of those of the sources.
 
     Returns
     -------
@@ -58,10 +54,9 @@ def name_frames(sources: Sequence[FrameSource], poses: NDArray[np.float64] | Non
     names = [_stem(source) for source in sources]
     if len({name.casefold() for name in names}) < len(names):
         names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
-    places = [source.pose for source in sources] if poses is None else list(poses)
     return [
-        Frame(name, source.path, pose, source.message)
-        for name, source, pose in zip(names, sources, places, strict=True)
+        Frame(name, source.path, source.pose, source.motion, source.message)
+        for name, source in zip(names, sources, strict=True)
     ]
 
 

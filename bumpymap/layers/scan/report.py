@@ -122,7 +122,7 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
     if not len(scan.points):
         lost = scan.dropped
         return (
-            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0), {lost.not_finite:,} not finite, "
+            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0) or NaN, {lost.not_finite:,} not finite, "
             f"{lost.on_robot:,} on the robot"
         )
     near, far = settings.zone_starts_m[0], settings.end_m

@@ -5,14 +5,13 @@ import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BagMessage, FrameSource
+from bumpymap.core import SCAN_S, BadInputError, BagMessage, FrameSource, PoseTrack
 from bumpymap.readers.frames.bag import CLOUD, BagReader, BagRecord
-from bumpymap.readers.frames.trajectory import FIXED_FRAMES, FrameTree, Trajectory, frame_name
+from bumpymap.readers.frames.trajectory import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 
 __all__ = ["BagTopics", "find_messages"]
 
@@ -118,7 +117,7 @@ class _Poses:
         )
         self._several = sorted(counts.get(_ODOMETRY, {}))
         self._transforms = set(counts.get(_TF, {}))
-        self._tree, self._trajectory = FrameTree(), Trajectory()
+        self._tree, self._trajectory = FrameTree(), Trajectory(str(self._odometry))
         self._base: str | None = None
 
     @property
@@ -137,16 +136,17 @@ class _Poses:
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 
     def add_poses(self, sources: Sequence[FrameSource]) -> list[FrameSource]:
-        """Return the sources with their poses, as far as they are known."""
-        stamps = np.array([source.message.stamp_ns for source in sources if source.message])
-        sensor = sources[0].message.frame_id if sources[0].message else ""
+        """Return the sources with their poses and motions, as far as they are known."""
+        messages = [source.message for source in sources if source.message is not None]
+        origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
+        times = seconds_since(origin_ns, np.array([message.stamp_ns for message in messages]))
         try:
-            found = self._by_odometry(sensor, stamps) or self._by_transforms(sensor, stamps)
+            track = self._by_odometry(sensor, origin_ns) or self._by_transforms(sensor, origin_ns, times)
         except BadInputError as error:
             raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
-        if found is None:
+        if track is None:
             return list(sources)
-        poses, known = found
+        known, poses = track.covers(times), track.at(times)
         if not known.all():
             _log.warning(
                 "%d of %d frames have no pose, as they lie in a gap or outside of the recorded poses; they are "
@@ -155,10 +155,11 @@ class _Poses:
                 len(known),
             )
         return [
-            replace(source, pose=pose if ok else None) for source, pose, ok in zip(sources, poses, known, strict=True)
+            replace(source, pose=pose, motion=track.around(time, SCAN_S)) if ok else source
+            for source, time, pose, ok in zip(sources, times.tolist(), poses, known, strict=True)
         ]
 
-    def _by_odometry(self, sensor: str, stamps: NDArray[np.int64]) -> tuple[Any, NDArray[np.bool_]] | None:
+    def _by_odometry(self, sensor: str, origin_ns: int) -> PoseTrack | None:
         if self._base is None:
             return None
         mount = self._tree.mount(self._base, sensor)
@@ -170,18 +171,17 @@ class _Poses:
                 f"sensor's frame '{sensor}' is on it. Record /tf_static too, or give poses of the sensor with "
                 "`poses='FILE'`"
             )
-        poses, known = self._trajectory.at(stamps)
-        return poses @ mount, known
+        track = self._trajectory.track(origin_ns)
+        return PoseTrack(track.times, track.poses @ mount)
 
-    def _by_transforms(self, sensor: str, stamps: NDArray[np.int64]) -> tuple[Any, NDArray[np.bool_]] | None:
-        fixed, poses, known = self._tree.poses(sensor, stamps)
-        if fixed:
-            return poses, known
-        _log.warning(
-            "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames are "
-            "classified, but not mapped",
-            sensor,
-            " and ".join(FIXED_FRAMES),
-            f", and no odometry was named (there are {', '.join(self._several)})" if self._several else "",
-        )
-        return None
+    def _by_transforms(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
+        track = self._tree.track(sensor, origin_ns, times)
+        if track is None:
+            _log.warning(
+                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames "
+                "are classified, but not mapped",
+                sensor,
+                " and ".join(FIXED_FRAMES),
+                f", and no odometry was named (there are {', '.join(self._several)})" if self._several else "",
+            )
+        return track

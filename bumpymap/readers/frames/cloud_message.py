@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
+from bumpymap.readers.frames.point_time import TIME_COLUMNS, point_seconds, start_of_day_time
 from bumpymap.readers.frames.raw import RawScan
 
 __all__ = ["points_of", "read_cloud"]
@@ -18,6 +19,8 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 """Types of numpy of the constants in sensor_msgs/PointField."""
 _INTENSITY = ("intensity", "intensities", "reflectivity")
 """Names of fields with the strength of the return; the first one that is there is taken."""
+_SAME_CLOCK_S = 2.0
+"""Times of points and of the header that are farther apart are of different clocks: no scan takes longer."""
 
 
 def points_of(message: Any) -> NDArray[np.float32]:
@@ -42,11 +45,29 @@ def points_of(message: Any) -> NDArray[np.float32]:
 
 
 def read_cloud(message: Any) -> RawScan:
-    """Read all returns of a message: points and, if there is a field for it, intensity. Raises as `points_of`."""
+    """Read all returns of a message: points and, if there are fields for them, intensity and time.
+
+    Times of day count from the time in the header, if they are near to it, else from the first.
+
+    Raises
+    ------
+    BadInputError
+        See `points_of`.
+    """
     rows = _rows(message)
-    name = next((name for name in _INTENSITY if name in (rows.dtype.names or ())), None)
-    intensity = None if name is None else rows[name].astype(np.float32).ravel()
-    return RawScan(_xyz(rows), intensity, None)
+    intensity, time = (_column(rows, names) for names in (_INTENSITY, TIME_COLUMNS))
+    seconds = None if time is None else point_seconds(time)
+    if time is not None and seconds is not None:
+        start, stamp = start_of_day_time(time), message.header.stamp
+        late = 0.0 if start is None else start - (stamp.sec + 1e-9 * stamp.nanosec)
+        seconds += np.float32(late if abs(late) < _SAME_CLOCK_S else 0.0)
+    return RawScan(_xyz(rows), None if intensity is None else intensity.astype(np.float32), None, seconds)
+
+
+def _column(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[Any] | None:
+    """Return the values of the first of some fields that is there, (n,)."""
+    name = next((name for name in names if name in (rows.dtype.names or ())), None)
+    return None if name is None else rows[name].ravel()
 
 
 def _xyz(rows: NDArray[np.void]) -> NDArray[np.float32]:

@@ -170,10 +170,10 @@ def test_odometry_that_is_chosen(tmp_path):
 
 
 def test_frames_outside_of_the_poses_have_none(tmp_path, caplog):
-    folder = write_bag(tmp_path / "drive", by_time(mounted(), clouds(8), moves(8, spare=3)))
+    folder = write_bag(tmp_path / "drive", by_time(mounted(), clouds(11), moves(7, spare=7)))  # 0.35 to 0.65 s
     known = [source.pose is not None for source in found_in(folder)]
-    assert known == [False, False, True, True, True, True, False, False]
-    assert "4 of 8 frames have no pose" in caplog.text
+    assert known == [False, False, True, True, True, True, True, True, True, False, False]
+    assert "4 of 11 frames have no pose" in caplog.text
 
 
 def test_without_poses_there_are_only_frames(tmp_path, caplog):
