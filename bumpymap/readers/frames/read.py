@@ -81,11 +81,11 @@ def _return_kinds(
     points: NDArray[np.float32], robot: Robot
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which returns are finite, which are (0, 0, 0), and which of the others are on the robot."""
-    x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))  # several times faster than row by row
+    x, y, z = np.ascontiguousarray(points.T)  # columns: a reduction over rows of three takes seven times as long
     finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        on_robot = x * x + y * y < np.float32(robot.radius_m) ** 2
+        on_robot = np.asarray(np.hypot(x, y) < robot.radius_m)
         if robot.box_m is not None:
             rear, front, right, left = robot.box_m
             on_robot = on_robot | ((rear <= x) & (x <= front) & (right <= y) & (y <= left))
