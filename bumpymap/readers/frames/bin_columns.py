@@ -23,7 +23,7 @@ BIN_COLUMNS = {
 """Number of columns of a ``.bin`` scan -> what they are."""
 _RIVALS = (3, 4, 5, 6, 7)
 """Widths that are compared; a file that fits 3 or 7 is none of ours."""
-_STRETCH, _STRETCHES = 840, 12
+_STRETCH, _STRETCHES = 840, 6
 """Values of a stretch (a multiple of every rival and of 8), and the number of stretches that are looked at."""
 _LEVELS = 64
 """Steps to which values are rounded, by their rank; the step after them is for values that are not finite."""
@@ -31,7 +31,7 @@ _FEWEST = 56
 """Values per step, at least: 8 for each of 7 columns."""
 _SURE_BITS, _SURE_SHARE = 100.0, 0.05
 """A width is sure if it saves this many bits, and this many for each value, against every rival."""
-_SAMPLED = 4_096
+_SAMPLED = 1_024
 """Rows, about, in which files of other widths are looked for."""
 _ALIKE, _ALTERNATING = 0.25, 0.5
 """Greatest difference of distributions that are alike; least difference of shares of rows that alternate."""

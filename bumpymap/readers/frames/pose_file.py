@@ -83,7 +83,10 @@ def _from_numbers(path: Path, lines: list[str]) -> PoseFile:
 
 
 def _from_csv(path: Path, lines: list[str]) -> PoseFile:
-    head, *rows = ([word.strip() for word in row] for row in csv.reader(lines))
+    try:
+        head, *rows = ([word.strip() for word in row] for row in csv.reader(lines))
+    except csv.Error as error:
+        raise BadInputError(f"{path} is not CSV: {error}") from error
     names = [_plain(name) for name in head]
     wanted = next((kind for kind in (_PLACE, _MATRIX) if set(kind) <= set(names)), None)
     if wanted is None:

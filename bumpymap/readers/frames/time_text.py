@@ -26,7 +26,10 @@ def seconds_of_words(words: Sequence[str], unit: float | None = None) -> NDArray
         Unit of the numbers, s. None: told from their size if they are times since 1970; otherwise seconds.
     """
     if words and all(_DATE.fullmatch(word.strip()) for word in words):
-        stamps = np.array([word.strip().rstrip("Z").replace(" ", "T") for word in words], "datetime64[ns]")
+        try:
+            stamps = np.array([word.strip().rstrip("Z").replace(" ", "T") for word in words], "datetime64[ns]")
+        except ValueError:  # the 31st of February
+            return None
         return stamps.astype(np.int64).astype(np.float64) * 1e-9
     try:
         numbers = np.array([float(word) for word in words])

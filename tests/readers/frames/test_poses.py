@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from ply_files import write_ply
+from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation, Slerp
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import files_beside_poses, read_poses
+from bumpymap.readers import files_beside_poses, read_poses, read_scan
 from bumpymap.readers.frames.pose_file import read_pose_file
 from bumpymap.readers.frames.time_text import seconds_of_names
 
@@ -308,6 +310,49 @@ def test_times_that_go_back_are_refused_and_repeated_ones_count_once(tmp_path):
         read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses), frames)
     found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 0, 1, 2]], poses), frames)
     np.testing.assert_allclose(found.poses, poses[:1], atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+def test_times_of_day_of_points_are_times_of_frames(tmp_path, suffix):
+    times, poses = drive(100, rate=50.0)
+    frames = []
+    for number, start in enumerate([1.7e9 + 0.31, 1.7e9 + 1.27]):
+        columns = [np.full(50, 5.0), np.arange(50.0), np.full(50, -1.0), start + np.linspace(0.0, 0.1, 50)]
+        frames.append(tmp_path / f"{number}.{suffix}")
+        if suffix == "ply":
+            rows = np.rec.fromarrays(columns, dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", "<f8")])
+            write_ply(frames[-1], rows)
+        else:
+            types = (np.float32, np.float32, np.float32, np.float64)
+            cloud = PointCloud.from_points(columns, ("x", "y", "z", "timestamp"), types)
+            cloud.save(str(frames[-1]), encoding=Encoding.BINARY)
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times, poses), frames)
+    assert found.matched_by == "time"
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, np.array([0.31, 1.27])), atol=1e-4)
+    np.testing.assert_allclose(read_scan(frames[0]).time, np.linspace(0.0, 0.1, 50), atol=1e-6)
+
+
+def test_files_of_any_content_are_read_or_refused(tmp_path):
+    rng = np.random.default_rng(5)
+    texts = [
+        rng.bytes(300),
+        b"1700000000_1\0,,,\n" * 3,
+        b"2011-02-31 00:00:00 1 2 3 0 0 0 1\n",
+        b"x,y,z,qx,qy,qz,qw\n" + b"1" * 200_000,
+    ]
+    whole = (kitti_row() + "\n").encode() * 3 + ",".join(map(str, tf_rows()[0])).encode() + b"\n"
+    for _ in range(300):
+        data = bytearray(whole)
+        for place in rng.integers(0, len(data), 3):
+            data[place] = rng.integers(0, 256)
+        texts.append(bytes(data[: rng.integers(1, len(data))]))
+    for text in texts:
+        (tmp_path / "p").write_bytes(text)
+        (tmp_path / "times.txt").write_bytes(text)
+        try:
+            read_poses(tmp_path / "p", [tmp_path / "0.bin"])
+        except BadInputError:
+            continue
 
 
 def test_messages_of_a_bag_bring_their_times(tmp_path):
