@@ -9,7 +9,7 @@ from bumpymap.readers import Robot
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
-ScanProduct = Literal["polygons", "table", "cloud", "picture"]
+ScanProduct = Literal["polygons", "table", "cloud"]
 SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
 
 
@@ -35,6 +35,12 @@ class ScanConfig:
     """``paper``: fit the stripe classes in every scan, as the paper does."""
     products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
     """Which files are written for the frames."""
+    pictures: int = 0
+    """Draw a picture of every Nth frame; 0: of none."""
+    range_m: float = 40.0
+    """Distance from the sensor to the edge of a picture, m."""
+    workers: int | None = None
+    """Frames to work on at a time, each in a thread of its own; None: as many as there are cores."""
     vehicle: NameOrFile | None = None
     """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
     calibration: Path | None = None
@@ -50,9 +56,16 @@ class ScanConfig:
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
-        if unknown or not (self.products or self.poses):
+        if unknown or not (self.products or self.poses or self.pictures):
             raise UsageError(
-                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
+                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
+                "Pictures of frames are drawn with `pictures`"
+            )
+        workers = 1 if self.workers is None else self.workers
+        if self.pictures < 0 or workers < 1 or not 1.0 <= self.range_m <= 1000.0:
+            raise UsageError(
+                f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), workers {workers} "
+                "(1 or more)"
             )
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)

@@ -25,10 +25,14 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("right", pa.float32(), "rad", "azimuth where the sector starts, counter-clockwise from the x axis"),
     ("left", pa.float32(), "rad", "azimuth where it ends"),
     ("points", pa.int32(), "", "points in the sector"),
+    ("ground_points", pa.int32(), "", "those of them that are ground"),
     ("normal_x", pa.float32(), "", "axis of the least spread of the points, in the frame of the sensor"),
     ("normal_y", pa.float32(), "", "the same, to the left"),
     ("normal_z", pa.float32(), "", "the same, upwards"),
     ("traversable", pa.bool_(), "", "whether the points lie like ground"),
+    ("obstacle", pa.bool_(), "", "whether something as high as the belly or higher stands on the ground"),
+    ("obstacle_height", pa.float32(), "m", "height of it above the ground; null without an obstacle"),
+    ("clearance", pa.float32(), "m", "height above the ground of the lowest thing overhead; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
     ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
     ("variance", pa.float32(), "m2", "population variance of z over the points"),
@@ -74,7 +78,7 @@ def open_table(path: Path) -> Iterator[SectorTable]:
 
 
 def _schema() -> pa.Schema:
-    nullable = {"stripes", "class", "label", "variance", "residual"}
+    nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual"}
     return pa.schema(
         [
             pa.field(
@@ -95,6 +99,7 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
     columns: dict[str, Any] = {
         "frame": [name] * count,
         "points": stack.count,
+        "ground_points": stack.ground_count,
         "class": pa.array(classed.class_id, pa.int8(), mask=classed.class_id == NOT_TRAVERSABLE),
         "label": pa.array(stack.label, pa.int16(), mask=stack.label < 0),
         "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
