@@ -32,7 +32,7 @@ _NOT_OF_A_FIT = (
     "products",
     "pictures",
     "range_m",
-    "workers",
+    "threads",
     "vehicle",
     "calibration",
     "resume",
@@ -58,10 +58,10 @@ _NOT_OF_A_FIT = (
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
 @click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
 @click.option(
-    "--pictures", type=int, is_flag=False, flag_value=1, metavar="[N]", help="Draw every frame, or every Nth one."
+    "--pictures", type=int, is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
 )
 @click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
-@click.option("--workers", type=int, metavar="N", help="Frames to work on at a time [default: all cores].")
+@click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")
 @click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
 @click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
 @click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")

@@ -1,5 +1,6 @@
 """Settings of a scan run. All have defaults except the frames and the folder of the products."""
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
@@ -39,8 +40,8 @@ class ScanConfig:
     """Draw a picture of every Nth frame; 0: of none."""
     range_m: float = 40.0
     """Distance from the sensor to the edge of a picture, m."""
-    workers: int | None = None
-    """Frames to work on at a time, each in a thread of its own; None: as many as there are cores."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Number of threads; each works on one frame at a time."""
     vehicle: NameOrFile | None = None
     """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
     calibration: Path | None = None
@@ -61,11 +62,10 @@ class ScanConfig:
                 f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
                 "Pictures of frames are drawn with `pictures`"
             )
-        workers = 1 if self.workers is None else self.workers
-        if self.pictures < 0 or workers < 1 or not 1.0 <= self.range_m <= 1000.0:
+        if self.pictures < 0 or self.threads < 1 or not 1.0 <= self.range_m <= 1000.0:
             raise UsageError(
-                f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), workers {workers} "
-                "(1 or more)"
+                f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), threads "
+                f"{self.threads} (1 or more)"
             )
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)

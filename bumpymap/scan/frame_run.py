@@ -1,7 +1,6 @@
 """Classing all frames of a run, and writing their products."""
 
 import logging
-import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -87,10 +86,9 @@ class FrameRun:
 
     def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:
         """Read, class and write frames in threads; add them to the files of the run in their order."""
-        workers = self.config.workers or os.cpu_count() or 1
         methods: SimpleQueue[Method] = SimpleQueue()
         methods.put(self.method)
-        for _ in range(min(workers, len(self.frames)) - 1):
+        for _ in range(min(self.config.threads, len(self.frames)) - 1):
             methods.put(choose_method(self.config))  # each thread needs its own
 
         def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, str]:
@@ -102,7 +100,7 @@ class FrameRun:
 
         reports: list[FrameReport] = []
         progress.start("scanning frames", len(self.frames))
-        with in_threads(finish, enumerate(self.frames), workers) as results:
+        with in_threads(finish, enumerate(self.frames), self.config.threads) as results:
             for number, (frame, result) in enumerate(zip(self.frames, results, strict=True)):
                 with reader.skipping(frame):
                     part, empty = result()

@@ -26,7 +26,7 @@ from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "vehicle", "calibration", "workers"}
+_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "vehicle", "calibration", "threads"}
 """Settings that do not change the files of the frames: a resumed run may use other values. Those of the map of the
 drive are checked when it is made."""
 

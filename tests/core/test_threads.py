@@ -64,7 +64,7 @@ def test_when_the_body_ends_early_nothing_goes_on(threads):
     before = threading.active_count()
 
     def take_two():
-        with in_threads(lambda item: begun.append(item), range(1000), threads) as results:
+        with in_threads(begun.append, range(1000), threads) as results:
             for result in results:
                 result()
                 if len(begun) >= 2:

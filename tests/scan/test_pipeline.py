@@ -71,7 +71,7 @@ def drive_fixture(tmp_path_factory):
 def mapped_fixture(drive, tmp_path_factory):
     out = tmp_path_factory.mktemp("mapped") / "out"
     config = ScanConfig(
-        (drive / "frames",), out, poses=drive / "poses.txt", crs="EPSG:32614", method="filter", pictures=1, workers=1
+        (drive / "frames",), out, poses=drive / "poses.txt", crs="EPSG:32614", method="filter", pictures=1, threads=1
     )
     return out, scan_frames(config), config
 
@@ -396,7 +396,7 @@ def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, ma
     with pytest.raises(OutputError, match="overwrite=True"):
         scan_frames(replace(config, products=("table",)))
     assert checksums(out) == before
-    scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=(), pictures=3, method="filter"))
+    scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=(), pictures=3))
     assert files(out) == ["frames/1.png", "scan.json"]
 
 
@@ -529,7 +529,7 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
         ({"products": ()}, "give one or more"),
         ({"pictures": -1}, r"pictures is -1 \(0 or more\)"),
         ({"range_m": float("nan")}, r"range_m nan \(1 to 1000\)"),
-        ({"workers": 0}, r"workers 0 \(1 or more\)"),
+        ({"threads": 0}, r"threads 0 \(1 or more\)"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
         ({"method": "filter", "model": "a.onnx"}, "options of one"),
         ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),

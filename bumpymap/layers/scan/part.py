@@ -80,7 +80,7 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
             rows = pa.ipc.open_stream(saved["rows"].tobytes()).read_all() if saved["rows"].size else None
             if record["report"]["name"] != frame.name:
                 return None
-            points = (saved[name] for name in ("points", "is_ground", "heights"))
-            return FramePart(FrameReport.of(frame, record["report"]), rows, *points, record["files"])
+            report = FrameReport.of(frame, record["report"])
+            return FramePart(report, rows, saved["points"], saved["is_ground"], saved["heights"], record["files"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
         return None

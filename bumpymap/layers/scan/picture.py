@@ -198,7 +198,10 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     stack = classed.sectors
     counts = np.bincount(class_index(classed), minlength=CLASSES + 1).tolist()
     entries = [
-        *((f"{name} ground", f"sectors: {count:,}") for name, count in zip(SCAN_CLASS_NAMES, counts[:-1], strict=False)),
+        *(
+            (f"{name} ground", f"sectors: {count:,}")
+            for name, count in zip(SCAN_CLASS_NAMES, counts[:-1], strict=False)
+        ),
         ("obstacle", f"sectors with one (hatched): {int(stack.obstacle.sum()):,}"),
         ("not ground", f"sectors without ground: {counts[-1]:,}"),
     ]
@@ -214,7 +217,11 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     row += 30
     _draw_robot(draw, left + _SWATCH_PX // 2, row)
     draw.text((text, row), "robot; forward is up", _INK, font(_TEXT_PX), "lm")
-    lines = [f"range rings every {step:g} m", f"whole frame: {len(scan.points):,} points,", f"{len(stack.zone):,} sectors"]
+    lines = [
+        f"range rings every {step:g} m",
+        f"whole frame: {len(scan.points):,} points,",
+        f"{len(stack.zone):,} sectors",
+    ]
     if not len(stack.zone):
         lines += ["", "no sector holds", f"more than {stack.settings.least_points} points"]
     draw.multiline_text((left, row + 36), "\n".join(lines), _INK, font(_SMALL_PX), spacing=10)

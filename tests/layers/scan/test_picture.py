@@ -83,7 +83,8 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
     with_obstacles, _ = with_wall(scan, classed)
     stack = classed.sectors
     plain, hatched = (
-        paint(Scan(np.zeros((0, 3), np.float32)), without_points(own)).astype(float) for own in (classed, with_obstacles)
+        paint(Scan(np.zeros((0, 3), np.float32)), without_points(own)).astype(float)
+        for own in (classed, with_obstacles)
     )
     paper = plain[5, SIDE + 5]
     bounds = sector_bounds(stack)
