@@ -39,6 +39,17 @@ _NOT_OF_A_FIT = (
 )
 
 
+class _EveryNth(click.types.IntParamType):
+    """A whole number that may be left out, which a FRAME that follows is taken for."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number. Raises BadParameter if it is none."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
+
+
 @click.command("scan")
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the output files.")
@@ -58,7 +69,7 @@ _NOT_OF_A_FIT = (
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
 @click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
 @click.option(
-    "--pictures", type=int, is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
+    "--pictures", type=_EveryNth(), is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
 )
 @click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
 @click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")

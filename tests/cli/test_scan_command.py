@@ -102,6 +102,13 @@ def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(scan, tmp_path)
     assert all(near[name] != content for name, content in everyone.items())
 
 
+def test_a_frame_after_pictures_is_not_taken_for_a_number(scan, frame, tmp_path):
+    done = scan("--pictures", frame)
+    assert done.exit_code == 2
+    assert "Name the frames first, or write --pictures 1" in done.stderr
+    assert out_files(tmp_path) is None
+
+
 def test_a_drive_for_machines(scan, tmp_path):
     drive = tmp_path / "drive"
     drive.mkdir()
