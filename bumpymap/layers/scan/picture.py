@@ -202,7 +202,7 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
             (f"{name} ground", f"sectors: {count:,}")
             for name, count in zip(SCAN_CLASS_NAMES, counts[:-1], strict=False)
         ),
-        ("obstacle", f"sectors with one (hatched): {int(stack.obstacle.sum()):,}"),
+        ("obstacle", f"hatched sectors: {int(stack.obstacle.sum()):,}"),
         ("not ground", f"sectors without ground: {counts[-1]:,}"),
     ]
     left, row = SIDE + 16, 24

@@ -33,6 +33,10 @@ def without_points(classed):
 POINT_FIELDS = ("point_sector", "point_ground", "point_height")
 
 
+def with_obstacle(classed, obstacle):
+    return replace(classed, sectors=replace(classed.sectors, obstacle=obstacle))
+
+
 def with_wall(scan, classed):
     """The wall ahead stands on ground: points of a known height, an obstacle in each of its sectors."""
     stack = classed.sectors
@@ -84,7 +88,7 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
     stack = classed.sectors
     plain, hatched = (
         paint(Scan(np.zeros((0, 3), np.float32)), without_points(own)).astype(float)
-        for own in (classed, with_obstacles)
+        for own in (with_obstacle(classed, np.zeros(len(classed.class_id), np.bool_)), with_obstacles)
     )
     paper = plain[5, SIDE + 5]
     bounds = sector_bounds(stack)
@@ -144,7 +148,7 @@ def test_every_style_has_its_name_and_its_count_beside_its_swatch(scan, classed,
 def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it(classed):
     stack = classed.sectors
     obstacle = np.arange(len(stack.zone)) % 3 == 0
-    states = sector_states(replace(classed, sectors=replace(stack, obstacle=obstacle)))
+    states = sector_states(with_obstacle(classed, obstacle))
     for number, state in enumerate(states):
         class_id = classed.class_id[number]
         wanted = "not ground" if class_id == 255 else "obstacle" if obstacle[number] else "free"
