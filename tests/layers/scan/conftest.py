@@ -8,7 +8,7 @@ from bumpymap.scan import classify_filter, polar_sectors
 
 
 def site(count=40_000, far=27.0, seed=0):
-    """Points around a sensor 1.5 m above ground: smooth to the left, rubble to the right, a wall ahead, a crown behind."""
+    """Points around a sensor 1.5 m above ground: smooth left, rubble right, a wall ahead, a crown behind."""
     rng = np.random.default_rng(seed)
     radius, azimuth = np.sqrt(rng.uniform(1.0, far**2, count)), rng.uniform(-np.pi, np.pi, count)
     x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
