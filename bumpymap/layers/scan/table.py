@@ -48,6 +48,7 @@ class SectorTable:
 
     def __init__(self, writer: pq.ParquetWriter) -> None:
         self._writer = writer
+        self._rows = 0
         self.waiting: list[pa.Table] = []
         """Rows that are not written yet."""
 
@@ -58,7 +59,8 @@ class SectorTable:
     def add_rows(self, rows: pa.Table) -> None:
         """Append rows from `sector_rows`."""
         self.waiting.append(rows)
-        if sum(part.num_rows for part in self.waiting) >= ROW_GROUP:
+        self._rows += rows.num_rows
+        if self._rows >= ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
@@ -66,6 +68,7 @@ class SectorTable:
         if self.waiting:
             self._writer.write_table(pa.concat_tables(self.waiting), row_group_size=2 * ROW_GROUP)
             self.waiting.clear()
+            self._rows = 0
 
 
 @contextmanager
