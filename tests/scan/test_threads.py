@@ -19,13 +19,13 @@ FRAMES = 7
 
 @pytest.fixture(name="frames", scope="module")
 def frames_fixture(tmp_path_factory):
-    """Seven scans of rolling ground with a wall."""
+    """Seven scans of rolling ground with a wall, each a metre further along it."""
     folder = tmp_path_factory.mktemp("frames")
     for number in range(FRAMES):
         rng = np.random.default_rng(number)
         x, y = rng.uniform(-20, 20, (2, 12_000))
-        z = -1.5 + 0.02 * number * np.sin(3 * x) * np.cos(2 * y)
-        x, z = np.where(x > 15.0, 15.0, x), np.where(x > 15.0, rng.uniform(-1.5, 1.0, len(x)), z)
+        z = -1.5 + 0.05 * np.sin(3 * (x + number)) * np.cos(2 * y)
+        y, z = np.where(y > 15.0, 15.0, y), np.where(y > 15.0, rng.uniform(-1.5, 1.0, len(y)), z)
         np.column_stack([x, y, z, np.ones(len(x))]).astype("<f4").tofile(folder / f"{number}.bin")
     places = [f"1 0 0 {number} 0 1 0 0 0 0 1 1.5" for number in range(FRAMES)]
     (folder / "poses.txt").write_text("\n".join(places) + "\n", encoding="utf-8")
