@@ -29,6 +29,11 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
+    states = record["sector_states"]
+    print_line(
+        f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
+        f"{states['rough']:,} rough, {states['not ground']:,} not ground"
+    )
     print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
         print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
@@ -69,7 +74,7 @@ def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:
         "method": result.method,
         "frames": len(frames),
         "points": sum(frame["points"] for frame in frames),
-        **{name: _sum(frames, name) for name in ("dropped", "sectors", "points_by_class")},
+        **{name: _sum(frames, name) for name in ("dropped", "sectors", "sector_states", "points_by_class")},
         "skipped": result.skipped,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],
         "seconds": result.seconds,

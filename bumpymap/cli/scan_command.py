@@ -20,7 +20,7 @@ __all__ = ["METHODS", "PRODUCTS", "command"]
 _PARTLY_DONE = 4
 # Copied from bumpymap.scan, whose import would slow --help down by half a second; a test compares them.
 METHODS = ("filter", "learned")
-PRODUCTS = ("polygons", "table", "cloud", "picture")
+PRODUCTS = ("polygons", "table", "cloud")
 _NOT_OF_A_FIT = (
     "out",
     "poses",
@@ -33,10 +33,24 @@ _NOT_OF_A_FIT = (
     "products",
     "odometry",
     "bag",
+    "pictures",
+    "range_m",
+    "threads",
     "vehicle",
     "calibration",
     "resume",
 )
+
+
+class _EveryNth(click.types.IntParamType):
+    """A whole number that may be left out, which a FRAME that follows is taken for."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number. Raises BadParameter if it is none."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
 
 
 @click.command("scan")
@@ -65,6 +79,11 @@ _NOT_OF_A_FIT = (
 @click.option("--stripes", type=PATH, metavar="FILE", help="Your own stripe classes, from --fit (filter).")
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
 @click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
+@click.option(
+    "--pictures", type=_EveryNth(), is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
+)
+@click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
+@click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")
 @click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
 @click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
 @click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")

@@ -198,6 +198,9 @@ from .thin_rule import (
     THIN_POINTS as THIN_POINTS,
     THIN_SEEN as THIN_SEEN,
 )
+from .threads import (
+    in_threads as in_threads,
+)
 from .toml_file import (
     read_toml as read_toml,
     short_repr as short_repr,

@@ -186,6 +186,7 @@ from .scan.folder import (
     sync_to_disk as sync_to_disk,
 )
 from .scan.frame import (
+    frame_files as frame_files,
     has_files as has_files,
     write_frame as write_frame,
 )
@@ -208,6 +209,7 @@ from .scan.names import (
 )
 from .scan.part import (
     FramePart as FramePart,
+    file_sizes as file_sizes,
     has_finished_parts as has_finished_parts,
     load_part as load_part,
     part_path as part_path,

@@ -1,5 +1,6 @@
 """Settings of a scan run. All have defaults except the frames and the folder of the products."""
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
@@ -10,7 +11,7 @@ from bumpymap.readers import BIN_COLUMNS, BagTopics, Robot, bags_at
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
-ScanProduct = Literal["polygons", "table", "cloud", "picture"]
+ScanProduct = Literal["polygons", "table", "cloud"]
 SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
 
 
@@ -48,6 +49,12 @@ class ScanConfig:
     """``paper``: fit the stripe classes in every scan, as the paper does."""
     products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
     """Which files are written for the frames."""
+    pictures: int = 0
+    """Draw a picture of every Nth frame; 0: of none."""
+    range_m: float = 40.0
+    """Distance from the sensor to the edge of a picture, m."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Number of threads; each works on one frame at a time."""
     vehicle: NameOrFile | None = None
     """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
     calibration: Path | None = None
@@ -65,9 +72,15 @@ class ScanConfig:
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
-        if unknown or not (self.products or self.poses):
+        if unknown or not (self.products or self.poses or self.pictures):
             raise UsageError(
-                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}"
+                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
+                "Pictures of frames are drawn with `pictures`"
+            )
+        if self.pictures < 0 or self.threads < 1 or not 1.0 <= self.range_m <= 1000.0:
+            raise UsageError(
+                f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), threads "
+                f"{self.threads} (1 or more)"
             )
         if self.columns not in {None, *BIN_COLUMNS}:
             raise UsageError(f"`columns` is {self.columns}; .bin files have 4, 5 or 6 columns")

@@ -21,11 +21,15 @@ from bumpymap.layers import (
 )
 from bumpymap.readers import FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.frame_products import frame_products
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "labels", "vehicle", "calibration"}
+_WITHOUT_EFFECT = {
+    *("frames", "out", "overwrite", "resume", "skip_bad", "threads"),
+    *("poses", "labels", "vehicle", "calibration"),
+}
 """Settings that do not change the files of the frames: a resumed run may use other values. Those of the map of the
 drive are checked when it is made."""
 
@@ -107,7 +111,7 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         refuse_replacing(config.out, differences(before, now, same_content))
         own = {frame.name: frame for frame in frames}
         reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
-        _require_files(config, reports)
+        _require_files(config, frames, reports)
         files = tuple(
             name
             for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
@@ -126,15 +130,16 @@ def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     return [*([] if config.poses is None else [config.poses]), *beside, *labels, *stored]
 
 
-def _require_files(config: ScanConfig, reports: Sequence[FrameReport]) -> None:
+def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequence[FrameReport]) -> None:
     if config.bag is not None and not config.bag.exists():
         raise OutputError(
             f"{config.out} already holds a complete run, but its bag {config.bag} is missing. Pass `overwrite=True` to "
             "make both again"
         )
-    for report in reports:
-        if not has_files(report.frame.name, config.out, config.products):
+    done = {report.frame.name for report in reports}
+    for number, frame in enumerate(frames):
+        if frame.name in done and not has_files(frame.name, config.out, frame_products(config, number)):
             raise OutputError(
-                f"{config.out} already holds a complete run, but files of the frame {report.frame.name} are missing. "
+                f"{config.out} already holds a complete run, but files of the frame {frame.name} are missing. "
                 "Choose another `out`, or pass `overwrite=True` to replace it"
             )

@@ -74,14 +74,39 @@ def test_one_scan(scan, frame, tmp_path):
         assert int(row[2]) == table["class"].count(class_id)
         points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
         assert int(row[-1].replace(",", "")) == points
+    free = sum(own in (0, 1) and not held for own, held in zip(table["class"], table["obstacle"], strict=True))
+    assert f"sectors: {free:,} free" in result.stdout
+    assert f"{table['class'].count(None):,} not ground" in result.stdout
     assert f"Output in {tmp_path / 'out'}: frames, sectors.parquet, scan.json" in result.stdout
     assert out_files(tmp_path) == [
         "frames/frame.json",
         "frames/frame.ply",
-        "frames/frame.png",
         "scan.json",
         "sectors.parquet",
     ]
+
+
+def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(scan, tmp_path):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for number in range(3):
+        write_bin(drive / f"{number}.bin", site(seed=number))
+    words = (drive, "--method", "filter", "--products", "table", "--overwrite", "--pictures")
+    pictures = {}
+    for more in ((), ("2",), ("1", "--range", "10")):
+        assert scan(*words, *more).exit_code == 0
+        pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
+    everyone, second, near = pictures.values()
+    assert list(map(sorted, pictures.values())) == [["0.png", "1.png", "2.png"], ["0.png", "2.png"], sorted(everyone)]
+    assert all(everyone[name] == content for name, content in second.items())
+    assert all(near[name] != content for name, content in everyone.items())
+
+
+def test_a_frame_after_pictures_is_not_taken_for_a_number(scan, frame, tmp_path):
+    done = scan("--pictures", frame)
+    assert done.exit_code == 2
+    assert "Name the frames first, or write --pictures 1" in done.stderr
+    assert out_files(tmp_path) is None
 
 
 def test_a_drive_for_machines(scan, tmp_path):
@@ -252,7 +277,7 @@ def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points,
     result = scan(path)
     assert result.exit_code == 0, result.output
     assert words in result.stderr
-    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "frames/a.png", "scan.json", "sectors.parquet"]
+    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "scan.json", "sectors.parquet"]
     assert pq.read_table(tmp_path / "out" / "sectors.parquet").num_rows == 0
 
 
@@ -290,7 +315,7 @@ def test_what_is_missing_is_named(frame):
 def test_a_bad_frame_among_others(scan, frame, tmp_path):
     bad = tmp_path / "bad.ply"
     bad.write_bytes(b"ply\nnonsense")
-    assert scan(frame, bad).exit_code == 3
+    assert scan(frame, bad, "--threads", "1").exit_code == 3
     assert out_files(tmp_path) is None
     result = scan(frame, bad, "--skip-bad")
     assert result.exit_code == 4

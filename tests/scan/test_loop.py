@@ -26,7 +26,7 @@ def revolution(seed, count=60_000, lost=0.1):
     return points
 
 
-@pytest.mark.parametrize("method", ["filter", "learned"])
+@pytest.mark.parametrize("method", ["filter", None])
 def test_memory_neither_grows_nor_varies_from_scan_to_scan(method):
     classify, grid = ScanClassifier(method=method, reuse=True), GroundGrid()
     scans = [revolution(seed) for seed in range(12)]

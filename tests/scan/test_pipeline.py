@@ -21,6 +21,7 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.lock import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
 from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers.scan.polygons import write_polygons
 from bumpymap.readers import Robot, read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -69,7 +70,9 @@ def drive_fixture(tmp_path_factory):
 @pytest.fixture(name="mapped", scope="module")
 def mapped_fixture(drive, tmp_path_factory):
     out = tmp_path_factory.mktemp("mapped") / "out"
-    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", crs="EPSG:32614", method="filter")
+    config = ScanConfig(
+        (drive / "frames",), out, poses=drive / "poses.txt", crs="EPSG:32614", method="filter", pictures=1, threads=1
+    )
     return out, scan_frames(config), config
 
 
@@ -227,7 +230,7 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     assert (out / ".bumpymap-run").is_dir()
     with pytest.raises(OutputError, match=r"an interrupted run\. Pass `resume=True`"):
         scan_frames(config)
-    with pytest.raises(UsageError, match="products was polygons, table, cloud, picture, is table"):
+    with pytest.raises(UsageError, match="products was polygons, table, cloud, is table"):
         scan_frames(replace(config, resume=True, products=("table",)))
     done_frames.clear()
     result = scan_frames(replace(config, resume=True))
@@ -326,12 +329,13 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
     out = tmp_path / "out"
     config = replace(mapped[2], out=out)
 
-    def full(path):
-        if path.name.startswith("1."):
+    def full(name, *rest):
+        if name == "1":
             raise OSError(errno.ENOSPC, "No space left on device")
+        write_polygons(name, *rest)
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan.frame.sync_to_disk", full)
+        patch.setattr("bumpymap.layers.scan.frame.write_polygons", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == ["Pass `resume=True` to the same command to continue from the finished frames."]
@@ -392,7 +396,7 @@ def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, ma
     with pytest.raises(OutputError, match="overwrite=True"):
         scan_frames(replace(config, products=("table",)))
     assert checksums(out) == before
-    scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=("picture",), method="filter"))
+    scan_frames(ScanConfig((drive / "frames" / "1.bin",), out, overwrite=True, products=(), pictures=3))
     assert files(out) == ["frames/1.png", "scan.json"]
 
 
@@ -451,7 +455,7 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
     table = pq.read_table(tmp_path / "out" / "sectors.parquet")
     assert table["class"].null_count == table.num_rows
     assert files(tmp_path / "out") == [
-        "frames/a.json", "frames/a.ply", "frames/a.png", "gathered.laz", "scan.json", "sectors.parquet",
+        "frames/a.json", "frames/a.ply", "gathered.laz", "scan.json", "sectors.parquet",
     ]  # fmt: skip
 
 
@@ -521,8 +525,12 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
     [
         ({"crs": "EPSG:32614"}, "add `poses="),
         ({"vehicle": "warthog"}, "add `poses="),
-        ({"products": ("tables",)}, "polygons, table, cloud, picture"),
+        ({"products": ("tables",)}, "polygons, table, cloud"),
+        ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"products": ()}, "give one or more"),
+        ({"pictures": -1}, r"pictures is -1 \(0 or more\)"),
+        ({"range_m": float("nan")}, r"range_m nan \(1 to 1000\)"),
+        ({"threads": 0}, r"threads 0 \(1 or more\)"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
         ({"method": "filter", "model": "a.onnx"}, "options of one"),
         ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),

@@ -65,18 +65,18 @@ class GridBag:
         self._grid = GroundGrid(settings.resolution_m, settings.reach_m)
         self._store = typestore()
 
-    def has(self, number: int) -> bool:
-        """Return whether the frame with that number in the run has been added."""
-        return self._part(number).is_file()
+    def part(self, number: int) -> Path:
+        """Return the file with the messages of the frame with that number in the run."""
+        return self._folder / f"grids-{number:06d}.cdr"
 
     def add(self, frame: Frame, number: int, scan: Scan, classed: ClassedSectors) -> None:
-        """Add the grids of a frame."""
+        """Write the grids of a frame to its file, without flushing it to the disk."""
         grid, header = self._grid, self._header(frame, number)
         occupancy = grid.fill(self._blank(), classed, header)
         occupancy.data = np.frombuffer(occupancy.data, np.int8)
         layers = GridLayers({name: layer[::-1] for name, layer in grid.layers(scan, classed).items()})
         grid_map = grid_map_message(self._store, header, (0.0, 0.0), grid.resolution_m, layers)
-        with atomic(self._part(number)) as temporary, temporary.open("wb") as file:
+        with self.part(number).open("wb") as file:
             file.write(struct.pack("<q", _stamp_ns(frame, number)))
             for message, kind in zip((occupancy, grid_map), GRID_TOPICS.values(), strict=True):
                 data = self._store.serialize_cdr(message, kind)
@@ -107,15 +107,12 @@ class GridBag:
         with writer:
             topics = [writer.add_connection(topic, kind, typestore=self._store) for topic, kind in GRID_TOPICS.items()]
             for number in numbers:
-                stamp, *messages = _messages(self._part(number).read_bytes())
+                stamp, *messages = _messages(self.part(number).read_bytes())
                 for topic, data in zip(topics, messages, strict=True):
                     writer.write(topic, stamp, data)
         with atomic(path) as temporary:
             shutil.move(bag / "grids.mcap", temporary)
         remove_path(bag)
-
-    def _part(self, number: int) -> Path:
-        return self._folder / f"grids-{number:06d}.cdr"
 
     def _header(self, frame: Frame, number: int) -> Any:
         seconds, rest = divmod(_stamp_ns(frame, number), 1_000_000_000)

@@ -9,7 +9,7 @@ import numpy as np
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.layers.manifest import describe_input
 from bumpymap.layers.scan.names import Frame
-from bumpymap.layers.scan.style import SCAN_CLASS_NAMES
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SECTOR_STATES, sector_states
 
 __all__ = ["FrameReport", "explain_empty_scan", "report_frame"]
 
@@ -31,6 +31,8 @@ class FrameReport:
     """Where sector 0 of every zone starts."""
     sectors: tuple[int, ...]
     """(4,) sectors of class 0 to 2, then not traversable."""
+    states: tuple[int, ...]
+    """(4,) sectors by ``SECTOR_STATES``."""
     classed_points: tuple[int, ...]
     """(4,) points of class 0 to 2, then of no class."""
     seconds: float
@@ -47,13 +49,13 @@ class FrameReport:
             Dropped(**record["dropped"]),
             record["azimuth_start_rad"],
             tuple(record["sectors"].values()),
+            tuple(record["sector_states"].values()),
             tuple(record["points_by_class"].values()),
             record["seconds"],
         )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the frame in scan.json."""
-        names = [*SCAN_CLASS_NAMES[:CLASSES], "not traversable"]
         return {
             "name": self.frame.name,
             "path": str(self.frame.path),
@@ -64,7 +66,8 @@ class FrameReport:
             "points": self.points,
             "dropped": asdict(self.dropped),
             "azimuth_start_rad": self.azimuth_start_rad,
-            "sectors": dict(zip(names, self.sectors, strict=True)),
+            "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
+            "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
             "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
             "seconds": self.seconds,
         }
@@ -107,6 +110,7 @@ def report_frame(
         scan.dropped,
         classed.sectors.azimuth_start_rad,
         sectors,
+        tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
         points,
         round(seconds, 4),
     )

@@ -27,8 +27,8 @@ from bumpymap.scan import SECTOR_VERSION, grid_record
 
 __all__ = ["UNSEEN_SCENES", "make_scan_model"]
 
-UNSEEN_SCENES = 105
-"""Number of synthetic scenes in the scores: fifteen of every theme."""
+UNSEEN_SCENES = 110
+"""Number of synthetic scenes in the scores: ten of every theme."""
 
 
 def make_scan_model(
@@ -114,7 +114,5 @@ def _metadata(
         "accuracy_even": evaluation.every.balanced_accuracy,
         "accuracy_unseen": evaluation.every.accuracy,
         "confusion_unseen": evaluation.every.confusion,
-        "accuracy_gated": evaluation.gated.accuracy,
-        "confusion_gated": evaluation.gated.confusion,
     }
     return model_metadata("bumpymap-scan", network, training, scores)
