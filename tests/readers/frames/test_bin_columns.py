@@ -184,3 +184,23 @@ def test_real_scans_have_four_columns(shared_data, folder):
         wide = np.column_stack([rows, np.arange(len(rows)) // 2000, np.linspace(0, 0.1, len(rows))]).astype(np.float32)
         for width in (4, 5, 6):
             assert find_columns(file, np.ascontiguousarray(wide[:, :width]).ravel(), None) == width
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["32_sparse", "64_down", "128_wide"])
+def test_simulated_scenes_are_told(sensor):
+    pytest.importorskip("open3d")
+    from bumpymap.lab.worlds.scans.lidar import simulate_scan
+    from bumpymap.lab.worlds.scans.scene import make_scene
+    from bumpymap.lab.worlds.scans.sensor import SENSORS
+
+    used = SENSORS[sensor]
+    scan = simulate_scan(make_scene(3, 11), used, 11)
+    rings = np.repeat(np.arange(used.lines), used.columns)
+    times = np.tile(np.arange(used.columns) * 0.1 / used.columns, used.lines)
+    grid = np.column_stack([scan.points, scan.intensity, rings, times]).reshape(used.lines, used.columns, 6)
+    for order in ORDERS.values():
+        rows = order(grid.astype(np.float32))
+        rows = rows[: len(rows) // 60 * 60]
+        for width in (4, 5, 6):
+            assert find_columns(FILE, np.ascontiguousarray(rows[:, :width]).ravel(), None) == width
