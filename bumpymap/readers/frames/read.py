@@ -93,9 +93,9 @@ def _return_kinds(
     points: NDArray[np.float32], robot: Robot
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which returns are finite, which are (0, 0, 0), and which of the others are on the robot."""
-    x, y, z = np.ascontiguousarray(points.T)  # columns: a reduction over rows of three takes seven times as long
-    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-    nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
+    finite = np.asarray(np.isfinite(points).all(axis=1))
+    nothing = np.asarray((points == 0.0).all(axis=1))
+    x, y = points[:, 0], points[:, 1]
     with np.errstate(over="ignore", invalid="ignore"):
         on_robot = np.asarray(np.hypot(x, y) < robot.radius_m)
         if robot.box_m is not None:
