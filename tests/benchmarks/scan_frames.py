@@ -1,6 +1,6 @@
 """Measure how many frames a second `bumpymap scan` does: only the table, everything, and everything with pictures.
 
-python tests/benchmarks/scan_frames.py --data FOLDER [--frames 100] [--threads 1 2] [--rounds 2]
+python tests/benchmarks/scan_frames.py --data FOLDER [--frames 100] [--threads 1 2] [--rounds 2] [--method learned]
 
 One scan of a made-up yard is simulated with open3d; each frame is this scan turned, with its own noise, 124,000
 points. Runs with different numbers of threads alternate, and the best round of each counts. Printed are frames a second
@@ -69,6 +69,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--method", default="learned")
     given = parser.parse_args()
     frames = make_frames(given.data / "frames", given.frames)
     differ = False
@@ -78,7 +79,7 @@ def main() -> None:
         digests = set()
         for _ in range(given.rounds):
             for threads in given.threads:
-                found = measure(frames, given.data / "out", options, threads)
+                found = measure(frames, given.data / "out", ("--method", given.method, *options), threads)
                 digests.add(found[2])
                 best[threads] = min(best.get(threads, found), found, key=lambda one: one[0])
         for threads, (seconds, sample, _) in best.items():
