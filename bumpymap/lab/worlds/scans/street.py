@@ -1,0 +1,176 @@
+"""A street to drive along: lanes, kerbs, pavements, walls, crowns over the road, parked cars, and cars that move."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.lab.worlds.scans._fields import Floats, make_field
+from bumpymap.lab.worlds.scans._solids import Triangles, boxes
+from bumpymap.lab.worlds.scans.ground import GroundSample, SceneGround
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.lab.worlds.scans.lidar import SimulatedScan, simulate_scan
+from bumpymap.lab.worlds.scans.objects import vehicle
+from bumpymap.lab.worlds.scans.plants import tree
+from bumpymap.lab.worlds.scans.scene import Scene
+from bumpymap.lab.worlds.scans.sensor import Sensor
+
+__all__ = ["LANES_M", "Street", "drive_street", "make_street", "noisy_poses"]
+
+LANES_M = 3.5
+"""The two lanes reach so far to both sides of the street's axis; the cars park beyond."""
+_KERB_M, _WALL_M = 5.7, 9.8
+"""Distance of the kerbs and of the walls from the axis."""
+_PARKED_M, _TREE_M = 4.65, 7.2
+_STEP_M = 3.0
+"""The robot moves so far from one frame to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class _StreetGround(SceneGround):
+    """The ground of a street along the x axis, seen from a place on it."""
+
+    place: tuple[float, float] = (0.0, 0.0)
+    """Where the origin of the positions lies on the street, m."""
+    turn: float = 0.0
+    """Azimuth of their x axis, rad."""
+
+    def sample(self, x: Floats, y: Floats) -> GroundSample:
+        """Return heights and labels at positions around ``place``."""
+        east = self.place[0] + np.cos(self.turn) * x - np.sin(self.turn) * y
+        north = self.place[1] + np.sin(self.turn) * x + np.cos(self.turn) * y
+        away = np.abs(north)
+        road = away < _KERB_M
+        z = np.where(road, 0.08 * (1.0 - (away / _KERB_M) ** 2), 0.12) + 0.03 * np.sin(east / 15.0) + 0.01 * east
+        z += np.where(away < LANES_M, 0.002, 0.003) * self.fine.at(east, north)
+        return GroundSample(z, np.where(road, Label.ASPHALT, Label.CONCRETE).astype(np.uint8))
+
+
+@dataclass(frozen=True, slots=True)
+class Street:
+    """A street along the x axis, from 0 to its length."""
+
+    length_m: float
+    ground: _StreetGround
+    fixed: tuple[tuple[Label, Triangles], ...]
+    """What stands: walls, trees, parked cars."""
+    moving: tuple[tuple[Triangles, float, float, float], ...]
+    """Cars at the origin, heading along x; where each is at the first frame (x, y) and its way from frame to frame, m."""
+    solids: Floats
+    """(n, 4) what bars the way and stays: middle x, y and half of its extent along x and y, m."""
+
+    def scene(self, frame: int, place: tuple[float, float], turn: float) -> Scene:
+        """Return what is around a place when the frame is taken."""
+        cars = [(Label.VEHICLE, soup + [x + step * frame, y, self._z(x + step * frame, y)])
+                for soup, x, y, step in self.moving]  # fmt: skip
+        cos, sin = np.cos(turn), np.sin(turn)
+        back = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        things = tuple((label, ((soup - [*place, 0.0]) @ back).astype(np.float32)) for label, soup in
+                       (*self.fixed, *cars))  # fmt: skip
+        return Scene("street", replace(self.ground, place=place, turn=turn), things, (frame,))
+
+    def _z(self, x: float, y: float) -> float:
+        return float(self.ground.sample(np.array([x]), np.array([y])).z[0])
+
+
+def make_street(seed: int, length_m: float = 80.0) -> Street:
+    """Draw a street.
+
+    Parameters
+    ----------
+    seed : int
+        The same seed gives the same bits.
+    length_m : float
+        Walls on both sides are so long; the ground goes on.
+    """
+    rng = np.random.default_rng([seed, 7])
+    ground = _street_ground(rng)
+    bare = Street(length_m, ground, (), (), np.empty((0, 4)))
+    fixed: list[tuple[Label, Triangles]] = []
+    solids: list[tuple[float, float, float, float]] = []
+    for side in (-1.0, 1.0):
+        solids.append((length_m / 2, side * (_WALL_M + 0.25), length_m / 2, 0.25))
+        wall = boxes(np.array([[length_m, 0.5, 6.0]]), np.array([[*solids[-1][:2], -0.5]]), np.zeros(1))
+        fixed.append((Label.BARRIER, wall))
+        for x in np.arange(6.0 + 4 * (side > 0), length_m, 17.0):
+            soup = tree(rng, np.zeros(3), float(rng.uniform(8.0, 10.5)))
+            fixed.append((Label.TREE, (soup + [x, side * _TREE_M, bare._z(x, side * _TREE_M)]).astype(np.float32)))
+            solids.append((float(x), side * _TREE_M, 0.2, 0.2))
+        for x in np.arange(9.0 + 3 * (side > 0), length_m - 3.0, 7.5):
+            if rng.uniform() < 0.75:
+                soup, half = _car(rng)
+                place = (float(x + rng.uniform(-0.5, 0.5)), side * _PARKED_M)
+                fixed.append((Label.VEHICLE, (soup + [*place, bare._z(*place)]).astype(np.float32)))
+                solids.append((*place, *half))
+    moving = tuple(
+        (_car(rng)[0], x, y, step)
+        for x, y, step in ((18.0, -1.75, 3.5), (-8.0, -1.75, 3.0), (45.0, 1.75, -4.0), (100.0, 1.75, -4.5))
+    )
+    return Street(length_m, ground, tuple(fixed), moving, np.array(solids))
+
+
+def drive_street(street: Street, sensor: Sensor, frames: int) -> tuple[list[SimulatedScan], NDArray[np.float64]]:
+    """Drive along the right lane, one frame every 3 m.
+
+    Parameters
+    ----------
+    street : Street
+    sensor : Sensor
+        Its tilt is replaced by that of the moving robot.
+    frames : int
+
+    Returns
+    -------
+    list of SimulatedScan
+    poses : (frames, 4, 4) float64
+        True transforms from the sensor's frame to that of the street, m.
+    """
+    scans, poses = [], np.tile(np.eye(4), (frames, 1, 1))
+    for number in range(frames):
+        x, y, turn = 4.0 + _STEP_M * number, -1.75 + 0.3 * np.sin(number / 4.0), 0.03 * np.cos(number / 4.0)
+        tilted = replace(sensor, tilt_deg=(0.8 * np.sin(1.3 * number), 0.8 * np.cos(1.7 * number)))
+        scans.append(simulate_scan(street.scene(number, (x, y), turn), tilted, number))
+        cos, sin = np.cos(turn), np.sin(turn)
+        poses[number, :3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilted.to_level()
+        poses[number, :3, 3] = x, y, street._z(x, y) + sensor.height_m
+    return scans, poses
+
+
+def noisy_poses(poses: NDArray[np.float64], seed: int, metres: float, degrees: float) -> NDArray[np.float64]:
+    """Return poses with independent errors of these standard deviations in every coordinate and about every axis."""
+    rng = np.random.default_rng([seed, 8])
+    noisy = poses.copy()
+    noisy[:, :3, 3] += metres * rng.standard_normal((len(poses), 3))
+    for pose, angles in zip(noisy, np.radians(degrees) * rng.standard_normal((len(poses), 3)), strict=True):
+        pose[:3, :3] = _turned(angles) @ pose[:3, :3]
+    return noisy
+
+
+def _turned(angles: Floats) -> Floats:
+    """Rotation (3, 3) by small angles about x, y and z, made exactly orthonormal."""
+    x, y, z = angles
+    left, _, right = np.linalg.svd(np.eye(3) + np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
+    turned: Floats = left @ right
+    return turned
+
+
+def _street_ground(rng: np.random.Generator) -> _StreetGround:
+    none = make_field(rng, 16, 1.0, 1.0, (4.0, 16.0))
+    values = {
+        "hills": none, "hills_m": 0.0, "bumps": none, "bumps_m": 0.0, "fine": make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
+        "cover": Label.ASPHALT, "cover_rough_m": 0.0, "regions": (), "grass_m": 0.0, "grass_tufts": none,
+        "grass_path_m": 1.0,
+    }  # fmt: skip
+    assert set(values) <= {field.name for field in fields(SceneGround)}
+    return _StreetGround(**values)  # type: ignore[arg-type]
+
+
+def _car(rng: np.random.Generator) -> tuple[Triangles, tuple[float, float]]:
+    """Make a car at the origin, heading along x, and half of its extent along x and y, m."""
+    soup = vehicle(rng, np.zeros(3)).astype(np.float64)
+    corners = soup.reshape(-1, 3)[:, :2]
+    _, axes = np.linalg.eigh(np.cov(corners.T))
+    along, across = axes[:, 1], np.array([-axes[1, 1], axes[0, 1]])
+    soup = np.stack([soup[..., :2] @ along, soup[..., :2] @ across, soup[..., 2]], axis=-1)
+    half = np.abs(soup.reshape(-1, 3)[:, :2]).max(axis=0)
+    return soup.astype(np.float32), (float(half[0]), float(half[1]))

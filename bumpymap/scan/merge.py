@@ -1,0 +1,267 @@
+"""Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
+
+Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the world,
+with an image of the nearest ranges by direction. When all are there, the heights of the ground in different frames give
+small corrections of the poses, and block after block is read back: a voxel through which two other frames or more saw
+farther than it, and more frames than saw it, held something that moved. Memory is bounded by the surfaces in one block.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+from bumpymap.layers import AccumulatedSurvey
+from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
+from bumpymap.scan.align import Alignment, GroundHeights, align_frames, ground_heights
+
+__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "open_merge"]
+
+MOST_GROUND, MOST_OTHERS = 8, 3
+"""Ground points per pixel of the map, and other points per voxel, that are kept."""
+VOXEL_MM = 200
+"""Edge of a voxel; a pixel of the map is as wide."""
+_BLOCK_MM = 30_000
+_COLUMNS = 480
+"""Directions around a range image; it has half as many rows, from straight down to straight up."""
+_LOWEST = -0.25
+_REACH_M = 40.0
+"""Voxels nearer than this are judged by a frame whether they were seen through."""
+_LIMITS = np.array([[_REACH_M, 0.5, 0.02]])
+_PROBE_MM = 800
+
+_POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
+_FAR_MM = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _MergeFrame:
+    """A frame whose points are in the file."""
+
+    pose: NDArray[np.float64]
+    heights: GroundHeights
+    blocks: dict[tuple[int, int], tuple[int, int]]
+    """Where the points of each block lie in the file: from, to."""
+
+
+@dataclass(slots=True)
+class DriveMerge:
+    """The frames of a drive while they come, then their merged points.
+
+    Parameters
+    ----------
+    points, images : binary files
+        Take the points, and the range images, of all frames.
+    offset : (3,) float64
+        What is taken off coordinates before they become whole millimetres, m; whole metres.
+    """
+
+    points: BinaryIO
+    images: BinaryIO
+    offset: NDArray[np.float64]
+    frames: list[_MergeFrame] = field(default_factory=list)
+    seen: int = 0
+    """Points that came."""
+    written: int = 0
+    ground: int = 0
+    """Ground points among the written ones."""
+    moving: int = 0
+    """Points in voxels that were seen through."""
+    alignment: Alignment | None = None
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry in scan.json."""
+        poses = None if self.alignment is None else self.alignment.record()
+        return {
+            "seen": self.seen,
+            "points": self.written,
+            "ground": self.ground,
+            "moving": self.moving,
+            "poses": poses,
+        }
+
+    def add_points(
+        self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
+    ) -> None:
+        """Take the points of a frame.
+
+        Parameters
+        ----------
+        name : str
+            Of the frame.
+        points : (n, 3) float32
+            In the frame of the sensor, m.
+        pose : (4, 4) float64
+            Transform from the sensor's frame to the world, m.
+        is_ground : (n,) bool
+
+        Raises
+        ------
+        BadInputError
+            The frame lies too far from the first one.
+        """
+        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
+        whole = np.round(1000.0 * world)
+        if np.abs(whole).max(initial=0.0) > _FAR_MM:
+            raise BadInputError(
+                f"according to its pose, the frame {name} lies more than 2,000 km from the first one. Are they from "
+                "one drive?"
+            )
+        rows = np.empty(len(points), _POINT)
+        rows["place"] = whole
+        rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
+        rows["kind"] = is_ground
+        corner = np.floor_divide(rows["place"][:, :2] + self._whole_offset(), _BLOCK_MM)
+        order = np.lexsort((corner[:, 0], corner[:, 1]))
+        corner = corner[order]
+        starts = np.flatnonzero(np.r_[len(order) > 0, (np.diff(corner, axis=0) != 0).any(axis=1)])
+        ends = np.append(starts[1:], len(order))
+        blocks = {
+            (int(corner[a, 1]), int(corner[a, 0])): (self.seen + int(a), self.seen + int(b))
+            for a, b in zip(starts, ends, strict=True)
+        }
+        rows[order].tofile(self.points)
+        image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
+        range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
+        image.tofile(self.images)
+        self.frames.append(_MergeFrame(pose, ground_heights(points, is_ground, pose), blocks))
+        self.seen += len(points)
+
+    def write(self, survey: AccumulatedSurvey) -> None:
+        """Align the frames, and write what is left of their points, block by block."""
+        self.alignment = align_frames([frame.heights for frame in self.frames])
+        self.points.flush()
+        self.images.flush()
+        for place in sorted({place for frame in self.frames for place in frame.blocks}):
+            table = self._gather(place)
+            xyz, is_ground = self._thin(place, table)
+            survey.add_points(self.offset + 0.001 * xyz, is_ground)
+            self.written += len(xyz)
+            self.ground += int(is_ground.sum())
+
+    def _whole_offset(self) -> NDArray[np.int64]:
+        return (1000 * self.offset[:2]).astype(np.int64)
+
+    def _corner(self, place: tuple[int, int]) -> NDArray[np.int64]:
+        """Return the corner of a block in the coordinates of the file, mm."""
+        return np.array([place[1], place[0]]) * _BLOCK_MM - self._whole_offset()
+
+    def _gather(self, place: tuple[int, int]) -> VoxelTable:
+        """Read the points of a block, frame after frame, into voxels."""
+        table, corner = _empty_table(1 << 16), self._corner(place)
+        for number, frame in enumerate(self.frames):
+            if place not in frame.blocks:
+                continue
+            begin, end = frame.blocks[place]
+            rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+            xyz = rows["place"].astype(np.int64)
+            xyz[:, 2] += self._shift_mm(number, xyz)
+            xyz[:, :2] -= corner
+            table = _with_room(table, len(rows))
+            gather_points(
+                xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table
+            )
+        return table
+
+    def _shift_mm(self, number: int, xyz: NDArray[np.int64]) -> NDArray[np.int64]:
+        assert self.alignment is not None
+        shift, pose = self.alignment.shift[number], self.frames[number].pose
+        away = 0.001 * xyz[:, :2] - (pose[:2, 3] - self.offset[:2])
+        return np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
+
+    def _judge(self, place: tuple[int, int], where: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (3, n)."""
+        assert self.alignment is not None
+        corner = 0.001 * self._corner(place) + self.offset[:2]
+        found = np.zeros((3, len(where)), np.int32)
+        for number, frame in enumerate(self.frames):
+            middle = frame.pose[:2, 3]
+            if np.hypot(*(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM))) > _REACH_M:
+                continue
+            pixels = _COLUMNS * _COLUMNS // 2
+            image = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
+            pose = frame.pose.copy()
+            pose[:3, 3] -= [*corner, self.offset[2]]
+            pose[2, 3] += self.alignment.shift[number, 0]
+            back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
+            judge_places(where, back, _LOWEST, image.reshape(-1, _COLUMNS), _LIMITS, found)
+        return found
+
+    def _thin(self, place: tuple[int, int], table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the points of a block that stay, mm, and whether they are ground."""
+        used = int(table.size[0])
+        is_ground = table.key[:used] % 2 == 1
+        nearest = table.place[:used, 0]
+        through = self._judge(place, nearest.copy())[0]
+        moved = (through >= 2) & (through > table.hits[:used])
+        above = self._judge(place, nearest[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
+        hidden = np.zeros(used, np.bool_)
+        hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
+        kept = np.arange(MOST_GROUND) < table.count[:used, None]
+        self.moving += int(kept[moved].sum())
+        kept &= ~(moved | hidden)[:, None] & (is_ground[:, None] | (np.arange(MOST_GROUND) < MOST_OTHERS))
+        row, rank = np.nonzero(kept)
+        xyz, ground = table.place[row, rank].astype(np.int64), is_ground[row]
+        pixel = xyz[:, 1] // VOXEL_MM * 4096 + xyz[:, 0] // VOXEL_MM
+        # More than one voxel of ground may lie in a pixel.
+        order = np.lexsort((table.range_cm[row, rank], pixel, ground))
+        first = np.r_[True, (np.diff(pixel[order]) != 0) | np.diff(ground[order])][: len(order)]
+        since = np.arange(len(order)) - np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+        chosen = np.zeros(len(order), np.bool_)
+        chosen[order] = ~ground[order] | (since < MOST_GROUND)
+        xyz[:, :2] += self._corner(place)
+        return xyz[chosen], ground[chosen]
+
+
+def _empty_table(rows: int) -> VoxelTable:
+    """Make a table with room for that many voxels, a power of two."""
+
+    def zeros(*shape: int, kind: type = np.int32) -> NDArray[Any]:
+        return np.zeros((rows, *shape), kind)
+
+    return VoxelTable(
+        np.full(2 * rows, -1, np.int32),
+        zeros(kind=np.int64),
+        zeros(),
+        zeros(),
+        zeros(),
+        zeros(MOST_GROUND, kind=np.uint16),
+        zeros(MOST_GROUND, 3),
+        np.zeros(1, np.int32),
+    )
+
+
+def _with_room(table: VoxelTable, more: int) -> VoxelTable:
+    """Return the table, or a copy with room for ``more`` voxels."""
+    used = int(table.size[0])
+    if used + more <= len(table.key):
+        return table
+    larger = _empty_table(1 << int(used + more).bit_length())
+    for old, new in zip(table[1:-1], larger[1:-1], strict=True):
+        new[:used] = old[:used]
+    move_voxels(table, larger)
+    return larger
+
+
+@contextmanager
+def open_merge(folder: Path, poses: Sequence[NDArray[np.float64]]) -> Iterator[DriveMerge]:
+    """Open the files of a merge in the folder of a run, and remove them at the end.
+
+    Parameters
+    ----------
+    folder : Path
+    poses : sequence of (4, 4) float64
+        Of the frames; coordinates count from the first.
+    """
+    paths = [folder / name for name in ("merge.points", "merge.images")]
+    try:
+        with paths[0].open("wb") as points, paths[1].open("wb") as images:
+            yield DriveMerge(points, images, np.round(poses[0][:3, 3]))
+    finally:
+        for path in paths:
+            path.unlink(missing_ok=True)
