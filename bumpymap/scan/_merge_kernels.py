@@ -176,8 +176,9 @@ def judge_places(
     limits : (1, 3) float64
         Places farther from the sensor are not judged, m. A beam ends well behind a place if it is so much longer: m, and
         share of the distance.
-    found : (3, places) int32
-        Counted up: frames that saw through it, from which it was hidden, and that had no return near its direction.
+    found : (4, places) int32
+        Counted up: frames that saw through it, from which it was hidden, that had no return near its direction, and that
+        had returns near it.
     """
     rows, columns = image.shape
     for v in range(len(place)):
@@ -204,3 +205,5 @@ def judge_places(
             found[0, v] += 1
         elif farthest * 0.01 < away - slack:
             found[1, v] += 1
+        else:
+            found[3, v] += 1

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -14,7 +15,6 @@ from bumpymap.layers import (
     FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME,
-    AccumulatedSurvey,
     Frame,
     FramePart,
     FrameReport,
@@ -32,6 +32,7 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.merge import DriveMerge, open_merge
 
 __all__ = ["FrameProducts", "drop_empty_folder", "move_products", "open_products", "staging_folder"]
 
@@ -50,8 +51,8 @@ class FrameProducts:
     """Folder of the products until all are complete."""
     table: SectorTable | None
     """None if no table is wanted."""
-    accumulated: AccumulatedSurvey | None
-    """Points of all frames at their poses; None without poses."""
+    accumulated: DriveMerge | None
+    """Merges the points of all frames; None without poses."""
 
     def load(self, frame: Frame, number: int) -> FramePart | None:
         """Return a frame that an earlier run has finished; None if it is not finished."""
@@ -78,8 +79,8 @@ class FrameProducts:
         save_part(part, part_path(self.run_folder, number))
         self._add_rows(part)
 
-    def point_counts(self) -> dict[str, int] | None:
-        """Count the accumulated ``points``, and those that are ``ground``; None without poses."""
+    def merged(self) -> dict[str, Any] | None:
+        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
         return None if self.accumulated is None else self.accumulated.record()
 
     def _part(self, report: FrameReport, scan: Scan, classed: ClassedSectors) -> FramePart:
@@ -108,10 +109,11 @@ def open_products(
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        accumulated = (
-            open_files.enter_context(open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs)) if poses else None
-        )
-        yield FrameProducts(config, run_folder, staged, table, accumulated)
+        merge = open_files.enter_context(open_merge(run_folder, poses[0])) if poses else None
+        yield FrameProducts(config, run_folder, staged, table, merge)
+        if merge is not None:
+            with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
+                merge.write(survey)
     for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME):
         if (staged / name).exists():
             sync_to_disk(staged / name)

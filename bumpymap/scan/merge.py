@@ -6,7 +6,7 @@ small corrections of the poses, and block after block is read back: a voxel thro
 farther than it, and more frames than saw it, held something that moved. Memory is bounded by the surfaces in one block.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
+from bumpymap.scan.agreement import LIMITS, LOWEST, REACH_M, refuse_wrong_poses
 from bumpymap.scan.align import Alignment, GroundHeights, align_frames, ground_heights
 
 __all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "open_merge"]
@@ -29,12 +30,8 @@ VOXEL_MM = 200
 _BLOCK_MM = 30_000
 _COLUMNS = 480
 """Directions around a range image; it has half as many rows, from straight down to straight up."""
-_LOWEST = -0.25
-_REACH_M = 40.0
-"""Voxels nearer than this are judged by a frame whether they were seen through."""
-_LIMITS = np.array([[_REACH_M, 0.5, 0.02]])
 _PROBE_MM = 800
-
+"""Whether ground can be driven on shows at this height above it, between belly and top of a vehicle."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
 _FAR_MM = 2_000_000_000
 
@@ -45,6 +42,8 @@ class _MergeFrame:
 
     pose: NDArray[np.float64]
     heights: GroundHeights
+    rows: tuple[int, int]
+    """Where its points lie in the file: from, to."""
     blocks: dict[tuple[int, int], tuple[int, int]]
     """Where the points of each block lie in the file: from, to."""
 
@@ -127,22 +126,43 @@ class DriveMerge:
         }
         rows[order].tofile(self.points)
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
-        range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
+        range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
         image.tofile(self.images)
-        self.frames.append(_MergeFrame(pose, ground_heights(points, is_ground, pose), blocks))
+        rows_of_all = (self.seen, self.seen + len(points))
+        self.frames.append(_MergeFrame(pose, ground_heights(points, is_ground, pose), rows_of_all, blocks))
         self.seen += len(points)
 
     def write(self, survey: AccumulatedSurvey) -> None:
         """Align the frames, and write what is left of their points, block by block."""
-        self.alignment = align_frames([frame.heights for frame in self.frames])
         self.points.flush()
         self.images.flush()
+        self.alignment = align_frames([frame.heights for frame in self.frames])
+        refuse_wrong_poses(self.alignment, self)
         for place in sorted({place for frame in self.frames for place in frame.blocks}):
             table = self._gather(place)
             xyz, is_ground = self._thin(place, table)
             survey.add_points(self.offset + 0.001 * xyz, is_ground)
             self.written += len(xyz)
             self.ground += int(is_ground.sum())
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(frames, 4, 4) as they were given."""
+        return np.array([frame.pose for frame in self.frames]).reshape(-1, 4, 4)
+
+    def read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Read a frame back: its points (n, 3) in the frame of the sensor, m, and whether each is ground (n,)."""
+        frame = self.frames[number]
+        begin, end = frame.rows
+        rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+        world = 0.001 * rows["place"] + (self.offset - frame.pose[:3, 3])
+        return world @ frame.pose[:3, :3], rows["kind"] == 1
+
+    def image(self, number: int) -> NDArray[np.uint16]:
+        """Read the range image of a frame, see `range_image`."""
+        pixels = _COLUMNS * _COLUMNS // 2
+        flat = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
+        return flat.reshape(-1, _COLUMNS)
 
     def _whole_offset(self) -> NDArray[np.int64]:
         return (1000 * self.offset[:2]).astype(np.int64)
@@ -175,21 +195,19 @@ class DriveMerge:
         return np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
 
     def _judge(self, place: tuple[int, int], where: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (3, n)."""
+        """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (4, n)."""
         assert self.alignment is not None
         corner = 0.001 * self._corner(place) + self.offset[:2]
-        found = np.zeros((3, len(where)), np.int32)
+        found = np.zeros((4, len(where)), np.int32)
         for number, frame in enumerate(self.frames):
             middle = frame.pose[:2, 3]
-            if np.hypot(*(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM))) > _REACH_M:
+            if np.hypot(*(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM))) > REACH_M:
                 continue
-            pixels = _COLUMNS * _COLUMNS // 2
-            image = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
             pose = frame.pose.copy()
             pose[:3, 3] -= [*corner, self.offset[2]]
             pose[2, 3] += self.alignment.shift[number, 0]
             back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
-            judge_places(where, back, _LOWEST, image.reshape(-1, _COLUMNS), _LIMITS, found)
+            judge_places(where, back, LOWEST, self.image(number), LIMITS, found)
         return found
 
     def _thin(self, place: tuple[int, int], table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -249,19 +267,19 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
 
 
 @contextmanager
-def open_merge(folder: Path, poses: Sequence[NDArray[np.float64]]) -> Iterator[DriveMerge]:
+def open_merge(folder: Path, first: NDArray[np.float64]) -> Iterator[DriveMerge]:
     """Open the files of a merge in the folder of a run, and remove them at the end.
 
     Parameters
     ----------
     folder : Path
-    poses : sequence of (4, 4) float64
-        Of the frames; coordinates count from the first.
+    first : (4, 4) float64
+        Pose of the first frame, m; coordinates in the files count from there.
     """
     paths = [folder / name for name in ("merge.points", "merge.images")]
     try:
         with paths[0].open("wb") as points, paths[1].open("wb") as images:
-            yield DriveMerge(points, images, np.round(poses[0][:3, 3]))
+            yield DriveMerge(points, images, np.round(first[:3, 3]))
     finally:
         for path in paths:
             path.unlink(missing_ok=True)

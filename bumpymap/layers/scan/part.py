@@ -26,7 +26,7 @@ class FramePart:
     points: NDArray[np.float32]
     """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
     is_ground: NDArray[np.bool_]
-    """(n,) True for points in traversable sectors."""
+    """(n,) whether the point is ground."""
 
 
 def part_path(folder: Path, number: int) -> Path:
