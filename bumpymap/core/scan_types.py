@@ -71,18 +71,19 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class PolarSettings:
-    """The concentric-zone polar grid. The defaults are the paper's."""
+    """The concentric-zone polar grid. From 4 m on the defaults are the paper's grid; the zone before it is for robots
+    whose sensor is low, and sees half of its points there."""
 
-    zone_starts_m: tuple[float, ...] = (4.0, 12.0, 28.0, 60.0)
+    zone_starts_m: tuple[float, ...] = (1.0, 4.0, 12.0, 28.0, 60.0)
     """Inner radius of each zone, horizontal distance from the sensor, m."""
     end_m: float = 100.0
     """Outer radius of the last zone, m."""
-    sectors: tuple[int, ...] = (24, 32, 48, 32)
+    sectors: tuple[int, ...] = (16, 24, 32, 48, 32)
     """Sectors around each zone."""
-    rings: tuple[int, ...] = (4, 4, 4, 2)
+    rings: tuple[int, ...] = (2, 4, 4, 4, 2)
     """Rings of each zone, of equal width."""
     least_points: int = 30
-    """A sector is measured if it has more points than this."""
+    """A sector is judged if it has more points than this, and measured if it has ground."""
     pixels: int = 15
     """Rows and columns of a sector's heightmap."""
     least_normal_z: float = math.cos(math.radians(45.0))
@@ -144,22 +145,25 @@ class SectorStack:
     count: NDArray[np.int32]
     """(n,) points."""
     normal: NDArray[np.float32]
-    """(n, 3) PCA normal (axis of least variance) of the points, sensor frame, n_z >= 0."""
+    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground.
+    With ``ground_only=False`` this and the next measures are those of all points, of every sector."""
     traversable: NDArray[np.bool_]
-    """(n,) True if the normal is close enough to vertical and the surface is not seen from below."""
+    """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
-    """(n, pixels, pixels) mean z above the sector's plane, m. Rows go outwards with distance, columns counter-clockwise
+    """(n, pixels, pixels) mean z of ground points above their plane, m; zeros without ground. Rows go outwards with distance, columns counter-clockwise
     with azimuth, both in equal steps; empty pixels are filled."""
     coverage: NDArray[np.float32]
-    """(n,) share of the pixels that hold a point, 0..1."""
+    """(n,) share of the pixels that hold a ground point, 0..1."""
     variance: NDArray[np.float32]
-    """(n,) population variance of z over the sector's points, m^2."""
+    """(n,) population variance of z over the ground points, m^2; NaN without ground."""
     residual: NDArray[np.float32]
-    """(n,) mean perpendicular distance of all the sector's points to the RANSAC plane, m."""
+    """(n,) mean perpendicular distance of the ground points to the RANSAC plane, m; NaN without ground."""
     label: NDArray[np.int16]
     """(n,) most frequent label of the points (the smallest if tied); -1 if the scan has no labels."""
     ground_count: NDArray[np.int32]
     """(n,) points that are ground."""
+    obstacle_count: NDArray[np.int32]
+    """(n,) points between ``belly_m`` and ``height_m`` above the ground."""
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it."""
     obstacle_height: NDArray[np.float32]

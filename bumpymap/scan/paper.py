@@ -20,8 +20,15 @@ __all__ = ["classify_paper", "paper_heights", "paper_settings"]
 
 
 def paper_settings(settings: PolarSettings) -> PolarSettings:
-    """Return the grid without what the paper does not have: the anchor and the overhead check."""
-    return replace(settings, anchored=False, overhead_m=math.inf)
+    """Return the grid without what the paper does not have: ground of its own, the anchor, the overhead check.
+
+    The default grid becomes the paper's, which has no zone nearer than 4 m.
+    """
+    if settings == PolarSettings():
+        settings = replace(
+            settings, zone_starts_m=settings.zone_starts_m[1:], sectors=settings.sectors[1:], rings=settings.rings[1:]
+        )
+    return replace(settings, ground_only=False, anchored=False, overhead_m=math.inf)
 
 
 def classify_paper(scan: Scan, settings: PolarSettings | None = None, seed: int = 0) -> ClassedSectors:

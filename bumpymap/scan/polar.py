@@ -23,12 +23,17 @@ from bumpymap.scan._place_kernels import (
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
+from bumpymap.scan.ground import all_ground, find_ground
 
 __all__ = ["RANSAC_THRESHOLD_M", "SectorBuffers", "anchor_of", "polar_sectors"]
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
 _LABELS = 32_768
+_LEAST_GROUND_POINTS = 10
+"""Fewest ground points of a sector that has ground."""
+_LEAST_OBSTACLE_POINTS = 2
+"""Fewest points that are an obstacle: a single one may be an insect, or an error."""
 
 
 class SectorBuffers:
@@ -50,13 +55,13 @@ class SectorBuffers:
 def polar_sectors(
     scan: Scan, settings: PolarSettings | None = None, buffers: SectorBuffers | None = None
 ) -> SectorStack:
-    """Cut a scan into sectors and measure those that hold enough points.
+    """Cut a scan into sectors, find the ground in those that hold enough points, and measure it.
 
     Parameters
     ----------
     scan : Scan
     settings : PolarSettings, optional
-        The default is the paper's grid.
+        The default is the paper's grid with a zone before it.
     buffers : SectorBuffers, optional
         Reused from earlier scans; the returned arrays do not share their memory.
 
@@ -84,36 +89,56 @@ def polar_sectors(
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    scalars, normal, heights = _measure(
-        SectorInputs(points, pixel, cells, RANSAC_THRESHOLD_M), by_cell, settings, buffers
+    ground = (
+        find_ground(points, places, by_cell, settings, start) if settings.ground_only else all_ground(by_cell, points)
     )
+    ground_count = np.diff(ground.by_cell.starts[:-1])[cells]
+    there = ground.found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
+    scalars, normal, heights = _measure(
+        SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M), ground.by_cell, settings, buffers
+    )
+    is_level = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
+    obstacles = ground.obstacles[cells]
+    stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
     zone, ring, sector = _places(cells, sectors, rings)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
     rows[cells] = np.arange(len(cells), dtype=np.int32)
-    traversable = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
-    no_metres = np.full(len(cells), np.nan, np.float32)
     return SectorStack(
-        settings,
-        start,
-        zone,
-        ring,
-        sector,
-        counts[cells].astype(np.int32),
-        normal,
-        traversable,
-        heights,
-        scalars[:, 2].astype(np.float32),
-        scalars[:, 0].astype(np.float32),
-        scalars[:, 1].astype(np.float32),
-        _labels(scan, by_cell, cells),
-        np.where(traversable, counts[cells], 0).astype(np.int32),
-        np.zeros(len(cells), np.bool_),
-        no_metres,
-        no_metres.copy(),
-        rows[cell],
-        np.append(traversable, False)[rows[cell]],
-        np.full(len(points), np.nan, np.float32),
+        settings=settings,
+        azimuth_start_rad=start,
+        zone=zone,
+        ring=ring,
+        sector=sector,
+        count=counts[cells].astype(np.int32),
+        normal=_spread(normal, there, 0.0),
+        traversable=_spread(is_level, there, False),
+        heights=_spread(heights, there, 0.0),
+        coverage=_spread(scalars[:, 2].astype(np.float32), there, 0.0),
+        variance=_spread(scalars[:, 0].astype(np.float32), there, np.nan),
+        residual=_spread(scalars[:, 1].astype(np.float32), there, np.nan),
+        label=_labels(scan, by_cell, cells),
+        ground_count=np.where(there, ground_count, 0).astype(np.int32),
+        obstacle_count=obstacles,
+        obstacle=stands,
+        obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
+        clearance=_finite(ground.clearance[cells]),
+        point_sector=rows[cell],
+        point_ground=ground.point_ground,
+        point_height=ground.point_height,
     )
+
+
+def _spread(values: NDArray[Any], rows: NDArray[np.bool_], gap: float) -> NDArray[Any]:
+    """Return values in the rows that are True, ``gap`` in the others."""
+    if rows.all():
+        return values
+    full = np.full((len(rows), *values.shape[1:]), gap, values.dtype)
+    full[rows] = values
+    return full
+
+
+def _finite(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(np.isfinite(values), values, np.float32(np.nan))
 
 
 def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:

@@ -1,0 +1,606 @@
+"""Compiled loops that find the ground of a scan: a plane for every cell of the polar grid, and which points lie on it.
+
+Each cell's plane starts at the lowest points of its parts and is fitted again to the points near it. It must continue
+the planes around it; where it does not, it starts again from theirs, and a cell without a plane of its own passes theirs
+on. Nothing here allocates: scratch arrays come from the caller. Sums run in the order of the scan's points.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.scan._place_kernels import CellOrder
+from bumpytiles import helper, kernel
+
+__all__ = [
+    "CARRIED",
+    "FOUND",
+    "NEIGHBOURS",
+    "PARTS",
+    "CellGeometry",
+    "CellPoints",
+    "GroundLabels",
+    "GroundPlanes",
+    "GroundRule",
+    "LabelScratch",
+    "PlaneScratch",
+    "find_planes",
+    "gather_points",
+    "label_points",
+]
+
+Floats = Annotated[NDArray[np.float64], 1]
+Floats2 = Annotated[NDArray[np.float64], 2]
+Singles = Annotated[NDArray[np.float32], 1]
+Integers = Annotated[NDArray[np.int32], 1]
+Flags = Annotated[NDArray[np.bool_], 1]
+Vector = NDArray[np.float32]
+Plane3 = tuple[float, float, float]
+
+PARTS = 5
+"""Parts of a cell along each side: outwards and around."""
+NEIGHBOURS = 8
+"""Most neighbours of a cell: three inwards, two beside it, three outwards."""
+CARRIED, FOUND = 1, 2
+"""Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
+_TAIL = 32
+"""Lowest points that may be reflections below the ground."""
+_GAP = 0.3
+"""A gap in height, m, below which the few lowest points are reflections."""
+_START_REACH, _WIDEST_REACH, _NARROWEST_REACH, _REACH_OF_SPREAD = 0.15, 0.3, 0.1, 2.5
+"""Before the noise of the scan is known, points within this distance of a plane are its ground, m: first, most, least,
+and as a multiple of their root mean square."""
+_ABOVE_LOWEST, _FAR_BELOW = 0.15, -1.0
+"""The lowest points of parts within these heights of the plane through them are its start, m."""
+_RIDGE = 0.02
+"""Weight of the expected slope against the points', m^2 per root of their number: it decides where they lie on a line."""
+_PASSES = 4
+_STEEPEST = math.tan(math.radians(38.0))
+_LEAST_POINTS = 8
+"""Fewest points of a plane."""
+_STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
+"""How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
+greatest distance that counts."""
+_BELOW = 0.5
+"""Points further below a plane than this are reflections, m."""
+_PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
+"""A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
+passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
+_ROUNDS = 6
+_LAYER = 1.5
+"""Points further from a plane than this do not belong to the layer of the ground, m."""
+_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.4, 0.2, 1.5, 0.035
+"""Plants stand in a part if so high above its ground there are points, as a share of those on it, and if those on it spread
+by more than this multiple of the scan's noise and more than this, m."""
+
+
+class CellPoints(NamedTuple):
+    """Points of a scan by cell, see `gather_points`."""
+
+    xyz: Annotated[NDArray[np.float32], 2]
+    """(3, points) m."""
+    part: Integers
+    """(points,) part of the cell, ``row * PARTS + column``."""
+    starts: Annotated[NDArray[np.int64], 1]
+    """(cells + 2,) as in `CellOrder`."""
+
+
+class CellGeometry(NamedTuple):
+    """Where the cells of the grid lie; (cells,) where nothing else is said."""
+
+    x: Floats
+    """Centre, m."""
+    y: Floats
+    near: Annotated[NDArray[np.int32], 2]
+    """(cells, NEIGHBOURS) neighbours: columns 0 to 2 inwards, 3 and 4 beside, 5 to 7 outwards; -1: none."""
+    zone: Integers
+    ring: Integers
+    sector: Integers
+    first: Integers
+    """(zones,) number of the first cell."""
+    rings: Integers
+    """(zones,)"""
+    sectors: Integers
+    """(zones,)"""
+
+
+class GroundPlanes(NamedTuple):
+    """The planes of the cells."""
+
+    plane: Floats2
+    """(cells, 3) slope along x and y, height at the origin [m]."""
+    centre: Floats2
+    """(cells, 3) x and y of the mean of its points, distance that it was passed on [m]."""
+    spread: Floats
+    """(cells,) root mean square of its points about it, m."""
+    kind: Integers
+    """(cells,) 0, CARRIED or FOUND."""
+
+
+class PlaneScratch(NamedTuple):
+    """Scratch of `find_planes`."""
+
+    tail: Floats
+    """(_TAIL,) lowest heights."""
+    lowest: Floats2
+    """(4, PARTS^2) height, x, y and z of the lowest point of each part."""
+    low: Annotated[NDArray[np.float32], 2]
+    """(3, PARTS^2) the same points, without gaps."""
+    heights: Floats
+    """(PARTS^2,) to sort."""
+    cells: Integers
+    """(NEIGHBOURS,) to sort."""
+
+
+class GroundRule(NamedTuple):
+    """What is ground and what stands on it."""
+
+    reach: Floats
+    """(zones,) distance from a plane within which a point is ground, m."""
+    noise: Floats
+    """(zones,) usual root mean square of ground points about their plane, m."""
+    least_points: int
+    """Cells with more points than this are judged by their own plane alone."""
+    belly: float
+    """Heights above the ground between which a point is an obstacle, m."""
+    height: float
+
+
+class GroundLabels(NamedTuple):
+    """What is filled by `label_points`."""
+
+    height: Singles
+    """(scan's points,) height above the ground, m; comes as NaN."""
+    ground: Flags
+    """(scan's points,) comes as False."""
+    obstacles: Annotated[NDArray[np.int32], 1]
+    """(cells,) points between belly and height; zeros."""
+    top: Singles
+    """(cells,) the highest of them, m; comes as -inf."""
+    clearance: Singles
+    """(cells,) lowest point from ``height`` on, m; comes as inf."""
+    starts: Annotated[NDArray[np.int64], 1]
+    """(cells + 2,) ground points by cell, as in `CellOrder`."""
+    order: Integers
+    """(scan's points,)"""
+
+
+class LabelScratch(NamedTuple):
+    """Scratch of `label_points`; by part: ``cell * PARTS^2 + part``."""
+
+    heights: Singles
+    """(points,) by cell."""
+    kept: Flags
+    """(points,) by cell."""
+    sums: Floats2
+    """(6, parts) zeros: number, sum and sum of squares of the heights of its points, and of those that are ground."""
+    between: Floats
+    """(parts,) zeros: points above the ground that may be plants."""
+    level: Floats
+    """(parts,) height of its ground above the plane, m; NaN where it has none."""
+    state: Integers
+    """(parts,) zeros."""
+
+
+@kernel
+def gather_points(
+    points: Annotated[NDArray[np.float32], 2],
+    pixel: Integers,
+    part_of_pixel: Integers,
+    by_cell: CellOrder,
+    out: CellPoints,
+) -> None:
+    """Copy points in the order of the cells, so that each cell's lie side by side."""
+    for i in range(by_cell.starts[len(by_cell.starts) - 2]):
+        p = by_cell.order[i]
+        out.xyz[0, i], out.xyz[1, i], out.xyz[2, i] = points[p, 0], points[p, 1], points[p, 2]
+        out.part[i] = part_of_pixel[pixel[p]]
+
+
+@helper
+def _expect(
+    cell: int, last: int, at: tuple[float, float], geometry: CellGeometry, planes: GroundPlanes, scratch: PlaneScratch
+) -> tuple[int, float, float]:
+    """Return the neighbour whose plane has the median height at a place, that height, and how far away its points are."""
+    x, y = at
+    count = 0
+    for s in range(last):
+        other = geometry.near[cell, s]
+        if other < 0 or planes.kind[other] == 0:
+            continue
+        height = planes.plane[other, 0] * x + planes.plane[other, 1] * y + planes.plane[other, 2]
+        k = count
+        while k > 0 and scratch.heights[k - 1] > height:
+            scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
+            k -= 1
+        scratch.heights[k], scratch.cells[k] = height, other
+        count += 1
+    if count == 0:
+        return -1, 0.0, 0.0
+    middle = (count - 1) // 2
+    other = int(scratch.cells[middle])
+    dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
+    return other, scratch.heights[middle], math.sqrt(dx * dx + dy * dy) + planes.centre[other, 2]
+
+
+@helper
+def _refit(
+    x: Vector,
+    y: Vector,
+    z: Vector,
+    plane: Plane3,
+    within: tuple[float, float, float],
+    origin: tuple[float, float],
+    slope: tuple[float, float],
+) -> tuple[float, float, Plane3]:
+    """Fit a plane to the points between two heights above another one, by least squares of z.
+
+    Returns their number, the root mean square of the heights of those nearer to the other plane than ``within[2]``, and
+    the plane.
+    """
+    a, b, c = plane
+    low, high, reach = within
+    ox, oy = origin
+    n = su = sv = sh = suu = suv = svv = suh = svh = near = square = 0.0
+    for i in range(len(x)):
+        u, v = x[i] - ox, y[i] - oy
+        h = z[i] - (a * x[i] + b * y[i] + c)
+        if low < h < high:
+            n += 1.0
+            su += u
+            sv += v
+            sh += h
+            suu += u * u
+            suv += u * v
+            svv += v * v
+            suh += u * h
+            svh += v * h
+        if abs(h) < reach:
+            near += 1.0
+            square += h * h
+    if n < 3.0:
+        return n, 0.0, plane
+    mu, mv, mh = su / n, sv / n, sh / n
+    ridge = _RIDGE * math.sqrt(n)
+    uu, vv, uv = suu - su * mu + ridge, svv - sv * mv + ridge, suv - su * mv
+    uh, vh = suh - su * mh + ridge * (slope[0] - a), svh - sv * mh + ridge * (slope[1] - b)
+    det = uu * vv - uv * uv
+    da, db = (uh * vv - vh * uv) / det, (vh * uu - uh * uv) / det
+    rise = mh - da * (mu + ox) - db * (mv + oy)
+    return n, math.sqrt(square / max(near, 1.0)), (a + da, b + db, c + rise)
+
+
+@helper
+def _lowest(
+    points: CellPoints, first: int, n: int, plane: Plane3, floor: float, scratch: PlaneScratch, most: int
+) -> None:
+    """Find the lowest point of each part that is not below ``floor``, and the lowest heights of all."""
+    a, b, c = plane
+    for k in range(PARTS * PARTS):
+        scratch.lowest[0, k] = np.inf
+    for k in range(most):
+        scratch.tail[k] = np.inf
+    for i in range(first, first + n):
+        x, y, z = np.float64(points.xyz[0, i]), np.float64(points.xyz[1, i]), np.float64(points.xyz[2, i])
+        h = z - (a * x + b * y + c)
+        if h < floor:
+            continue
+        part = points.part[i]
+        if h < scratch.lowest[0, part]:
+            scratch.lowest[0, part], scratch.lowest[1, part] = h, x
+            scratch.lowest[2, part], scratch.lowest[3, part] = y, z
+        if h < scratch.tail[most - 1]:
+            k = most - 1
+            while k > 0 and scratch.tail[k - 1] > h:
+                scratch.tail[k] = scratch.tail[k - 1]
+                k -= 1
+            scratch.tail[k] = h
+
+
+@helper
+def _start(
+    points: CellPoints,
+    first: int,
+    n: int,
+    expected: tuple[bool, float, float, float],
+    origin: tuple[float, float],
+    scratch: PlaneScratch,
+) -> tuple[bool, Plane3]:
+    """Find a plane through the lowest points of the cell's parts; False if there are fewer than three."""
+    _, a, b, c = expected
+    most = min(max(n // 50, 3), _TAIL - 1) + 1
+    _lowest(points, first, n, (a, b, c), -np.inf, scratch, most)
+    floor = -np.inf
+    for k in range(most - 1):
+        if scratch.tail[k + 1] - scratch.tail[k] > _GAP:
+            floor = scratch.tail[k + 1]
+    if floor > -np.inf:
+        _lowest(points, first, n, (a, b, c), floor, scratch, most)
+    count = 0
+    for k in range(PARTS * PARTS):
+        h = scratch.lowest[0, k]
+        if h == np.inf:
+            continue
+        for axis in range(3):
+            scratch.low[axis, count] = np.float32(scratch.lowest[1 + axis, k])
+        j = count
+        while j > 0 and scratch.heights[j - 1] > h:
+            scratch.heights[j] = scratch.heights[j - 1]
+            j -= 1
+        scratch.heights[j] = h
+        count += 1
+    if count < 3:
+        return False, (a, b, c)
+    median = 0.5 * (scratch.heights[(count - 1) // 2] + scratch.heights[count // 2])
+    x, y, z = scratch.low[0, :count], scratch.low[1, :count], scratch.low[2, :count]
+    plane, within = (a, b, c), (-np.inf, median + 0.05, 0.0)
+    for _ in range(3):
+        held, _, plane = _refit(x, y, z, plane, within, origin, (a, b))
+        if held < 3.0:
+            return False, plane
+        within = (_FAR_BELOW, _ABOVE_LOWEST, 0.0)
+    return True, plane
+
+
+@helper
+def _settle(
+    points: CellPoints,
+    first: int,
+    n: int,
+    plane: Plane3,
+    reach: float,
+    passes: int,
+    origin: tuple[float, float],
+    slope: tuple[float, float],
+) -> tuple[bool, float, Plane3]:
+    """Fit a plane again and again to the points near it; returns whether enough are, the distance, and the plane.
+
+    With a ``reach`` of zero the distance follows the spread of the points.
+    """
+    x, y, z = points.xyz[0, first : first + n], points.xyz[1, first : first + n], points.xyz[2, first : first + n]
+    distance = reach if reach > 0.0 else _START_REACH
+    for _ in range(passes):
+        held, spread, plane = _refit(x, y, z, plane, (-2.0 * distance, distance, distance), origin, slope)
+        if held < 5.0:
+            return False, distance, plane
+        if reach == 0.0:
+            distance = min(max(_REACH_OF_SPREAD * spread, _NARROWEST_REACH), _WIDEST_REACH)
+    return True, distance, plane
+
+
+@helper
+def _describe(points: CellPoints, first: int, n: int, plane: Plane3, reach: float) -> tuple[float, float, float, float]:
+    """Return number, mean x and y, and spread in height of the points near a plane."""
+    a, b, c = plane
+    count = sx = sy = sh = square = 0.0
+    for i in range(first, first + n):
+        x, y = points.xyz[0, i], points.xyz[1, i]
+        h = points.xyz[2, i] - (a * x + b * y + c)
+        if abs(h) < reach:
+            count += 1.0
+            sx += x
+            sy += y
+            sh += h
+            square += h * h
+    if count == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    return count, sx / count, sy / count, math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
+
+
+@helper
+def _accept(
+    cell: int,
+    last: int,
+    plane: Plane3,
+    found: tuple[float, float, float, float],
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    scratch: PlaneScratch,
+) -> bool:
+    """Keep a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was."""
+    a, b, c = plane
+    count, x, y, spread = found
+    if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
+        return False
+    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch)
+    if other >= 0 and abs(a * x + b * y + c - height) > _STEP + _STEP_PER_METRE * min(away, _FARTHEST):
+        return False
+    planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
+    planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, 0.0
+    planes.spread[cell], planes.kind[cell] = spread, FOUND
+    return True
+
+
+@kernel
+def find_planes(
+    points: CellPoints,
+    geometry: CellGeometry,
+    reach: Floats,
+    least_points: int,
+    neighbours: int,
+    planes: GroundPlanes,
+    scratch: PlaneScratch,
+) -> None:
+    """Find the plane of the ground in every cell, from the sensor outwards.
+
+    Parameters
+    ----------
+    points, geometry
+    reach : (zones,) float64
+        Distance within which a point belongs to a plane, m; 0: by the spread of the points.
+    least_points : int
+        Cells with this many points or fewer take their neighbours' plane.
+    neighbours : int
+        How many columns of ``geometry.near`` count: 3 in a first round, NEIGHBOURS when all cells have a plane.
+    planes : GroundPlanes
+        Filled.
+    scratch : PlaneScratch
+    """
+    for cell in range(len(geometry.x)):
+        first = points.starts[cell]
+        n = points.starts[cell + 1] - first
+        origin = (geometry.x[cell], geometry.y[cell])
+        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch)
+        a = b = c = 0.0
+        if other >= 0:
+            a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]
+        width = reach[geometry.zone[cell]]
+        done = False
+        if n > least_points:
+            there, plane = _start(points, first, n, (other >= 0, a, b, c), origin, scratch)
+            if there:
+                there, near, plane = _settle(points, first, n, plane, width, _PASSES, origin, (a, b))
+                if there:
+                    found = _describe(points, first, n, plane, near)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+            if not done and other >= 0:
+                there, near, plane = _settle(points, first, n, (a, b, c), _WIDEST_REACH, 1, origin, (a, b))
+                if there:
+                    there, near, plane = _settle(points, first, n, plane, width, _PASSES - 1, origin, (a, b))
+                if there:
+                    found = _describe(points, first, n, plane, near)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+        if not done:
+            planes.kind[cell] = CARRIED if other >= 0 else 0
+            planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
+            planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = origin[0], origin[1], away
+
+
+@helper
+def _sum_parts(
+    points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, s: LabelScratch
+) -> None:
+    """Find the height of every point above its cell's plane, those near it, and the sums of both by part."""
+    for cell in range(len(geometry.x)):
+        if planes.kind[cell] == 0:
+            continue
+        a, b, c = planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2]
+        first, last = points.starts[cell], points.starts[cell + 1]
+        reach = rule.reach[geometry.zone[cell]]
+        below = -_BELOW if planes.kind[cell] == FOUND else -reach
+        if planes.kind[cell] == CARRIED and last - first > rule.least_points:
+            reach = -np.inf
+        base = cell * PARTS * PARTS
+        for i in range(first, last):
+            h = points.xyz[2, i] - (a * points.xyz[0, i] + b * points.xyz[1, i] + c)
+            s.heights[i] = h
+            kept = below < h < reach
+            s.kept[i] = kept
+            part = base + points.part[i]
+            if abs(h) < _LAYER:
+                s.sums[0, part] += 1.0
+                s.sums[1, part] += h
+                s.sums[2, part] += h * h
+            if kept:
+                s.sums[3, part] += 1.0
+                s.sums[4, part] += h
+                s.sums[5, part] += h * h
+
+
+@helper
+def _beside(part: int, down: int, right: int, geometry: CellGeometry) -> int:
+    """Return the number of a part next to another of the same zone; -1 beyond its border."""
+    cell, inside = part // (PARTS * PARTS), part % (PARTS * PARTS)
+    zone = geometry.zone[cell]
+    rows, columns = geometry.rings[zone] * PARTS, geometry.sectors[zone] * PARTS
+    row = geometry.ring[cell] * PARTS + inside // PARTS + down
+    if row < 0 or row >= rows:
+        return -1
+    column = (geometry.sector[cell] * PARTS + inside % PARTS + right + columns) % columns
+    home = geometry.first[zone] + (row // PARTS) * geometry.sectors[zone] + column // PARTS
+    return int(home * PARTS * PARTS + (row % PARTS) * PARTS + column % PARTS)
+
+
+@helper
+def _grow(geometry: CellGeometry, s: LabelScratch) -> None:
+    """Give a level to parts that are ground, and to thin ones that continue them: kerbs, banks, terraces."""
+    for part in range(len(s.level)):
+        n, low = s.sums[0, part], s.sums[3, part]
+        s.level[part] = np.nan
+        if low > 0.0 and low >= 0.5 * n:
+            s.level[part] = s.sums[4, part] / low
+        elif n >= _PART_POINTS:
+            mean = s.sums[1, part] / n
+            thin = s.sums[2, part] / n - mean * mean < _PART_SPREAD * _PART_SPREAD
+            s.state[part] = 1 if thin and _PART_LOWEST < mean < _PART_HIGHEST else 0
+    for _ in range(_ROUNDS):
+        grown = 0
+        for part in range(len(s.level)):
+            if s.state[part] != 1:
+                continue
+            mean = s.sums[1, part] / s.sums[0, part]
+            for around in range(9):
+                other = _beside(part, around // 3 - 1, around % 3 - 1, geometry)
+                if other >= 0 and abs(s.level[other] - mean) < _PART_STEP:
+                    s.state[part] = 2
+                    grown += 1
+                    break
+        for part in range(len(s.level)):
+            if s.state[part] == 2:
+                s.level[part] = s.sums[1, part] / s.sums[0, part]
+                s.state[part] = 3
+        if grown == 0:
+            break
+
+
+@helper
+def _count_plants(
+    points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, s: LabelScratch
+) -> None:
+    """Add the points of grown parts to the ground, and count what may be plants above the ground of every part."""
+    for part in range(len(s.level)):
+        s.sums[3, part] = s.sums[5, part] = 0.0
+    for cell in range(len(geometry.x)):
+        if planes.kind[cell] == 0:
+            continue
+        reach, base = rule.reach[geometry.zone[cell]], cell * PARTS * PARTS
+        for i in range(points.starts[cell], points.starts[cell + 1]):
+            part, h = base + points.part[i], s.heights[i]
+            if s.state[part] == 3:
+                s.kept[i] = abs(h - s.level[part]) < _PART_REACH
+            if s.kept[i]:
+                s.sums[3, part] += 1.0
+                s.sums[5, part] += h * h
+            elif reach < h < reach + _PLANTS_ABOVE:
+                s.between[part] += 1.0
+
+
+@kernel
+def label_points(
+    points: CellPoints,
+    by_cell: CellOrder,
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    rule: GroundRule,
+    out: GroundLabels,
+    scratch: LabelScratch,
+) -> None:
+    """Find which points are ground, and in each cell what stands on the ground and what hangs over it."""
+    _sum_parts(points, planes, geometry, rule, scratch)
+    _grow(geometry, scratch)
+    _count_plants(points, planes, geometry, rule, scratch)
+    end = 0
+    for cell in range(len(geometry.x)):
+        out.starts[cell] = end
+        if planes.kind[cell] == 0:
+            continue
+        least = max(_PLANTS_SPREAD * rule.noise[geometry.zone[cell]], _PLANTS_LEAST)
+        base = cell * PARTS * PARTS
+        for i in range(points.starts[cell], points.starts[cell + 1]):
+            part, h, p = base + points.part[i], scratch.heights[i], by_cell.order[i]
+            low = scratch.sums[3, part]
+            plants = scratch.between[part] >= _PLANTS_SHARE * low and scratch.sums[5, part] > least * least * low
+            out.height[p] = h
+            if scratch.kept[i] and not plants:
+                out.ground[p] = True
+                out.order[end] = p
+                end += 1
+            elif rule.belly <= h < rule.height:
+                out.obstacles[cell] += 1
+                out.top[cell] = max(out.top[cell], h)
+            elif h >= rule.height:
+                out.clearance[cell] = min(out.clearance[cell], h)
+    out.starts[len(geometry.x)] = end
+    out.starts[len(geometry.x) + 1] = end

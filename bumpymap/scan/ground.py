@@ -1,0 +1,192 @@
+"""Find the ground of a scan: which points lie on it, how high the others are above it."""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import PolarSettings
+from bumpymap.scan._ground_kernels import (
+    FOUND,
+    NEIGHBOURS,
+    PARTS,
+    CellGeometry,
+    CellPoints,
+    GroundLabels,
+    GroundPlanes,
+    GroundRule,
+    LabelScratch,
+    PlaneScratch,
+    find_planes,
+    gather_points,
+    label_points,
+)
+from bumpymap.scan._place_kernels import CellOrder, PointPlaces
+
+__all__ = ["Ground", "all_ground", "find_ground"]
+
+_REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 3.5, (0.12, 0.3), 0.03
+"""A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
+spread where a zone has no plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The ground of a scan; (cells,) by cell of the polar grid, (m,) by point."""
+
+    found: NDArray[np.bool_]
+    """(cells,) whether the cell has ground points and a plane of its own."""
+    by_cell: CellOrder
+    """The ground points by cell."""
+    point_ground: NDArray[np.bool_]
+    """(m,)"""
+    point_height: NDArray[np.float32]
+    """(m,) height above the ground, m; NaN where it is not known."""
+    obstacles: NDArray[np.int32]
+    """(cells,) points between belly and height of the vehicle."""
+    top: NDArray[np.float32]
+    """(cells,) the highest of them above the ground, m; -inf without any."""
+    clearance: NDArray[np.float32]
+    """(cells,) lowest point above the vehicle's height, m; inf without any."""
+
+
+def find_ground(
+    points: NDArray[np.float32], places: PointPlaces, by_cell: CellOrder, settings: PolarSettings, start: float
+) -> Ground:
+    """Find the ground of a scan that was placed on the polar grid.
+
+    A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
+    the scan in each zone is known: a sensor that measures exactly tells ground from low plants better. The second time
+    a plane has to continue those on all sides. Parts of a cell beside its plane, thin and continuing the ground next to
+    them, are ground as well; parts in which points rise from the ground without a gap are plants.
+
+    Parameters
+    ----------
+    points : (m, 3) float32
+        m.
+    places : PointPlaces
+    by_cell : CellOrder
+    settings : PolarSettings
+    start : float
+        Azimuth of sector 0, rad.
+    """
+    geometry = _geometry(settings, start)
+    cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
+    held = CellPoints(np.empty((3, count), np.float32), np.empty(count, np.int32), by_cell.starts)
+    gather_points(points, places.pixel, _part_of_pixel(settings.pixels), by_cell, held)
+    planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
+    scratch = PlaneScratch(
+        np.empty(32),
+        np.empty((4, PARTS**2)),
+        np.empty((3, PARTS**2), np.float32),
+        np.empty(PARTS**2),
+        np.empty(NEIGHBOURS, np.int32),
+    )
+    zones = len(settings.sectors)
+    find_planes(held, geometry, np.zeros(zones), settings.least_points, 3, planes, scratch)
+    noise = _noise(planes, geometry, zones)
+    reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
+    find_planes(held, geometry, reach, settings.least_points, NEIGHBOURS, planes, scratch)
+    labels = GroundLabels(
+        np.full(len(points), np.nan, np.float32),
+        np.zeros(len(points), np.bool_),
+        np.zeros(cells, np.int32),
+        np.full(cells, -np.inf, np.float32),
+        np.full(cells, np.inf, np.float32),
+        np.zeros(cells + 2, np.int64),
+        np.empty(len(points), np.int32),
+    )
+    label_points(
+        held,
+        by_cell,
+        geometry,
+        planes,
+        GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m),
+        labels,
+        LabelScratch(
+            np.empty(count, np.float32),
+            np.zeros(count, np.bool_),
+            np.zeros((6, parts)),
+            np.zeros(parts),
+            np.empty(parts),
+            np.zeros(parts, np.int32),
+        ),
+    )
+    return Ground(
+        planes.kind == FOUND,
+        CellOrder(labels.starts, labels.order),
+        labels.ground,
+        labels.height,
+        labels.obstacles,
+        labels.top,
+        labels.clearance,
+    )
+
+
+def all_ground(by_cell: CellOrder, points: NDArray[np.float32]) -> Ground:
+    """Take every point inside the grid for ground, as the paper does; heights above it are not known."""
+    cells, count = len(by_cell.starts) - 2, len(points)
+    inside = np.zeros(count, np.bool_)
+    inside[by_cell.order[: by_cell.starts[-2]]] = True
+    return Ground(
+        np.ones(cells, np.bool_),
+        by_cell,
+        inside,
+        np.full(count, np.nan, np.float32),
+        np.zeros(cells, np.int32),
+        np.full(cells, -np.inf, np.float32),
+        np.full(cells, np.inf, np.float32),
+    )
+
+
+def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:
+    """Return the median spread of ground points about their plane in each zone, m."""
+    found = planes.kind == FOUND
+    noise = np.full(zones, _USUAL_NOISE_M)
+    for zone in range(zones):
+        spread = planes.spread[found & (geometry.zone == zone)]
+        if len(spread):
+            noise[zone] = np.median(spread)
+    return noise
+
+
+@cache
+def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
+    """Return the part of the cell that each pixel of its heightmap lies in."""
+    line = np.arange(pixels) * PARTS // pixels
+    return (line[:, None] * PARTS + line).astype(np.int32).ravel()
+
+
+def _geometry(settings: PolarSettings, start: float) -> CellGeometry:
+    distance, azimuth, near, *rest = _layout(settings)
+    return CellGeometry(distance * np.cos(azimuth + start), distance * np.sin(azimuth + start), near, *rest)
+
+
+@cache
+def _layout(settings: PolarSettings) -> tuple[NDArray[np.float64] | NDArray[np.int32], ...]:
+    """Return distance, azimuth from sector 0, neighbours, zone, ring and sector of the cells; first, rings, sectors."""
+    edges = np.array([*settings.zone_starts_m, settings.end_m])
+    sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
+    first = np.concatenate([[0], np.cumsum(sectors * rings)[:-1]]).astype(np.int32)
+    zone = np.repeat(np.arange(len(sectors), dtype=np.int32), sectors * rings)
+    place = np.arange(len(zone), dtype=np.int32) - first[zone]
+    ring, sector = place // sectors[zone], place % sectors[zone]
+    width = np.diff(edges) / rings
+    distance = edges[zone] + (ring + 0.5) * width[zone]
+    azimuth = (sector + 0.5) / sectors[zone] * (2.0 * math.pi)
+    starts = np.concatenate([first[z] + sectors[z] * np.arange(rings[z]) for z in range(len(sectors))])
+    counts = np.repeat(sectors, rings)
+    line = np.searchsorted(starts, np.arange(len(zone)), side="right") - 1
+    near = np.full((len(zone), NEIGHBOURS), -1, np.int32)
+    near[:, 3] = starts[line] + (sector - 1) % counts[line]
+    near[:, 4] = starts[line] + (sector + 1) % counts[line]
+    for column, step in ((0, -1), (5, 1)):
+        other = line + step
+        there = (other >= 0) & (other < len(starts))
+        to = other[there]
+        opposite = ((sector[there] + 0.5) / counts[line[there]] * counts[to]).astype(np.int64)
+        for k in range(3):
+            near[there, column + k] = starts[to] + (opposite + k - 1) % counts[to]
+    return distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
