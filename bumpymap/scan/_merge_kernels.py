@@ -34,10 +34,12 @@ class VoxelTable(NamedTuple):
     """Frames with a point in it."""
     last: Integers
     """The last of them."""
-    count: Integers
+    mine: Integers
+    """Points of that frame so far."""
+    held: Integers
     """Points kept of it."""
-    range_cm: Image
-    """(rows, kept) their distance from the sensor, increasing."""
+    turn: Annotated[NDArray[np.uint32], 2]
+    """(rows, kept) increasing: points the frame had there before, times 65,536, plus distance from the sensor, cm."""
     place: Annotated[NDArray[np.int32], 3]
     """(rows, kept, 3) where they are, mm."""
     size: Integers
@@ -61,7 +63,7 @@ def range_image(points: Annotated[NDArray[np.float32], 2], lowest: float, image:
     for i in range(len(points)):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         flat = math.sqrt(x * x + y * y)
-        row = int(math.floor((turn_of(flat, z) - lowest) * columns))
+        row = math.floor((turn_of(flat, z) - lowest) * columns)
         column = min(int((turn_of(x, y) + 0.5) * columns), columns - 1)
         if 0 <= row < rows:
             away = min(int(100.0 * math.sqrt(flat * flat + z * z)) + 1, _MOST)
@@ -89,7 +91,7 @@ def _row_of(table: VoxelTable, key: int) -> int:
         row = table.size[0]
         table.slot[at] = np.int32(row)
         table.key[row], table.hits[row], table.last[row] = key, 0, -1
-        table.count[row] = 0
+        table.held[row] = 0
         table.size[0] = np.int32(row + 1)
     return row
 
@@ -103,7 +105,10 @@ def gather_points(
     voxel_mm: int,
     table: VoxelTable,
 ) -> None:
-    """Add points of one frame to their voxels, which keep the nearest to the sensor, the first frame's of equals.
+    """Add points of one frame to their voxels.
+
+    A voxel keeps one point of each frame before it keeps a second of any, so that their spread holds the errors of the
+    poses; and those nearest to the sensor, the first frame's of equals.
 
     Parameters
     ----------
@@ -120,7 +125,7 @@ def gather_points(
     table : VoxelTable
         Has a free row and two free slots for every point.
     """
-    most = table.range_cm.shape[1]
+    most = table.turn.shape[1]
     for i in range(len(place)):
         column, row, level = place[i, 0] // voxel_mm, place[i, 1] // voxel_mm, place[i, 2] // voxel_mm
         key = ((np.int64(level) * 4096 + row) * 4096 + column) * 2 + kind[i]
@@ -128,20 +133,25 @@ def gather_points(
         if table.last[at] != frame:
             table.last[at] = np.int32(frame)
             table.hits[at] += 1
-        held, away = table.count[at], range_cm[i]
-        if held == most and away >= table.range_cm[at, most - 1]:
+            table.mine[at] = 0
+        if table.mine[at] == most:
+            continue
+        turn = np.uint32(table.mine[at] * 65_536 + range_cm[i])
+        table.mine[at] += 1
+        held = table.held[at]
+        if held == most and turn >= table.turn[at, most - 1]:
             continue
         to = held if held < most else most - 1
-        while to > 0 and away < table.range_cm[at, to - 1]:
-            table.range_cm[at, to] = table.range_cm[at, to - 1]
+        while to > 0 and turn < table.turn[at, to - 1]:
+            table.turn[at, to] = table.turn[at, to - 1]
             for axis in range(3):
                 table.place[at, to, axis] = table.place[at, to - 1, axis]
             to -= 1
-        table.range_cm[at, to] = away
+        table.turn[at, to] = turn
         for axis in range(3):
             table.place[at, to, axis] = place[i, axis]
         if held < most:
-            table.count[at] = np.int32(held + 1)
+            table.held[at] = np.int32(held + 1)
 
 
 @kernel
@@ -163,7 +173,7 @@ def judge_places(
 ) -> None:
     """Count a frame for the places that it saw through, and for those that something hid from it.
 
-    A place is seen through if all beams near its direction ended well behind it, and hidden if all ended well before it.
+    A place is seen through if all beams near its direction ended well behind it, hidden if all ended well before it.
 
     Parameters
     ----------
@@ -174,11 +184,11 @@ def judge_places(
     lowest, image
         As of `range_image`.
     limits : (1, 3) float64
-        Places farther from the sensor are not judged, m. A beam ends well behind a place if it is so much longer: m, and
-        share of the distance.
+        Places farther from the sensor are not judged, m. A beam ends well behind a place if it is so much longer: m,
+        and share of the distance.
     found : (4, places) int32
-        Counted up: frames that saw through it, from which it was hidden, that had no return near its direction, and that
-        had returns near it.
+        Counted up: frames that saw through it, from which it was hidden, that had no return near its direction, and
+        that had returns near it.
     """
     rows, columns = image.shape
     for v in range(len(place)):
@@ -188,7 +198,7 @@ def judge_places(
         z = origin[2, 0] * px + origin[2, 1] * py + origin[2, 2] * pz + origin[2, 3]
         flat = math.sqrt(x * x + y * y)
         away = math.sqrt(flat * flat + z * z)
-        row = int(math.floor((turn_of(flat, z) - lowest) * columns))
+        row = math.floor((turn_of(flat, z) - lowest) * columns)
         if away > limits[0, 0] or not 0 < row < rows - 1:
             continue
         column = min(int((turn_of(x, y) + 0.5) * columns), columns - 1)

@@ -1,8 +1,8 @@
 """Refuse poses that smear a drive, and say what is likely wrong with them.
 
-Two things tell: how much the height of the same ground differs between frames, and how much of what stands on it in one
-frame is seen through in another. The second also finds poses on level ground that are wrong along it. Usual mistakes are
-then undone one after another, to see with which the frames agree.
+Two things tell: how much the height of the same ground differs between frames, and how much of what stands on it in
+one frame is seen through in another. The second also finds poses on level ground that are wrong along it. Usual
+mistakes are then undone one after another, to see with which the frames agree.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ LOWEST = -0.25
 """Range images go from straight down to straight up."""
 _THICK_M, _THIN_M = 0.5, 0.2
 """Ground that differs by more between frames is refused; by less, it agrees."""
-_THROUGH = 0.2
+_THROUGH = 0.08
 """Share of what stands there that other frames see through, above which poses are suspect."""
 _LEAST_M, _MOST_M = 5.0, 30.0
 """Distance of two frames that are compared."""
@@ -67,7 +67,7 @@ def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
     Raises
     ------
     BadInputError
-        The ground is smeared, or with poses from which a usual mistake is taken the frames agree and as given they do not.
+        The ground is smeared, or the frames agree much better when a usual mistake is undone.
     """
     poses = frames.poses
     if len(poses) < 2:
@@ -85,25 +85,23 @@ def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
         what = "according to the poses, the frames are so far apart that they share no ground"
     else:
         what = f"according to the poses, frames see through {through:.0%} of what stands in others"
-    if least <= (0.5 * through if through > _THROUGH else _THROUGH):
+    if least <= (0.45 * through if through > _THROUGH else 2 * _THROUGH):
         raise BadInputError(f"{what}. {reason}")
     if thick:
         raise BadInputError(
-            f"{what}. Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of "
-            "time, in metres, and from the sensor's frame to the world's?"
+            f"{what}. Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order "
+            "of time, in metres, and from the sensor's frame to the world's?"
         )
 
 
-def _mistakes(poses: Floats) -> Iterator[tuple[str, Floats]]:
+def _mistakes(poses: Floats) -> Iterator[tuple[str, NDArray[np.floating]]]:
     """Yield what may be wrong with poses, and the poses without it."""
     yield (
-        "They agree when the poses are inverted: `poses` hold the transform from the world to the sensor. Give that from "
-        "the sensor to the world",
+        "They agree when the poses are inverted. Give the transforms from the sensor to the world in `poses`",
         np.linalg.inv(poses),
     )
     yield (
-        "They agree when the poses are turned from the axes of a camera (x right, y down, z forward) to those of the "
-        "LiDAR. Put KITTI's calib.txt beside `poses`, or give the poses of the LiDAR",
+        "They agree when turned from a camera's axes to the LiDAR's. Put calib.txt beside `poses`, or give the LiDAR's",
         np.linalg.inv(_AXES) @ poses @ _AXES,
     )
     for unit, metres in (("millimetres", 0.001), ("centimetres", 0.01), ("feet", 0.3048)):
@@ -114,13 +112,12 @@ def _mistakes(poses: Floats) -> Iterator[tuple[str, Floats]]:
     by_text = np.empty_like(poses)
     by_text[sorted(range(len(poses)), key=str)] = poses
     yield (
-        "They agree when the poses are taken in the order of the frames' numbers as text (1, 10, 11, 2). Give `poses` in "
-        "order of time",
+        "They agree when the frames' numbers are sorted as text (1, 10, 11, 2). Give `poses` in order of time",
         by_text,
     )
 
 
-def _disagreement(frames: FramesOfDrive, poses: Floats) -> float:
+def _disagreement(frames: FramesOfDrive, poses: NDArray[np.floating]) -> float:
     """Return the share that is seen through with other poses; infinite if that is unknown or their ground is thick."""
     numbers = np.unique([number for pair in _pairs(poses) for number in pair]).astype(int)
     heights = []
@@ -131,7 +128,7 @@ def _disagreement(frames: FramesOfDrive, poses: Floats) -> float:
     return through if align_frames(heights).before_m < _THIN_M and not np.isnan(through) else np.inf
 
 
-def _pairs(poses: Floats) -> list[tuple[int, int]]:
+def _pairs(poses: NDArray[np.floating]) -> list[tuple[int, int]]:
     """Choose pairs of frames that are some metres apart, evenly over the drive."""
     pairs = []
     for first in np.unique(np.linspace(0, len(poses) - 1, _PAIRS).round().astype(int)):
@@ -142,7 +139,7 @@ def _pairs(poses: Floats) -> list[tuple[int, int]]:
     return pairs
 
 
-def _seen_through(frames: FramesOfDrive, poses: Floats) -> float:
+def _seen_through(frames: FramesOfDrive, poses: NDArray[np.floating]) -> float:
     """Return the share of points above the ground through which a frame some metres away sees; NaN if unknown."""
     through = near = 0
     for first, second in _pairs(poses):

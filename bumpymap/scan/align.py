@@ -47,7 +47,7 @@ class Alignment:
     """Corrections of the poses, and the disagreement that they were made from."""
 
     shift: Floats
-    """(frames, 3) what is added to heights: m, and m per m of x and of y from the sensor, along the axes of the world."""
+    """(frames, 3) what is added to heights: m, and m per m of x and of y from the sensor, along the world's axes."""
     before_m: float
     """Standard deviation between frames of the height of the same ground; NaN if frames share none."""
     after_m: float
@@ -89,7 +89,7 @@ def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], po
 
 
 @dataclass(frozen=True, slots=True)
-class _Shared:
+class _SharedSquares:
     """Squares that several frames have seen: one row for each frame in each."""
 
     frame: NDArray[np.int64]
@@ -101,21 +101,21 @@ class _Shared:
     """(squares,) rows of each."""
 
 
-def _shared(frames: list[GroundHeights]) -> _Shared:
-    number = np.repeat(np.arange(len(frames)), [len(each.square) for each in frames])
+def _shared(frames: list[GroundHeights]) -> _SharedSquares:
+    number = np.repeat(np.arange(len(frames)), np.array([len(each.square) for each in frames], np.int64))
     empty = [np.empty(0)]
     square = np.concatenate([*(each.square for each in frames), np.empty(0, np.int64)])
     sides = [np.concatenate([*(getattr(each, name) for each in frames), *empty]) for name in ("east", "north", "z")]
-    z = sides[2] + np.array([each.up for each in frames])[number] if frames else sides[2]
+    z = sides[2] + np.array([each.up for each in frames], np.float64)[number]
     _, place, count = np.unique(square, return_inverse=True, return_counts=True)
     several = count[place] > 1
     _, place, count = np.unique(place[several], return_inverse=True, return_counts=True)
     columns = np.stack([np.ones(len(place)), sides[0][several], sides[1][several]], axis=1)
-    return _Shared(number[several], place, columns, z[several], count)
+    return _SharedSquares(number[several], place, columns, z[several], count)
 
 
-def _spread(rows: _Shared, z: Floats) -> float:
-    """Standard deviation of heights between frames, from the median of the distances to each square's mean."""
+def _spread(rows: _SharedSquares, z: Floats) -> float:
+    """Return the standard deviation of heights between frames, from the median of distances to each square's mean."""
     if not len(z):
         return float("nan")
     mean = np.bincount(rows.square, z) / rows.number
@@ -136,7 +136,7 @@ def align_frames(frames: list[GroundHeights]) -> Alignment:
         All corrections are 0 where frames share no ground.
     """
     rows, count = _shared(frames), len(frames)
-    shift = np.zeros((count, 3))
+    shift: Floats = np.zeros((count, 3))
     before = _spread(rows, rows.z)
     if not len(rows.z):
         return Alignment(shift, before, before, 0)
@@ -154,9 +154,9 @@ def align_frames(frames: list[GroundHeights]) -> Alignment:
             normal[:, a, b] = normal[:, b, a] = sums
         normal += np.diag(_PRIOR)
         right = np.stack([np.bincount(rows.frame, wanted * rows.sides[:, a], count) for a in range(3)], axis=1)
-        shift = np.linalg.solve(normal, right[..., None])[..., 0]
+        shift[:] = np.linalg.solve(normal, right[..., None])[..., 0]
         z = rows.z + (rows.sides * shift[rows.frame]).sum(axis=1)
     most = np.array([MOST_METRES, *2 * [np.tan(np.radians(MOST_DEGREES))]])
-    shift = np.round(np.clip(shift, -most, most), 9)
+    shift = np.clip(shift, -most, most)
     z = rows.z + (rows.sides * shift[rows.frame]).sum(axis=1)
     return Alignment(shift, before, _spread(rows, z), len(rows.number))

@@ -1,14 +1,16 @@
 """Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
 
-Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the world,
-with an image of the nearest ranges by direction. When all are there, the heights of the ground in different frames give
-small corrections of the poses, and block after block is read back: a voxel through which two other frames or more saw
-farther than it, and more frames than saw it, held something that moved. Memory is bounded by the surfaces in one block.
+Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
+world, with an image of the nearest ranges by direction. When all are there, the heights of the ground in different
+frames give small corrections of the poses, and block after block is read back: a voxel through which two other frames
+or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
+block.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,7 +29,8 @@ MOST_GROUND, MOST_OTHERS = 8, 3
 """Ground points per pixel of the map, and other points per voxel, that are kept."""
 VOXEL_MM = 200
 """Edge of a voxel; a pixel of the map is as wide."""
-_BLOCK_MM = 30_000
+_BLOCK_MM, _SIDE = 30_000, 1 << 20
+"""Edge of a block, and blocks in a row of the world."""
 _COLUMNS = 480
 """Directions around a range image; it has half as many rows, from straight down to straight up."""
 _PROBE_MM = 800
@@ -44,11 +47,9 @@ class _MergeFrame:
     heights: GroundHeights
     rows: tuple[int, int]
     """Where its points lie in the file: from, to."""
-    blocks: dict[tuple[int, int], tuple[int, int]]
-    """Where the points of each block lie in the file: from, to."""
 
 
-@dataclass(slots=True)
+@dataclass
 class DriveMerge:
     """The frames of a drive while they come, then their merged points.
 
@@ -64,6 +65,8 @@ class DriveMerge:
     images: BinaryIO
     offset: NDArray[np.float64]
     frames: list[_MergeFrame] = field(default_factory=list)
+    blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
+    """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
     seen: int = 0
     """Points that came."""
     written: int = 0
@@ -72,6 +75,9 @@ class DriveMerge:
     moving: int = 0
     """Points in voxels that were seen through."""
     alignment: Alignment | None = None
+    """None until all frames have come."""
+    shift: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    """Its corrections."""
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
@@ -115,21 +121,18 @@ class DriveMerge:
         rows["place"] = whole
         rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
         rows["kind"] = is_ground
-        corner = np.floor_divide(rows["place"][:, :2] + self._whole_offset(), _BLOCK_MM)
-        order = np.lexsort((corner[:, 0], corner[:, 1]))
-        corner = corner[order]
-        starts = np.flatnonzero(np.r_[len(order) > 0, (np.diff(corner, axis=0) != 0).any(axis=1)])
-        ends = np.append(starts[1:], len(order))
-        blocks = {
-            (int(corner[a, 1]), int(corner[a, 0])): (self.seen + int(a), self.seen + int(b))
-            for a, b in zip(starts, ends, strict=True)
-        }
+        block = np.floor_divide(rows["place"][:, :2] + self._whole_offset(), _BLOCK_MM) @ [1, _SIDE]
+        places, number = np.unique(block, return_inverse=True)
+        order = np.argsort(number.astype(np.min_scalar_type(len(places))), kind="stable")
+        ends = self.seen + np.cumsum(np.bincount(number, minlength=len(places)))
+        for place, begin, end in zip(places.tolist(), [self.seen, *ends[:-1].tolist()], ends.tolist(), strict=False):
+            self.blocks.setdefault(place, []).append((len(self.frames), begin, end))
         rows[order].tofile(self.points)
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
         range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
         image.tofile(self.images)
-        rows_of_all = (self.seen, self.seen + len(points))
-        self.frames.append(_MergeFrame(pose, ground_heights(points, is_ground, pose), rows_of_all, blocks))
+        heights = ground_heights(points, is_ground, pose)
+        self.frames.append(_MergeFrame(pose, heights, (self.seen, self.seen + len(points))))
         self.seen += len(points)
 
     def write(self, survey: AccumulatedSurvey) -> None:
@@ -138,16 +141,16 @@ class DriveMerge:
         self.images.flush()
         self.alignment = align_frames([frame.heights for frame in self.frames])
         refuse_wrong_poses(self.alignment, self)
-        for place in sorted({place for frame in self.frames for place in frame.blocks}):
-            table = self._gather(place)
-            xyz, is_ground = self._thin(place, table)
+        self.shift = self.alignment.shift
+        for block in sorted(self.blocks):
+            xyz, is_ground = self._thin(block, self._gather(block))
             survey.add_points(self.offset + 0.001 * xyz, is_ground)
             self.written += len(xyz)
             self.ground += int(is_ground.sum())
 
-    @property
+    @cached_property
     def poses(self) -> NDArray[np.float64]:
-        """(frames, 4, 4) as they were given."""
+        """(frames, 4, 4) as they were given, when all have come."""
         return np.array([frame.pose for frame in self.frames]).reshape(-1, 4, 4)
 
     def read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -167,72 +170,70 @@ class DriveMerge:
     def _whole_offset(self) -> NDArray[np.int64]:
         return (1000 * self.offset[:2]).astype(np.int64)
 
-    def _corner(self, place: tuple[int, int]) -> NDArray[np.int64]:
+    def _corner(self, block: int) -> NDArray[np.int64]:
         """Return the corner of a block in the coordinates of the file, mm."""
-        return np.array([place[1], place[0]]) * _BLOCK_MM - self._whole_offset()
+        row = (block + _SIDE // 2) // _SIDE
+        return np.array([block - row * _SIDE, row]) * _BLOCK_MM - self._whole_offset()
 
-    def _gather(self, place: tuple[int, int]) -> VoxelTable:
+    def _gather(self, block: int) -> VoxelTable:
         """Read the points of a block, frame after frame, into voxels."""
-        table, corner = _empty_table(1 << 16), self._corner(place)
-        for number, frame in enumerate(self.frames):
-            if place not in frame.blocks:
-                continue
-            begin, end = frame.blocks[place]
+        table, corner = _empty_table(1 << 16), self._corner(block)
+        for number, begin, end in self.blocks[block]:
             rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
             xyz = rows["place"].astype(np.int64)
             xyz[:, 2] += self._shift_mm(number, xyz)
             xyz[:, :2] -= corner
             table = _with_room(table, len(rows))
-            gather_points(
-                xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table
-            )
+            gather_points(xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table)
         return table
 
     def _shift_mm(self, number: int, xyz: NDArray[np.int64]) -> NDArray[np.int64]:
-        assert self.alignment is not None
-        shift, pose = self.alignment.shift[number], self.frames[number].pose
-        away = 0.001 * xyz[:, :2] - (pose[:2, 3] - self.offset[:2])
-        return np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
+        """Return what is added to the heights of points (n, 3) of a frame, mm."""
+        shift, away = self.shift[number], 0.001 * xyz[:, :2] - (self.frames[number].pose[:2, 3] - self.offset[:2])
+        added: NDArray[np.int64] = np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
+        return added
 
-    def _judge(self, place: tuple[int, int], where: NDArray[np.int32]) -> NDArray[np.int32]:
+    def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
         """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (4, n)."""
-        assert self.alignment is not None
-        corner = 0.001 * self._corner(place) + self.offset[:2]
+        corner = 0.001 * self._corner(block) + self.offset[:2]
+        middle = self.poses[:, :2, 3]
+        away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
-        for number, frame in enumerate(self.frames):
-            middle = frame.pose[:2, 3]
-            if np.hypot(*(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM))) > REACH_M:
-                continue
-            pose = frame.pose.copy()
+        for number in np.flatnonzero(away < REACH_M).tolist():
+            pose = self.frames[number].pose.copy()
             pose[:3, 3] -= [*corner, self.offset[2]]
-            pose[2, 3] += self.alignment.shift[number, 0]
+            pose[2, 3] += self.shift[number, 0]
             back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
             judge_places(where, back, LOWEST, self.image(number), LIMITS, found)
         return found
 
-    def _thin(self, place: tuple[int, int], table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the points of a block that stay, mm, and whether they are ground."""
+    def _thin(self, block: int, table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the points of a block that stay, mm, and whether they are ground.
+
+        Those in voxels that were seen through go. So does ground above which something hides the space that a vehicle
+        needs from every frame: it was seen between the wheels of a car.
+        """
         used = int(table.size[0])
         is_ground = table.key[:used] % 2 == 1
         nearest = table.place[:used, 0]
-        through = self._judge(place, nearest.copy())[0]
+        through = self._judge(block, nearest.copy())[0]
         moved = (through >= 2) & (through > table.hits[:used])
-        above = self._judge(place, nearest[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
+        above = self._judge(block, nearest[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
         hidden = np.zeros(used, np.bool_)
         hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
-        kept = np.arange(MOST_GROUND) < table.count[:used, None]
+        kept = np.arange(MOST_GROUND) < table.held[:used, None]
         self.moving += int(kept[moved].sum())
         kept &= ~(moved | hidden)[:, None] & (is_ground[:, None] | (np.arange(MOST_GROUND) < MOST_OTHERS))
         row, rank = np.nonzero(kept)
         xyz, ground = table.place[row, rank].astype(np.int64), is_ground[row]
         pixel = xyz[:, 1] // VOXEL_MM * 4096 + xyz[:, 0] // VOXEL_MM
         # More than one voxel of ground may lie in a pixel.
-        order = np.lexsort((table.range_cm[row, rank], pixel, ground))
+        order = np.lexsort((table.turn[row, rank], pixel, ground))
         first = np.r_[True, (np.diff(pixel[order]) != 0) | np.diff(ground[order])][: len(order)]
         since = np.arange(len(order)) - np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
         chosen = np.zeros(len(order), np.bool_)
         chosen[order] = ~ground[order] | (since < MOST_GROUND)
-        xyz[:, :2] += self._corner(place)
+        xyz[:, :2] += self._corner(block)
         return xyz[chosen], ground[chosen]
 
 
@@ -248,7 +249,8 @@ def _empty_table(rows: int) -> VoxelTable:
         zeros(),
         zeros(),
         zeros(),
-        zeros(MOST_GROUND, kind=np.uint16),
+        zeros(),
+        zeros(MOST_GROUND, kind=np.uint32),
         zeros(MOST_GROUND, 3),
         np.zeros(1, np.int32),
     )
@@ -260,8 +262,8 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
     if used + more <= len(table.key):
         return table
     larger = _empty_table(1 << int(used + more).bit_length())
-    for old, new in zip(table[1:-1], larger[1:-1], strict=True):
-        new[:used] = old[:used]
+    for name in ("key", "hits", "last", "mine", "held", "turn", "place"):
+        getattr(larger, name)[:used] = getattr(table, name)[:used]
     move_voxels(table, larger)
     return larger
 

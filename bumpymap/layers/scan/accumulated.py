@@ -25,7 +25,7 @@ class AccumulatedSurvey:
         self._writer = writer
 
     def add_points(self, world: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
-        """Append points (n, 3) in the frame of the world, m; ``is_ground`` (n,) marks those of class 2, others get 1."""
+        """Append points (n, 3) in the frame of the world, m: class 2 where ``is_ground`` (n,), else class 1."""
         if not len(world):
             return
         record = laspy.ScaleAwarePointRecord.zeros(len(world), header=self._writer.header)

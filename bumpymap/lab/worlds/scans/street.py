@@ -1,6 +1,6 @@
 """A street to drive along: lanes, kerbs, pavements, walls, crowns over the road, parked cars, and cars that move."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,10 @@ class _StreetGround(SceneGround):
         z += np.where(away < LANES_M, 0.002, 0.003) * self.fine.at(east, north)
         return GroundSample(z, np.where(road, Label.ASPHALT, Label.CONCRETE).astype(np.uint8))
 
+    def height(self, x: float, y: float) -> float:
+        """Return the height at one position, m."""
+        return float(self.sample(np.array([x]), np.array([y])).z[0])
+
 
 @dataclass(frozen=True, slots=True)
 class Street:
@@ -55,22 +59,18 @@ class Street:
     fixed: tuple[tuple[Label, Triangles], ...]
     """What stands: walls, trees, parked cars."""
     moving: tuple[tuple[Triangles, float, float, float], ...]
-    """Cars at the origin, heading along x; where each is at the first frame (x, y) and its way from frame to frame, m."""
+    """Cars at the origin, heading along x; where each is at the first frame, x and y, and its way per frame, m."""
     solids: Floats
     """(n, 4) what bars the way and stays: middle x, y and half of its extent along x and y, m."""
 
     def scene(self, frame: int, place: tuple[float, float], turn: float) -> Scene:
         """Return what is around a place when the frame is taken."""
-        cars = [(Label.VEHICLE, soup + [x + step * frame, y, self._z(x + step * frame, y)])
-                for soup, x, y, step in self.moving]  # fmt: skip
+        cars = [(Label.VEHICLE, _stand(soup, self.ground, x + step * frame, y)) for soup, x, y, step in self.moving]
         cos, sin = np.cos(turn), np.sin(turn)
         back = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        things = tuple((label, ((soup - [*place, 0.0]) @ back).astype(np.float32)) for label, soup in
-                       (*self.fixed, *cars))  # fmt: skip
+        corner = np.array([*place, 0.0])
+        things = tuple((label, ((soup - corner) @ back).astype(np.float32)) for label, soup in (*self.fixed, *cars))
         return Scene("street", replace(self.ground, place=place, turn=turn), things, (frame,))
-
-    def _z(self, x: float, y: float) -> float:
-        return float(self.ground.sample(np.array([x]), np.array([y])).z[0])
 
 
 def make_street(seed: int, length_m: float = 80.0) -> Street:
@@ -85,7 +85,6 @@ def make_street(seed: int, length_m: float = 80.0) -> Street:
     """
     rng = np.random.default_rng([seed, 7])
     ground = _street_ground(rng)
-    bare = Street(length_m, ground, (), (), np.empty((0, 4)))
     fixed: list[tuple[Label, Triangles]] = []
     solids: list[tuple[float, float, float, float]] = []
     for side in (-1.0, 1.0):
@@ -94,13 +93,13 @@ def make_street(seed: int, length_m: float = 80.0) -> Street:
         fixed.append((Label.BARRIER, wall))
         for x in np.arange(6.0 + 4 * (side > 0), length_m, 17.0):
             soup = tree(rng, np.zeros(3), float(rng.uniform(8.0, 10.5)))
-            fixed.append((Label.TREE, (soup + [x, side * _TREE_M, bare._z(x, side * _TREE_M)]).astype(np.float32)))
+            fixed.append((Label.TREE, _stand(soup, ground, float(x), side * _TREE_M)))
             solids.append((float(x), side * _TREE_M, 0.2, 0.2))
         for x in np.arange(9.0 + 3 * (side > 0), length_m - 3.0, 7.5):
             if rng.uniform() < 0.75:
                 soup, half = _car(rng)
                 place = (float(x + rng.uniform(-0.5, 0.5)), side * _PARKED_M)
-                fixed.append((Label.VEHICLE, (soup + [*place, bare._z(*place)]).astype(np.float32)))
+                fixed.append((Label.VEHICLE, _stand(soup, ground, *place)))
                 solids.append((*place, *half))
     moving = tuple(
         (_car(rng)[0], x, y, step)
@@ -132,7 +131,7 @@ def drive_street(street: Street, sensor: Sensor, frames: int) -> tuple[list[Simu
         scans.append(simulate_scan(street.scene(number, (x, y), turn), tilted, number))
         cos, sin = np.cos(turn), np.sin(turn)
         poses[number, :3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilted.to_level()
-        poses[number, :3, 3] = x, y, street._z(x, y) + sensor.height_m
+        poses[number, :3, 3] = x, y, street.ground.height(x, y) + sensor.height_m
     return scans, poses
 
 
@@ -146,6 +145,12 @@ def noisy_poses(poses: NDArray[np.float64], seed: int, metres: float, degrees: f
     return noisy
 
 
+def _stand(soup: Triangles, ground: _StreetGround, x: float, y: float) -> Triangles:
+    """Move a thing from the origin to a place on the ground."""
+    moved: Triangles = (soup + np.array([x, y, ground.height(x, y)])).astype(np.float32)
+    return moved
+
+
 def _turned(angles: Floats) -> Floats:
     """Rotation (3, 3) by small angles about x, y and z, made exactly orthonormal."""
     x, y, z = angles
@@ -155,14 +160,10 @@ def _turned(angles: Floats) -> Floats:
 
 
 def _street_ground(rng: np.random.Generator) -> _StreetGround:
+    """Make the ground; its height comes from ``sample``, so most fields of a scene's ground are not used."""
     none = make_field(rng, 16, 1.0, 1.0, (4.0, 16.0))
-    values = {
-        "hills": none, "hills_m": 0.0, "bumps": none, "bumps_m": 0.0, "fine": make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
-        "cover": Label.ASPHALT, "cover_rough_m": 0.0, "regions": (), "grass_m": 0.0, "grass_tufts": none,
-        "grass_path_m": 1.0,
-    }  # fmt: skip
-    assert set(values) <= {field.name for field in fields(SceneGround)}
-    return _StreetGround(**values)  # type: ignore[arg-type]
+    fine = make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0))
+    return _StreetGround(none, 0.0, none, 0.0, fine, Label.ASPHALT, 0.0, (), 0.0, none, 1.0)
 
 
 def _car(rng: np.random.Generator) -> tuple[Triangles, tuple[float, float]]:
