@@ -214,7 +214,7 @@ class DriveMerge:
         needs from every frame: it was seen between the wheels of a car.
         """
         used = int(table.size[0])
-        is_ground = table.key[:used] % 2 == 1
+        is_ground = _voted_ground(table)
         nearest = table.place[:used, 0]
         through = self._judge(block, nearest.copy())[0]
         moved = (through >= 2) & (through > table.hits[:used])
@@ -235,6 +235,14 @@ class DriveMerge:
         chosen[order] = ~ground[order] | (since < MOST_GROUND)
         xyz[:, :2] += self._corner(block)
         return xyz[chosen], ground[chosen]
+
+
+def _voted_ground(table: VoxelTable) -> NDArray[np.bool_]:
+    """Return which rows are ground: for as many frames as not, what lies there is."""
+    used = int(table.size[0])
+    _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
+    votes = np.where(table.key[:used] & 1, 1, -1) * table.hits[:used]
+    return (table.key[:used] & 1 == 1) & (np.bincount(voxel, votes)[voxel] >= 0)
 
 
 def _empty_table(rows: int) -> VoxelTable:

@@ -72,8 +72,22 @@ class Street:
         things = tuple((label, ((soup - corner) @ back).astype(np.float32)) for label, soup in (*self.fixed, *cars))
         return Scene("street", replace(self.ground, place=place, turn=turn), things, (frame,))
 
+    def blocked(self, low: float, high: float, step: float) -> NDArray[np.bool_]:
+        """Return where something stands that stays, in cells of ``step`` [m] of a square around the street.
 
-def make_street(seed: int, length_m: float = 80.0) -> Street:
+        Whatever stands reaches from below ``low`` to above ``high`` for any vehicle. The square goes from 0 along x and is centred in y, north
+        row first.
+        """
+        count = round(self.length_m / step)
+        at = (np.arange(count) + 0.5) * step
+        x, y = np.meshgrid(at, at[::-1] - 0.5 * self.length_m)
+        mask = np.zeros((count, count), np.bool_)
+        for east, north, long, wide in self.solids:
+            mask |= (np.abs(x - east) <= long) & (np.abs(y - north) <= wide)
+        return mask
+
+
+def make_street(seed: int, length_m: float = 84.0) -> Street:
     """Draw a street.
 
     Parameters
