@@ -85,7 +85,7 @@ def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
         what = "according to the poses, the frames are so far apart that they share no ground"
     else:
         what = f"according to the poses, frames see through {through:.0%} of what stands in others"
-    if least <= (0.45 * through if through > _THROUGH else 2 * _THROUGH):
+    if least <= (0.55 * through if through > _THROUGH else 2 * _THROUGH):
         raise BadInputError(f"{what}. {reason}")
     if thick:
         raise BadInputError(

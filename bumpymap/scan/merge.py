@@ -214,7 +214,7 @@ class DriveMerge:
         needs from every frame: it was seen between the wheels of a car.
         """
         used = int(table.size[0])
-        is_ground = _voted_ground(table)
+        is_ground = table.key[:used] & 1 == 1
         nearest = table.place[:used, 0]
         through = self._judge(block, nearest.copy())[0]
         moved = (through >= 2) & (through > table.hits[:used])
@@ -223,7 +223,8 @@ class DriveMerge:
         hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
         kept = np.arange(MOST_GROUND) < table.held[:used, None]
         self.moving += int(kept[moved].sum())
-        kept &= ~(moved | hidden)[:, None] & (is_ground[:, None] | (np.arange(MOST_GROUND) < MOST_OTHERS))
+        kept &= ~(moved | hidden | _outvoted(table))[:, None]
+        kept[~is_ground, MOST_OTHERS:] = False
         row, rank = np.nonzero(kept)
         xyz, ground = table.place[row, rank].astype(np.int64), is_ground[row]
         pixel = xyz[:, 1] // VOXEL_MM * 4096 + xyz[:, 0] // VOXEL_MM
@@ -237,12 +238,13 @@ class DriveMerge:
         return xyz[chosen], ground[chosen]
 
 
-def _voted_ground(table: VoxelTable) -> NDArray[np.bool_]:
-    """Return which rows are ground: for as many frames as not, what lies there is."""
+def _outvoted(table: VoxelTable) -> NDArray[np.bool_]:
+    """Return which rows are ground that more frames did not take for ground."""
     used = int(table.size[0])
+    is_ground = table.key[:used] & 1 == 1
     _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
-    votes = np.where(table.key[:used] & 1, 1, -1) * table.hits[:used]
-    return (table.key[:used] & 1 == 1) & (np.bincount(voxel, votes)[voxel] >= 0)
+    votes = np.where(is_ground, 1, -1) * table.hits[:used]
+    return is_ground & (np.bincount(voxel, votes)[voxel] < 0)
 
 
 def _empty_table(rows: int) -> VoxelTable:

@@ -2,9 +2,9 @@
 
 python tests/benchmarks/street_drive.py [--streets 3] [--frames 24] [--sensor 64_narrow]
 
-Each street is driven once and mapped with true poses, and with errors of 5 cm and 0.3 degrees. Judged are the tiles along
-the way within 9 m of the axis: those in the lanes, which a vehicle can cross, and those that hold a parked car, a wall or
-a trunk beside which a disc of the vehicle's width does not fit.
+Each street is driven once and mapped with true poses, and with errors of 5 cm and 0.3 degrees. Judged are the tiles
+along the way within 9 m of the axis: those in the lanes, which a vehicle can cross, and those that hold a parked car, a
+wall or a trunk beside which a disc of the vehicle's width does not fit.
 """
 
 import argparse
@@ -84,7 +84,8 @@ def main() -> None:
                 if not names:
                     names = list(found)
                     print(" | ".join(names))
-                print(" | ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in found.values()))
+                values = (f"{value:.3f}" if isinstance(value, float) else str(value) for value in found.values())
+                print(" | ".join(values))
 
 
 if __name__ == "__main__":
