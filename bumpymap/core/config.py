@@ -34,7 +34,7 @@ Compat = Literal["none", "paper"]
 Align = Literal["off", "report", "on"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
-NameOrFile = Annotated[str, "a name, or the path of a TOML file"]
+NameOrFile = Annotated[str, "a name, or the path of a file"]
 """A relative path in a settings file starts at the folder of that file."""
 
 RESUME_OR_OVERWRITE = (
@@ -218,8 +218,8 @@ class MapConfig:
 
 
 def names_a_file(text: str) -> bool:
-    """Return whether a `NameOrFile` is a file: it ends in ``.toml`` or contains a slash."""
-    return text.endswith(".toml") or "/" in text
+    """Return whether a `NameOrFile` is a file: it ends in ``.toml`` or ``.csv``, or contains a slash."""
+    return text.endswith((".toml", ".csv")) or "/" in text
 
 
 def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:

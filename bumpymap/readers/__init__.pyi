@@ -19,6 +19,13 @@ from .frames.find import (
 from .frames.kitti import (
     label_file as label_file,
 )
+from .frames.label_sets import (
+    LABEL_SETS as LABEL_SETS,
+    LabelSet as LabelSet,
+    label_set as label_set,
+    require_label_set as require_label_set,
+    tell_label_set as tell_label_set,
+)
 from .frames.poses import (
     read_poses as read_poses,
 )

@@ -11,7 +11,7 @@ __all__ = ["ScanEvaluateSettings"]
 class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
-    scenes: int = 35
+    scenes: int = 44
     """Number of synthetic scenes if no scans are given; none of them is used in training."""
     seed: int = 7
     """Seed of the scenes and the rotations."""

@@ -6,7 +6,7 @@ from bumpymap.core import CLASSES, PolarSettings
 from bumpymap.lab.train.scan.evaluate import ScanEvaluation
 from bumpymap.lab.train.scan.train import ScanTrainSettings
 from bumpymap.lab.train.score import percent, score_table
-from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION, grid_record
+from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION
 
 __all__ = ["LABEL_NAMES", "CardFacts", "model_card"]
 
@@ -61,7 +61,7 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
   {made.parameters:,} trained parameters; {made.size:,} bytes of ONNX, opset 17.
-- **Grid**: {grid_record(PolarSettings())}; other grids are rejected.
+- **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
 - **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data
@@ -69,7 +69,7 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 {_data(settings, made.simulated)}
 Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
-{settings.turns} more times after a random rotation.
+{settings.turns} more times after a random rotation, half of these times on another polar grid.
 
 {_accuracy(evaluation)}
 ## Reproduce
@@ -90,16 +90,11 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 def _accuracy(evaluation: ScanEvaluation) -> str:
     return f"""## Accuracy
 
-On {evaluation.every.count:,} sectors of {evaluation.scans} **unseen scans:
+On {evaluation.every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
 {percent(evaluation.every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
 {percent(evaluation.every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
 
 {score_table(evaluation.every, _CLASS_NAMES)}
-
-On the {evaluation.gated.count:,} of these that pass the traversability gate (the ones classified in use):
-{percent(evaluation.gated.balanced_accuracy)} balanced accuracy, {percent(evaluation.gated.accuracy)} of all.
-
-{score_table(evaluation.gated, _CLASS_NAMES)}
 
 By label, number of sectors classified as 0, 1, 2:
 
@@ -113,9 +108,11 @@ def _data(settings: ScanTrainSettings, simulated: bool) -> str:
     if not simulated:
         return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
     return f"""{settings.scenes} synthetic scenes with labels (`bumpymap.lab.worlds.scans`), each scanned once by a
-different sensor of 32, 64 or 128 lines with range noise of 0.8 to 3 cm, 0.1 to 5 % of lost returns and a tilt of some
-degrees. No real scan was used. The ground of every tenth scene is sampled once more from above, without shadows and
-with blocks piled on half of it. Unseen scenes have other numbers of the same seed.
+different sensor: 16 to 128 lines, evenly spaced or closer near the horizon, or a solid-state pattern of 60 to 360
+degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, with range noise of 0.8 to 3 cm, 0.1 to
+5 % of lost returns, stray returns and mirror images below wet ground. No real scan was used. The ground of every tenth
+scene is sampled once more from above, without shadows and with blocks piled on half of it.
+Unseen scenes have other numbers of the same seed.
 """
 
 

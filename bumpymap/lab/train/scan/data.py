@@ -1,7 +1,7 @@
 """Training and test sectors, from synthetic scenes or a labelled data set on disk."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,12 @@ from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import MEASURES, classes_of_labels, network_input, polar_sectors
 
 __all__ = [
+    "GRIDS",
     "SWAPPED_MEASURES",
     "UNSEEN",
     "Sectors",
+    "crowns_as_bushes",
+    "draw_cuts",
     "draw_epoch",
     "folder_frames",
     "folder_sectors",
@@ -27,9 +30,19 @@ __all__ = [
 
 UNSEEN = 1_000_000
 """Scenes from this number on are never used in training."""
+GRIDS = (
+    PolarSettings(zone_starts_m=(4.0, 12.0, 28.0, 60.0), end_m=100.0, sectors=(24, 32, 48, 32), rings=(4, 4, 4, 2)),
+    PolarSettings(zone_starts_m=(1.0, 5.0, 15.0, 30.0), end_m=60.0, sectors=(12, 24, 36, 48), rings=(2, 4, 4, 4)),
+    PolarSettings(zone_starts_m=(2.0, 6.0, 18.0, 45.0), end_m=90.0, sectors=(16, 40, 48, 40), rings=(2, 4, 6, 4)),
+)
+"""Polar grids that training uses beside the default one, so that a network fits any grid."""
+_OTHER_GRID = 0.5
+"""Share of the additional cuts that use one of them."""
 SWAPPED_MEASURES = ("coverage",)
 """Measures that training swaps between some sectors."""
 _SWAPPED_SHARE = 0.15
+_TREE, _BUSH = 4, 19
+"""Ids of RELLIS-3D."""
 ScanProgress = Callable[[int, int], None]
 """Called with the number of finished scans and the number of all scans."""
 
@@ -48,8 +61,6 @@ class Sectors:
     """(n,) the RELLIS-3D id behind the class."""
     zone: NDArray[np.int16]
     """(n,)"""
-    traversable: NDArray[np.bool_]
-    """(n,) True if the sector passes the traversability gate."""
 
 
 def join(parts: Sequence[Sectors]) -> Sectors:
@@ -57,35 +68,45 @@ def join(parts: Sequence[Sectors]) -> Sectors:
     return Sectors(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Sectors)))
 
 
-def labelled_sectors(scan: Scan, turns: Iterable[float] = ()) -> Sectors:
-    """Cut a labelled scan into sectors and keep those with a class.
+def draw_cuts(rng: np.random.Generator, count: int) -> list[tuple[float, PolarSettings]]:
+    """Draw angles [rad] and polar grids of additional cuts of a scan."""
+    angles = rng.uniform(0, 2 * np.pi, count)
+    other, which = rng.uniform(size=count) < _OTHER_GRID, rng.integers(len(GRIDS), size=count)
+    return [
+        (float(angle), GRIDS[k] if draws else PolarSettings())
+        for angle, draws, k in zip(angles, other, which, strict=True)
+    ]
+
+
+def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = ()) -> Sectors:
+    """Cut a labelled scan into sectors and keep those with a class that have ground: others are never classified.
 
     Parameters
     ----------
     scan : Scan
         With labels.
-    turns : floats
+    cuts : pairs of angle and grid
         The scan is cut once more after rotating it about z by each of these angles [rad], which puts the same ground
         into other sectors.
     """
-    cuts = [polar_sectors(scan)]
-    for turn in turns:
+    stacks = [polar_sectors(scan)]
+    for turn, grid in cuts:
         cos, sin = np.cos(turn), np.sin(turn)
         about_z = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], np.float32)
-        cuts.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), PolarSettings(anchored=False)))
+        stacks.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), replace(grid, anchored=False)))
     parts = []
-    for stack in cuts:
+    for stack in stacks:
         class_id = classes_of_labels(stack.label)
-        known = class_id >= 0
+        known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
+        chosen = known[stack.traversable]
         parts.append(
             Sectors(
-                patches[known],
-                measures[known],
+                patches[chosen],
+                measures[chosen],
                 class_id[known].astype(np.int64),
                 stack.label[known],
                 stack.zone[known],
-                stack.traversable[known],
             )
         )
     return join(parts)
@@ -97,8 +118,19 @@ def scene_scan(seed: int, index: int) -> Scan:
 
     sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
     seen = simulate_scan(make_scene(seed, index), sensor, index)
-    there = seen.label > 0
+    there = seen.points.any(axis=1)
     return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
+
+
+def crowns_as_bushes(scan: Scan) -> Scan:
+    """Return a labelled scan whose tree points higher than the vehicle are labelled as bush.
+
+    A crown over a road is no reason to avoid it, a trunk on it is.
+    """
+    stack = polar_sectors(scan)
+    label = np.asarray(scan.label).copy()
+    label[(label == _TREE) & (stack.point_height >= stack.settings.height_m)] = _BUSH
+    return replace(scan, label=label)
 
 
 def simulated_sectors(
@@ -113,7 +145,7 @@ def simulated_sectors(
     scenes : ints
         Numbers of the scenes.
     turns : int
-        Number of additional cuts of each scan, each after a random rotation.
+        Number of additional cuts of each scan, each after a random rotation, half of them on another grid.
     keep : Path, optional
         Folder that caches the sectors of each scene, for resuming an interrupted run.
     progress : callable, optional
@@ -121,13 +153,13 @@ def simulated_sectors(
     """
     parts = []
     for done, index in enumerate(scenes, start=1):
-        angles = np.random.default_rng([seed, index, 3]).uniform(0, 2 * np.pi, turns)
+        cuts = draw_cuts(np.random.default_rng([seed, index, 3]), turns)
         file = None if keep is None else keep / f"{seed}_{index}_{turns}.npz"
         if file is not None and file.exists():
             with np.load(file) as kept:
                 parts.append(Sectors(**kept))
         else:
-            parts.append(labelled_sectors(scene_scan(seed, index), angles.tolist()))
+            parts.append(labelled_sectors(crowns_as_bushes(scene_scan(seed, index)), cuts))
             if file is not None:
                 _save(file, parts[-1])
         if progress:
@@ -194,8 +226,7 @@ def folder_sectors(
                 f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
                 "next to its folder"
             )
-        angles = np.random.default_rng([seed, done, 3]).uniform(0, 2 * np.pi, turns)
-        parts.append(labelled_sectors(scan, angles.tolist()))
+        parts.append(labelled_sectors(scan, draw_cuts(np.random.default_rng([seed, done, 3]), turns)))
         if progress:
             progress(done, len(frames))
     joined = join(parts)

@@ -19,9 +19,7 @@ class ScanEvaluation:
     """All scores of the model card, on unseen scans."""
 
     every: Score
-    """All sectors with a class."""
-    gated: Score
-    """The traversable sectors, which are the ones classified in use."""
+    """All sectors with a class and ground, which are the ones classified in use."""
     labels: dict[int, tuple[int, ...]]
     """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
     scans: int
@@ -32,10 +30,8 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
     """Score a trained network on the sectors of ``scans`` unseen scans."""
     probability = predict(net, torch.from_numpy(unseen.patches), torch.from_numpy(unseen.measures))
     predicted = probability.argmax(axis=1)
-    gate = unseen.traversable
     labels = {
         int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
         for label in np.unique(unseen.label)
     }
-    every = count_answers(unseen.class_id, predicted, CLASSES)
-    return ScanEvaluation(every, count_answers(unseen.class_id[gate], predicted[gate], CLASSES), labels, scans)
+    return ScanEvaluation(count_answers(unseen.class_id, predicted, CLASSES), labels, scans)

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.worlds.scans._fields import Field, Floats, smoothstep
 from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.regions import Region, Road
+from bumpymap.lab.worlds.scans.regions import Bank, Region, Road
 
 __all__ = ["GroundSample", "SceneGround", "ground_mesh"]
 
+_HILLSIDE_M = 40.0
+"""Distance from the origin at which the hillside ends and its height stays the same."""
 _START_M = 0.4
 """Inner radius of the mesh."""
 STEP = 0.01
@@ -48,11 +50,18 @@ class SceneGround:
     grass_tufts: Field
     grass_path_m: float
     """Mean path of a beam through grass before a blade stops it."""
+    slope: tuple[float, float] = (0.0, 0.0)
+    """Rise per metre eastwards and northwards of the hillside around the origin."""
+    banks: tuple[Bank, ...] = ()
 
     def sample(self, x: Floats, y: Floats) -> GroundSample:
         """Return heights and labels at positions in metres from the origin."""
         bumps = self.bumps_m * self.bumps.at(x, y)
         z = self.hills_m * self.hills.at(x, y) + bumps
+        away = np.hypot(x, y)
+        z += (self.slope[0] * x + self.slope[1] * y) * np.minimum(1.0, _HILLSIDE_M / np.maximum(away, _HILLSIDE_M))
+        for bank in self.banks:
+            z += bank.rise(x, y)
         label = np.full(x.shape, self.cover, np.uint8)
         rough = np.full(x.shape, self.cover_rough_m)
         relief, floor = np.zeros_like(x), np.full(x.shape, -np.inf)

@@ -7,7 +7,19 @@ import numpy as np
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
 from bumpymap.lab.worlds.scans._solids import Triangles, boxes, ribbon, stones, tube
 
-__all__ = ["Height", "barrier", "block_field", "fence", "person", "stone_field", "vehicle"]
+__all__ = [
+    "Height",
+    "barrier",
+    "block_field",
+    "fence",
+    "fence_along",
+    "guard_rail",
+    "person",
+    "pole",
+    "stone_field",
+    "vehicle",
+    "wall",
+]
 
 Height = Callable[[Floats, Floats], Floats]
 """Function of eastings and northings (n,) [m] that returns heights of the ground (n,) [m]."""
@@ -43,10 +55,10 @@ _MODELS = np.array(
 )
 
 
-def vehicle(rng: np.random.Generator, base: Floats) -> Triangles:
-    """Make a car, jeep, pickup, van, truck or buggy on four wheels."""
+def vehicle(rng: np.random.Generator, base: Floats, heading: float | None = None) -> Triangles:
+    """Make a car, jeep, pickup, van, truck or buggy on four wheels; at a random heading [rad] if None is given."""
     long, wide, tall, back, front, body, clear = _MODELS[rng.integers(len(_MODELS))] * rng.uniform(0.93, 1.07, 7)
-    turn = rng.uniform(0, 2 * np.pi)
+    turn = rng.uniform(0, 2 * np.pi) if heading is None else heading
     ahead, side = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     low = base + clear * up
@@ -77,7 +89,11 @@ def _line(rng: np.random.Generator, middle: Floats, length_m: float, step_m: flo
 
 def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:
     """Make a fence: posts with boards, pickets or wire between them, 8 to 40 m long."""
-    places = _line(rng, middle, rng.uniform(8, 40), rng.uniform(1.8, 3.0))
+    return fence_along(rng, _line(rng, middle, rng.uniform(8, 40), rng.uniform(1.8, 3.0)), height)
+
+
+def fence_along(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make a fence with posts at ``places`` (n, 2)."""
     feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
     tall, thick = rng.uniform(0.9, 2.0), rng.uniform(0.03, 0.07)
     up = np.array([0.0, 0.0, 1.0])
@@ -112,9 +128,7 @@ def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Triangl
     up = np.array([0.0, 0.0, 1.0])
     count = len(base)
     if rng.uniform() < 0.25:
-        parts = [boxes(np.tile([0.12, 0.12, 0.8], (count, 1)), base, turn)]
-        parts += [ribbon(feet + low * up, 0.12) for low in (0.5, 0.65)]
-        return np.concatenate(parts)
+        return guard_rail(feet)
     tall, wide, gap = rng.uniform(0.7, 1.1), rng.uniform(0.5, 0.9), rng.uniform(0.0, 0.4)
     parts = [
         boxes(np.tile([step - gap, wide, 0.3 * tall], (count, 1)), base - 0.05 * up, turn),
@@ -122,6 +136,34 @@ def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Triangl
         boxes(np.tile([step - gap, 0.35 * wide, 0.45 * tall], (count, 1)), base + 0.55 * tall * up, turn),
     ]
     return np.concatenate(parts)
+
+
+def guard_rail(feet: Floats) -> Triangles:
+    """Make a crash rail on posts at ``feet`` (n, 3)."""
+    along = np.diff(feet, axis=0)
+    base = (feet[:-1] + feet[1:]) / 2
+    parts = [boxes(np.tile([0.12, 0.12, 0.8], (len(base), 1)), base, np.arctan2(along[:, 1], along[:, 0]))]
+    parts += [ribbon(feet + low * np.array([0.0, 0.0, 1.0]), 0.15) for low in (0.45, 0.62)]
+    return np.concatenate(parts)
+
+
+def pole(rng: np.random.Generator, base: Floats, heading: float) -> Triangles:
+    """Make a lamp post, or a traffic sign whose face looks along the road."""
+    up = np.array([0.0, 0.0, 1.0])
+    if rng.uniform() < 0.5:
+        tall, thick = rng.uniform(4.0, 9.0), rng.uniform(0.06, 0.12)
+        return tube(base - 0.1 * up, base + tall * up, thick, 0.6 * thick, 8)
+    tall, wide = rng.uniform(1.8, 3.2), rng.uniform(0.5, 1.2)
+    face = boxes(np.array([[0.03, wide, wide * rng.uniform(0.6, 1.3)]]), (base + tall * up)[None], np.array([heading]))
+    return np.concatenate([tube(base - 0.1 * up, base + (tall + 0.2) * up, 0.04, 0.04, 8), face])
+
+
+def wall(rng: np.random.Generator, feet: Floats) -> Triangles:
+    """Make the wall of a house or garden along ``feet`` (n, 3)."""
+    tall = rng.uniform(3.0, 10.0) if rng.uniform() < 0.7 else rng.uniform(0.6, 2.2)
+    top = float(feet[:, 2].max()) + tall
+    low = feet - np.array([0.0, 0.0, 0.5])
+    return np.concatenate([ribbon(low[k : k + 2], top - float(low[k : k + 2, 2].max())) for k in range(len(low) - 1)])
 
 
 def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:

@@ -5,7 +5,7 @@ import numpy as np
 from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
 from bumpymap.lab.worlds.scans._solids import Triangles, leaves, tube
 
-__all__ = ["bush", "herb", "tree"]
+__all__ = ["bush", "hedge", "herb", "tree"]
 
 
 def _leaf_count(base: Floats, volume_m3: float) -> int:
@@ -42,16 +42,28 @@ def herb(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
     return leaves(rng, middle, np.array([wide, wide, 0.5 * height_m]), 60, log_uniform(rng, 0.1, 0.5))
 
 
-def tree(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
-    """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a conifer with lower branches."""
+def hedge(rng: np.random.Generator, feet: Floats) -> Triangles:
+    """Make a dense row of shrubs at ``feet`` (n, 3), 0.5 to 2.5 m high."""
+    tall, path = log_uniform(rng, 0.5, 2.5) / 2, log_uniform(rng, 0.08, 0.25)
+    apart = float(np.linalg.norm(feet[1, :2] - feet[0, :2]))
+    radii, up = np.array([0.7 * apart, 0.7 * apart, tall]), np.array([0.0, 0.0, tall])
+    return np.concatenate([_cloud(rng, foot + up * rng.uniform(0.85, 1.0), radii, foot, path) for foot in feet])
+
+
+def tree(rng: np.random.Generator, base: Floats, height_m: float, clear_m: float | None = None) -> Triangles:
+    """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a conifer with lower branches.
+
+    With ``clear_m`` it is broad-leaved and its crown starts at this height, as over a road.
+    """
     thick = height_m * rng.uniform(0.012, 0.028) + 0.03
     lean = np.array([rng.normal(0, 0.04), rng.normal(0, 0.04), 1.0]) * height_m
     foot = base - np.array([0.0, 0.0, 0.2])
     parts = [tube(foot, base + 0.85 * lean, thick, 0.3 * thick, 10)]
     path = log_uniform(rng, 0.3, 1.2)
-    conifer = rng.uniform() < 0.35
+    conifer = rng.uniform() < 0.35 and clear_m is None
     lobes = int(rng.integers(3, 7))
     start = rng.uniform(0.05, 0.25) if conifer else rng.uniform(0.2, 0.5)
+    start = start if clear_m is None else clear_m / height_m
     widest = height_m * (rng.uniform(0.12, 0.22) if conifer else rng.uniform(0.18, 0.38))
     for k in range(lobes):
         share = start + (1 - start) * (k + 0.5) / lobes

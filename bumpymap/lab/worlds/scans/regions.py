@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bumpymap.lab.worlds.scans._fields import Floats, log_uniform
+from bumpymap.lab.worlds.scans._fields import Floats, log_uniform, smoothstep
 from bumpymap.lab.worlds.scans.labels import Label
 
-__all__ = ["Blob", "Region", "Road", "make_blob", "make_road", "ruts"]
+__all__ = ["Bank", "Blob", "Region", "Road", "make_blob", "make_road", "ruts"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,15 @@ class Road:
     """Depth of the two wheel ruts."""
     kerb_m: float = 0.0
     """Height of concrete kerbs on both sides; 0 without kerbs."""
+    pavement_m: float = 0.0
+    """Width of the pavements behind the kerbs; the ground beyond is as high as they are."""
+    ditch_m: float = 0.0
+    """Depth of the ditches on both sides."""
+    verge_m: float = 3.0
+    """Distance of the middle of the ditches, and of the foot of the banks, from the margin."""
+    banks_m: tuple[float, float] = (0.0, 0.0)
+    """Height of the ground beyond the verge, to the right and to the left, above that of the road."""
+    bank_width_m: float = 6.0
 
     def across(self, x: Floats, y: Floats) -> Floats:
         """Signed distance from the centreline, m."""
@@ -103,15 +112,62 @@ class Road:
         surface = self.crown_m * np.clip(1 - (across / self.half_width_m) ** 2, 0.0, 1.0)
         if self.rut_m > 0:
             surface += ruts(across, self.rut_m, 0.22)
-        if self.kerb_m > 0:
+        beyond = np.abs(across) - self.half_width_m
+        if self.pavement_m > 0:
+            surface += self.kerb_m * (beyond >= 0)
+        elif self.kerb_m > 0:
             surface += self.kerb_m * self.on_kerb(across)
+        if self.ditch_m > 0:
+            surface -= self.ditch_m * smoothstep(1.0 - np.abs(beyond / self.verge_m - 1.0))
+        for side, height in zip((-1.0, 1.0), self.banks_m, strict=True):
+            past = (beyond - self.verge_m) / self.bank_width_m
+            surface += np.where(across * side > 0, height * smoothstep(past), 0.0)
         return surface
 
+    def places(self, along: Floats, across: Floats) -> Floats:
+        """Return positions (n, 2) at distances along the road and to the left of its centreline, and headings.
+
+        Returns
+        -------
+        (n, 3) array
+            x and y [m], heading [rad].
+        """
+        side, slope = np.full_like(along, self.offset_m), np.zeros_like(along)
+        for amplitude, number, phase in self.bends:
+            side += amplitude * np.sin(number * along + phase)
+            slope += amplitude * number * np.cos(number * along + phase)
+        side = side + across * np.hypot(1.0, slope)
+        cos, sin = self.bearing
+        heading = np.arctan2(sin, cos) + np.arctan(slope)
+        return np.stack([along * cos - side * sin, along * sin + side * cos, heading], axis=-1)
+
     def on_kerb(self, across: Floats) -> Floats:
-        """Return 1 on a kerb, 0 elsewhere."""
+        """Return 1 on a kerb or pavement, 0 elsewhere."""
         beyond = np.abs(across) - self.half_width_m
-        on: Floats = ((beyond >= 0) & (beyond < 0.25)).astype(np.float64)
+        on: Floats = ((beyond >= 0) & (beyond < max(0.25, self.pavement_m))).astype(np.float64)
         return on if self.kerb_m > 0 else np.zeros_like(across)
+
+
+@dataclass(frozen=True, slots=True)
+class Bank:
+    """A change of height along a wavy line: a terrace, an embankment, the foot of a hill."""
+
+    bearing: tuple[float, float]
+    """Cosine and sine of the direction of its line."""
+    offset_m: float
+    """Distance of its foot from the origin, to the left of the line's direction."""
+    height_m: float
+    width_m: float
+    wave: tuple[float, float, float]
+    """Amplitude [m], wave number [rad/m] and phase of the line's waves."""
+
+    def rise(self, x: Floats, y: Floats) -> Floats:
+        """Return what the bank adds to the height of the ground, m."""
+        along = x * self.bearing[0] + y * self.bearing[1]
+        amplitude, number, phase = self.wave
+        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
+        side = side - amplitude * np.sin(number * along + phase)
+        return self.height_m * smoothstep(side / self.width_m)
 
 
 Region = Blob | Road

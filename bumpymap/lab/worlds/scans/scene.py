@@ -11,7 +11,8 @@ from bumpymap.lab.worlds.scans.ground import SceneGround
 from bumpymap.lab.worlds.scans.labels import Label
 from bumpymap.lab.worlds.scans.objects import barrier, block_field, fence, person, stone_field, vehicle
 from bumpymap.lab.worlds.scans.plants import bush, herb, tree
-from bumpymap.lab.worlds.scans.regions import Blob, Region, make_blob, make_road
+from bumpymap.lab.worlds.scans.regions import Bank, Blob, Region, Road, make_blob, make_road
+from bumpymap.lab.worlds.scans.roadside import ROADSIDES, make_street, roadside_things
 
 __all__ = ["THEMES", "Scene", "Theme", "make_scene"]
 
@@ -38,20 +39,44 @@ class Theme:
     """Probability that the ground outside all regions is grass and not dirt."""
     floor_m: tuple[float, float] = (0.003, 0.03)
     """Range of the standard deviation of roots, tussocks and clods on grass and dirt, m."""
+    slope_deg: float = 5.0
+    """Greatest slope of the hillside around the robot."""
+    banks: int = 0
+    """Banks and terraces of up to 35 degrees."""
+    street: bool = False
+    """Whether a road of ``ROADSIDES`` passes the robot."""
 
 
 THEMES = {
-    "meadow": Theme(roads=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0),
-    "forest": Theme(mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04)),
+    "meadow": Theme(roads=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0, slope_deg=10.0),
+    "forest": Theme(
+        mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04), slope_deg=12.0
+    ),
     "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
     "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
     "quarry": Theme(
-        mud=0, rubble=9, puddles=3, herbs=10, bushes=8, trees=10, vehicles=8, barriers=4, persons=4, grassy=0.15
+        mud=0,
+        rubble=9,
+        puddles=3,
+        herbs=10,
+        bushes=8,
+        trees=10,
+        vehicles=8,
+        barriers=4,
+        persons=4,
+        grassy=0.15,
+        banks=1,
     ),
     "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
     "yard": Theme(
         mud=0, roads=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
     ),
+    "street": Theme(roads=0, mud=0, herbs=10, bushes=5, trees=5, persons=0, fences=0, barriers=0, street=True),
+    "highway": Theme(
+        roads=0, mud=0, puddles=1, trees=80, bushes=60, persons=0, vehicles=0, fences=0, street=True, grassy=1.0
+    ),
+    "avenue": Theme(roads=0, mud=0, herbs=60, bushes=80, trees=220, persons=0, vehicles=0, fences=0, street=True),
+    "hillside": Theme(roads=0, mud=0, puddles=0, bushes=60, trees=60, fences=2, slope_deg=25.0, banks=3),
 }
 
 
@@ -65,6 +90,10 @@ class Scene:
     """Objects on the ground: label and triangles (m, 3, 3), m."""
     seed: tuple[int, ...] = field(default=())
     """Seed from which it was drawn."""
+    wet: float = 0.0
+    """Share of the pulses that wet asphalt, concrete and dirt reflect away at low angles, 0..1."""
+    mirror: float = 0.0
+    """Share of the pulses that a smooth surface reflects away and that return from what they meet then, 0..1."""
 
 
 def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
@@ -86,8 +115,20 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     if name not in THEMES:
         raise UsageError(f"theme is '{name}'; it must be one of {', '.join(THEMES)}")
     rng = np.random.default_rng([seed, index, 0])
-    ground = _draw_ground(rng, THEMES[name])
-    return Scene(name, ground, tuple(_draw_things(rng, THEMES[name], ground)), (seed, index))
+    ground = _draw_ground(rng, THEMES[name], name)
+    things = tuple(_draw_things(rng, THEMES[name], ground))
+    for region in ground.regions:
+        if THEMES[name].street and isinstance(region, Road):
+            things += tuple(roadside_things(rng, ROADSIDES[name], region, lambda x, y: ground.sample(x, y).z))
+    wet = float(rng.uniform(0.1, 0.8)) if rng.uniform() < _WET else 0.0
+    mirror = log_uniform(rng, 0.01, 0.5) if rng.uniform() < _MIRRORS else 0.0
+    return Scene(name, ground, things, (seed, index), wet, mirror)
+
+
+_WET = 0.15
+"""Share of the scenes after rain."""
+_MIRRORS = 0.5
+"""Share of the scenes with reflections in puddles, wet ground and glass."""
 
 
 def _up_to(rng: np.random.Generator, most: float) -> int:
@@ -100,20 +141,41 @@ def _place(rng: np.random.Generator, nearest: float, farthest: float) -> tuple[f
     return float(away * np.cos(bearing)), float(away * np.sin(bearing))
 
 
-def _draw_ground(rng: np.random.Generator, theme: Theme) -> SceneGround:
+def _draw_slope(rng: np.random.Generator, theme: Theme) -> tuple[float, float]:
+    """Draw the slope of the hillside, as rise per metre to the east and north."""
+    rise, bearing = np.tan(np.radians(theme.slope_deg * rng.uniform() ** 2)), rng.uniform(0, 2 * np.pi)
+    return float(rise * np.cos(bearing)), float(rise * np.sin(bearing))
+
+
+def _draw_bank(rng: np.random.Generator) -> Bank:
+    """Draw a bank that rises or falls by 0.1 to 6 m, at 8 to 35 degrees where it is steepest."""
+    bearing, height = rng.uniform(0, 2 * np.pi), log_uniform(rng, 0.1, 6.0)
+    steepest = np.tan(np.radians(rng.uniform(8, 35)))
+    return Bank(
+        (float(np.cos(bearing)), float(np.sin(bearing))),
+        float(rng.uniform(-5, 25)),
+        float(height * rng.choice([-1.0, 1.0])),
+        float(1.5 * height / steepest),  # a smooth step is 1.5 times as steep in the middle as on average
+        (float(rng.uniform(0, 2)), 2 * np.pi / float(rng.uniform(25, 80)), float(rng.uniform(0, 2 * np.pi))),
+    )
+
+
+def _draw_ground(rng: np.random.Generator, theme: Theme, name: str) -> SceneGround:
     cover = Label.GRASS if rng.uniform() < theme.grassy else Label.DIRT
     bare = SceneGround(
         hills=make_field(rng, 256, 1.0, 1.0, (25.0, 200.0)),
-        hills_m=log_uniform(rng, 0.1, 2.0),
+        hills_m=log_uniform(rng, 0.05, 0.6) if theme.street else log_uniform(rng, 0.1, 2.0),
         bumps=make_field(rng, 512, 0.25, 0.8, (2.0, 20.0)),
         bumps_m=log_uniform(rng, 0.02, 0.15),
         fine=make_field(rng, 1024, 0.04, 0.5, (0.1, 2.0)),
         cover=cover,
         cover_rough_m=log_uniform(rng, *theme.floor_m),
         regions=(),
-        grass_m=log_uniform(rng, 0.03, 0.3),
+        grass_m=log_uniform(rng, 0.01, 0.4),
         grass_tufts=make_field(rng, 512, 0.1, 0.4, (0.3, 8.0)),
         grass_path_m=log_uniform(rng, 0.08, 0.4),
+        slope=_draw_slope(rng, theme),
+        banks=tuple(_draw_bank(rng) for _ in range(_up_to(rng, theme.banks))),
     )
     regions: list[Region] = []
     other = Label.DIRT if cover == Label.GRASS else Label.GRASS
@@ -126,6 +188,8 @@ def _draw_ground(rng: np.random.Generator, theme: Theme) -> SceneGround:
             make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
             for _ in range(_up_to(rng, most))
         ]
+    if theme.street:
+        regions.append(make_street(rng, ROADSIDES[name]))
     for number in range(_up_to(rng, theme.roads)):
         label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
         regions.append(make_road(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))

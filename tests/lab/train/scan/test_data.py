@@ -7,12 +7,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.scan_types import Scan
+from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab import Sensor, write_folder
 from bumpymap.lab.train.scan import data
 from bumpymap.lab.train.scan.data import (
+    GRIDS,
     SWAPPED_MEASURES,
     Sectors,
+    draw_cuts,
     draw_epoch,
     folder_frames,
     folder_sectors,
@@ -22,6 +24,7 @@ from bumpymap.lab.train.scan.data import (
     simulated_sectors,
 )
 from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
+from bumpymap.scan.polar import polar_sectors
 
 pytestmark = pytest.mark.slow
 
@@ -71,9 +74,23 @@ def test_labels_without_a_class_are_left_out():
         assert len(labelled_sectors(_ring(label, lambda rng, n: rng.normal(0, 0.01, n))).class_id) == 0
 
 
+def test_additional_cuts_turn_and_use_several_grids():
+    cuts = draw_cuts(np.random.default_rng(1), 200)
+    assert cuts == draw_cuts(np.random.default_rng(1), 200)
+    assert {grid for _, grid in cuts} == {PolarSettings(), *GRIDS}
+    assert 60 < sum(grid == PolarSettings() for _, grid in cuts) < 140
+    assert all(0 <= angle < 2 * np.pi for angle, _ in cuts)
+
+
+def test_sectors_without_ground_are_left_out():
+    wall = _ring(18, lambda rng, n: rng.uniform(-1, 3, n))
+    stack = polar_sectors(wall)
+    assert len(labelled_sectors(wall).class_id) == stack.traversable.sum() < len(stack.zone)
+
+
 def test_turned_cuts_see_the_same_ground_in_other_sectors():
     scan = _ring(3, lambda rng, n: rng.normal(0, 0.05, n))
-    once, thrice = labelled_sectors(scan), labelled_sectors(scan, [0.1, 1.0])
+    once, thrice = labelled_sectors(scan), labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
     assert len(thrice.class_id) == 3 * len(once.class_id)
     assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
     others = thrice.patches[len(once.class_id) :]
@@ -138,7 +155,6 @@ def _made(counts):
         class_id,
         class_id.astype("i2"),
         class_id.astype("i2"),
-        np.ones_like(class_id) > 0,
     )
 
 

@@ -28,9 +28,8 @@ def _coarse_mesh(monkeypatch):
 
 @pytest.fixture(scope="module")
 def level():
-    made = replace(
-        make_scene(1, 0).ground, regions=(), hills_m=0.0, bumps_m=0.0, cover_rough_m=0.0, cover=Label.DIRT, grass_m=0.3
-    )
+    made = replace(make_scene(1, 0).ground, regions=(), hills_m=0.0, bumps_m=0.0, slope=(0.0, 0.0), banks=())
+    made = replace(made, cover_rough_m=0.0, cover=Label.DIRT, grass_m=0.3)
     return Scene("level", made, ())
 
 
@@ -121,7 +120,15 @@ def test_what_stands_in_the_way_hides_what_lies_behind(level):
 
 
 def test_a_sensor_that_cannot_be_is_refused():
-    for wrong in ({"lines": 1}, {"lowest_deg": 30.0}, {"noise_m": -1.0}, {"lost": 1.0}, {"height_m": 0.0}):
+    for wrong in (
+        {"lines": 1},
+        {"lowest_deg": 30.0},
+        {"noise_m": -1.0},
+        {"lost": 1.0},
+        {"height_m": 0.0},
+        {"view_deg": 0.0},
+        {"stray": 1.0},
+    ):
         with pytest.raises(UsageError, match=r"must|at least"):
             Sensor(**wrong)
 
@@ -130,8 +137,80 @@ def test_drawn_sensors_vary_and_repeat():
     moving_bars = [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
     assert moving_bars == [draw_sensor(np.random.default_rng(seed)) for seed in range(200)]
     assert {(s.lines, s.columns) for s in moving_bars} == {(s.lines, s.columns) for s in SENSORS.values()}
-    assert all(0.5 <= s.height_m <= 2.1 and 0.008 <= s.noise_m <= 0.03 for s in moving_bars)
-    assert_allclose(np.linalg.norm(moving_bars[0].directions(), axis=1), 1.0, atol=1e-12)
+    assert all(0.4 <= s.height_m <= 2.1 and 0.008 <= s.noise_m <= 0.03 for s in moving_bars)
+    assert {name for name in ("lines", "rosette") if any(s.pattern == name for s in moving_bars)} == {
+        "lines",
+        "rosette",
+    }
+    for sensor in SENSORS.values():
+        assert_allclose(np.linalg.norm(sensor.directions(), axis=1), 1.0, atol=1e-12)
+
+
+def test_lines_are_closer_in_their_band():
+    sensor = Sensor(lines=64, columns=8, lowest_deg=-25, highest_deg=3, dense_deg=(-8.0, 3.0), dense=1.5)
+    rays = sensor.directions().reshape(64, 8, 3)
+    elevation = np.degrees(np.arcsin(rays[:, 0, 2]))
+    assert_allclose(elevation[[0, -1]], [-25, 3], atol=1e-9)
+    steps = np.diff(elevation)
+    inside = elevation[:-1] > -8
+    assert_allclose(steps[inside], steps[inside][0], rtol=1e-9)
+    assert_allclose(steps[0] / steps[-1], 1.5, rtol=1e-9)
+
+
+def test_a_solid_state_sensor_looks_ahead_and_its_loops_pass_the_middle():
+    sensor = SENSORS["rosette_80"]
+    rays = sensor.directions()
+    azimuth, elevation = np.degrees(np.arctan2(rays[:, 1], rays[:, 0])), np.degrees(np.arcsin(rays[:, 2]))
+    assert ((azimuth / 40) ** 2 + (elevation / 35) ** 2).max() <= 1 + 1e-9
+    assert np.abs(azimuth).max() > 39
+    assert np.abs(elevation).max() > 34
+    middle = np.hypot(azimuth, elevation) < 4
+    assert np.count_nonzero(np.diff(middle.astype(int)) == 1) >= 50  # sixty loops
+    raster = SENSORS["raster_120"].directions()
+    assert np.degrees(np.abs(np.arctan2(raster[:, 1], raster[:, 0]))).max() == pytest.approx(60)
+    whole = SENSORS["rosette_360"].directions()
+    turned = np.histogram(np.arctan2(whole[:, 1], whole[:, 0]), 36, (-np.pi, np.pi))[0]
+    assert turned.min() > 0.5 * turned.mean()
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("slope", [(0.3, 0.0), (0.0, -0.3), (0.2, 0.2)])
+def test_a_robot_leans_with_its_ground(level, slope):
+    scan = simulate_scan(replace(level, ground=replace(level.ground, slope=slope)), PERFECT, 1)
+    away = np.hypot(scan.points[:, 0], scan.points[:, 1])
+    seen = (scan.label > 0) & (away < 15)
+    assert_allclose(scan.points[seen, 2], scan.points[seen, 2].mean(), atol=2e-3)
+
+
+@pytest.mark.open3d
+def test_a_mirror_image_is_as_far_below_the_ground_as_its_object_is_above(level):
+    wall = np.array([[[8, -9, -1], [8, 9, -1], [8, 9, 6]], [[8, -9, -1], [8, 9, 6], [8, -9, 6]]], np.float32)
+    pool = Blob(Label.WATER, (0.0, 0.0), 200.0, (), 0.0, 0.0)
+    pond = replace(level, ground=replace(level.ground, regions=(pool,)), things=((Label.BARRIER, wall),))
+    sensor = replace(PERFECT, lines=64, columns=512)
+    assert (simulate_scan(pond, sensor, 1).points[:, 2] > -1.4 - 1e-3).all()
+    scan = simulate_scan(replace(pond, mirror=1.0), sensor, 1)
+    image = scan.points[:, 2] < -1.5
+    assert image.sum() > 50
+    assert (scan.label[image] == 0).all()
+    assert_allclose(scan.points[image, 0], 8.0, atol=0.05)  # behind the surface of the pond, straight below the wall
+    assert scan.points[image, 2].min() > -1.4 - 6.0
+
+
+@pytest.mark.open3d
+def test_stray_returns_have_no_label(level):
+    sensor = replace(PERFECT, stray=0.2, columns=512, end_m=60.0, reach_m=50.0)
+    scan = simulate_scan(level, sensor, 1)
+    stray = scan.points.any(axis=1) & (scan.label == 0)
+    assert stray.mean() == pytest.approx(0.2, abs=0.02)
+    assert np.linalg.norm(scan.points[stray], axis=1).max() < 50.01
+
+
+@pytest.mark.open3d
+def test_wet_roads_return_less(level):
+    dry = simulate_scan(level, PERFECT, 1)
+    wet = simulate_scan(replace(level, wet=0.7), PERFECT, 1)
+    assert (wet.label > 0).sum() < 0.7 * (dry.label > 0).sum()
 
 
 @pytest.mark.open3d

@@ -15,7 +15,8 @@ from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 @pytest.fixture(scope="module")
 def level():
     made = make_scene(1, 0).ground
-    made = replace(made, regions=(), hills_m=0.0, bumps_m=0.0, cover_rough_m=0.0, cover=Label.DIRT)
+    made = replace(made, regions=(), hills_m=0.0, bumps_m=0.0, slope=(0.0, 0.0), banks=())
+    made = replace(made, cover_rough_m=0.0, cover=Label.DIRT)
     return Scene("level", made, (), (7,))
 
 

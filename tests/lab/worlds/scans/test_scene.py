@@ -13,6 +13,7 @@ from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
 from bumpymap.lab.worlds.scans.objects import block_field
 from bumpymap.lab.worlds.scans.plants import herb
 from bumpymap.lab.worlds.scans.regions import make_blob, make_road
+from bumpymap.lab.worlds.scans.roadside import ROADSIDES, make_street
 from bumpymap.lab.worlds.scans.scene import THEMES, make_scene
 
 pytestmark = pytest.mark.slow
@@ -83,7 +84,7 @@ def test_roads_are_graded_and_tracks_have_ruts_150_cm_apart():
     rng = np.random.default_rng(5)
     scene = make_scene(1, 0, "meadow")
     way = replace(make_road(rng, Label.DIRT, 0.0), bearing=(1.0, 0.0), bends=(), rut_m=0.2, rough_m=0.0)
-    ground = replace(scene.ground, regions=(way,), hills_m=0.0, cover_rough_m=0.0, bumps_m=0.1)
+    ground = replace(scene.ground, regions=(way,), hills_m=0.0, cover_rough_m=0.0, bumps_m=0.1, slope=(0.0, 0.0))
     y = np.linspace(-1.2, 1.2, 2401)
     across = ground.sample(np.zeros_like(y), y).z
     assert_allclose(abs(y[np.argmin(across)]), 0.75, atol=0.02)
@@ -96,11 +97,54 @@ def test_roads_are_graded_and_tracks_have_ruts_150_cm_apart():
 def test_a_kerb_is_a_step_of_concrete():
     way = replace(make_road(np.random.default_rng(5), Label.ASPHALT, 0.0), bearing=(1.0, 0.0), bends=(), kerb_m=0.12)
     way = replace(way, crown_m=0.0)
-    ground = replace(make_scene(1, 0, "meadow").ground, regions=(way,), hills_m=0.0, bumps_m=0.0)
+    ground = replace(make_scene(1, 0, "meadow").ground, regions=(way,), hills_m=0.0, bumps_m=0.0, slope=(0.0, 0.0))
     y = way.half_width_m + np.array([-0.1, 0.1, 0.4])
     sample = ground.sample(np.zeros(3), y)
     assert sample.label.tolist() == [Label.ASPHALT, Label.CONCRETE, Label.GRASS]
     assert sample.z[1] - sample.z[0] == pytest.approx(0.12, abs=0.03)
+
+
+def test_a_pavement_lies_behind_its_kerb_and_a_ditch_beside_its_road():
+    way = replace(make_road(np.random.default_rng(5), Label.ASPHALT, 0.0), bearing=(1.0, 0.0), bends=(), crown_m=0.0)
+    street = replace(way, kerb_m=0.12, pavement_m=2.0)
+    beyond = np.array([-0.1, 0.1, 1.9, 2.1])
+    on = (np.zeros(4), street.half_width_m + beyond)
+    assert_allclose(street.relief(*on), [0.0, 0.12, 0.12, 0.12])
+    assert_allclose(street.on_kerb(street.across(*on)), [0, 1, 1, 0])
+    country = replace(way, kerb_m=0.0, ditch_m=0.8, verge_m=2.0, banks_m=(-1.0, 3.0), bank_width_m=5.0)
+    beyond = np.array([0.0, 2.0, 4.0, 7.0])
+    for side, bank in ((1.0, 3.0), (-1.0, -1.0)):
+        found = country.relief(np.zeros(4), side * (country.half_width_m + beyond))
+        assert_allclose(found[[0, 1, 3]], [0.0, -0.8, bank], atol=1e-12)
+
+
+def test_places_along_a_road_are_as_far_from_its_centreline_as_asked():
+    for seed in range(5):
+        way = make_street(np.random.default_rng(seed), ROADSIDES["street"])
+        along, across = np.linspace(-80, 80, 33), np.linspace(-9, 9, 33)
+        place = way.places(along, across)
+        assert_allclose(way.across(place[:, 0], place[:, 1]), across, atol=0.05)
+        ahead = way.places(along + 0.01, np.zeros(33)) - way.places(along, np.zeros(33))
+        assert_allclose(np.cos(np.arctan2(ahead[:, 1], ahead[:, 0]) - place[:, 2]), 1.0, atol=1e-6)
+        assert abs(way.across(np.zeros(1), np.zeros(1))[0]) < way.half_width_m + way.pavement_m
+
+
+def test_slopes_reach_35_degrees_and_no_more():
+    steep = 0.0
+    for index in range(16):
+        scene = make_scene(6, index, "hillside")
+        for bank in scene.ground.banks:
+            x, y = np.random.default_rng(index).uniform(-60, 60, (2, 4000))
+            slopes = [(bank.rise(x + e, y + n) - bank.rise(x, y)) / 0.01 for e, n in ((0.01, 0.0), (0.0, 0.01))]
+            steep = max(steep, np.degrees(np.arctan(np.hypot(*slopes))).max())
+        assert np.hypot(*scene.ground.slope) <= np.tan(np.radians(25.0))
+    assert 25 < steep < 45  # a wavy line makes it a little steeper
+
+
+@pytest.mark.parametrize("theme", ROADSIDES)
+def test_a_robot_stands_on_its_street(theme):
+    labels = [make_scene(5, index, theme).ground.sample(np.zeros(1), np.zeros(1)).label[0] for index in range(6)]
+    assert set(labels) <= {Label.ASPHALT, Label.CONCRETE}
 
 
 def test_fields_have_unit_spread_the_asked_waves_and_repeat():

@@ -1,0 +1,307 @@
+"""Label sets: what the semantic ids of labelled points mean.
+
+A set gives each of its ids a name, a class (0 smooth to 2 rough; -1: none) and a kind: ground, obstacle or neither.
+Three sets are built in: ``kitti`` (ids 0 to 19, as networks for SemanticKITTI are trained), ``semantic-kitti`` (the raw
+ids of that data set) and ``rellis`` (RELLIS-3D). Another comes from a file: CSV with the columns ``id,class`` and, if
+wanted, ``name`` and ``kind``, or TOML with one ``[[label]]`` per id that has the same keys.
+"""
+
+import csv
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CLASSES, BadInputError, UsageError, read_toml
+from bumpymap.readers.source import open_source
+
+__all__ = ["LABEL_SETS", "LabelSet", "label_set", "require_label_set", "tell_label_set"]
+
+_NO_CLASS = -1
+_MOST_ID = 65_535
+_MOST_BYTES = 1 << 20
+"""Size limit of a label set in CSV."""
+_LEAST_KNOWN = 0.5
+"""A set is refused if fewer of the labelled points than this have ids of the set."""
+_LEAST_GROUND = 0.02
+"""A set explains labels if at least this share of the labelled points is ground: most scans outdoors have more, and ids
+that are read with a set they are not of are rarely ground."""
+_KINDS = ("ground", "obstacle", "")
+_KEYS = ("id", "class", "name", "kind")
+_SUFFIXES = (".csv", ".toml")
+_SHOWN = 8
+"""Number of ids that a message names."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelSet:
+    """The meaning of semantic ids."""
+
+    name: str
+    """``kitti``, ``semantic-kitti``, ``rellis``, or the path of a file."""
+    class_of: dict[int, int]
+    """Id -> class 0 (smooth) to 2 (rough), -1 if it has none; every id of the set is there."""
+    ground: frozenset[int]
+    """Ids of ground."""
+    obstacle: frozenset[int]
+    """Ids of things that stand on the ground and stop a vehicle. Trees count as a whole where a set has no id of their
+    trunks: only what is lower than the vehicle is in its way."""
+    names: dict[int, str]
+    """Id -> name."""
+
+    def classes_of(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.int16]:
+        """Return the class of each label; -1 if it has none or is not of the set."""
+        table = np.full(max(self.class_of, default=0) + 2, _NO_CLASS, np.int16)
+        table[list(self.class_of)] = list(self.class_of.values())
+        classes: NDArray[np.int16] = table[_places(labels, len(table) - 1)]
+        return classes
+
+    def is_ground(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+        """Return which labels are of ground."""
+        return _among(labels, self.ground)
+
+    def is_obstacle(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+        """Return which labels are of obstacles."""
+        return _among(labels, self.obstacle)
+
+    def is_known(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+        """Return which labels are ids of the set."""
+        return _among(labels, self.class_of)
+
+    def explains(self, labels: NDArray[np.integer[Any]]) -> bool:
+        """Return whether all labels except 0 are ids of the set, and enough of them are ground."""
+        labelled = labels[labels > 0]
+        return bool(
+            len(labelled)
+            and self.is_known(labelled).all()
+            and self.is_ground(labelled).mean() >= (_LEAST_GROUND if self.ground else 0.0)
+        )
+
+
+def _places(labels: NDArray[np.integer[Any]], last: int) -> NDArray[np.intp]:
+    return np.where((labels >= 0) & (labels < last), labels, last).astype(np.intp)
+
+
+def _among(labels: NDArray[np.integer[Any]], ids: Iterable[int]) -> NDArray[np.bool_]:
+    wanted = np.fromiter(ids, np.intp)
+    table = np.zeros(int(wanted.max(initial=0)) + 2, np.bool_)
+    table[wanted] = True
+    among: NDArray[np.bool_] = table[_places(labels, len(table) - 1)]
+    return among
+
+
+def _built_in(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSet:
+    """Return a set from groups of ids: class, kind, and the names of the ids."""
+    class_of = {number: class_id for class_id, _, names in groups for number in names}
+    kinds = {kind: frozenset(number for _, own, names in groups if own == kind for number in names) for kind in _KINDS}
+    all_names = {number: text for _, _, names in groups for number, text in names.items()}
+    return LabelSet(name, class_of, kinds["ground"], kinds["obstacle"], all_names)
+
+
+_KITTI = _built_in(
+    "kitti",
+    (_NO_CLASS, "", {0: "unlabelled"}),
+    (0, "ground", {9: "road", 10: "parking", 11: "sidewalk", 12: "other ground", 17: "terrain"}),
+    (1, "", {15: "vegetation"}),
+    (
+        2,
+        "obstacle",
+        {
+            1: "car", 2: "bicycle", 3: "motorcycle", 4: "truck", 5: "other vehicle", 6: "person", 7: "bicyclist",
+            8: "motorcyclist", 13: "building", 14: "fence", 16: "trunk", 18: "pole", 19: "traffic sign",
+        },
+    ),
+)  # fmt: skip
+_SEMANTIC_KITTI = _built_in(
+    "semantic-kitti",
+    (_NO_CLASS, "", {0: "unlabelled", 1: "outlier", 52: "other structure", 99: "other object"}),
+    (
+        0,
+        "ground",
+        {40: "road", 44: "parking", 48: "sidewalk", 49: "other ground", 60: "lane marking", 72: "terrain"},
+    ),
+    (1, "", {70: "vegetation"}),
+    (
+        2,
+        "obstacle",
+        {
+            10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on rails", 18: "truck", 20: "other vehicle",
+            30: "person", 31: "bicyclist", 32: "motorcyclist", 50: "building", 51: "fence", 71: "trunk", 80: "pole",
+            81: "traffic sign", 252: "moving car", 253: "moving bicyclist", 254: "moving person",
+            255: "moving motorcyclist", 256: "moving on rails", 257: "moving bus", 258: "moving truck",
+            259: "moving other vehicle",
+        },
+    ),
+)  # fmt: skip
+_RELLIS = _built_in(
+    "rellis",
+    (_NO_CLASS, "", {0: "void", 7: "sky"}),
+    (_NO_CLASS, "obstacle", {5: "pole", 9: "object", 12: "building", 15: "log"}),
+    (0, "ground", {1: "dirt", 3: "grass", 10: "asphalt", 23: "concrete"}),
+    (1, "ground", {6: "water", 31: "puddle", 33: "mud", 34: "rubble"}),
+    (1, "", {19: "bush"}),
+    (2, "obstacle", {4: "tree", 8: "vehicle", 17: "person", 18: "fence", 27: "barrier"}),
+)
+LABEL_SETS: dict[str, LabelSet] = {known.name: known for known in (_KITTI, _SEMANTIC_KITTI, _RELLIS)}
+"""The built-in sets by their names."""
+
+
+def label_set(name_or_path: str | Path) -> LabelSet:
+    """Return a built-in label set, or read one from a file.
+
+    Raises
+    ------
+    UsageError
+        It is neither the name of a set nor a file name that ends in ``.csv`` or ``.toml``.
+    BadInputError
+        The file cannot be read, or is not a label set.
+    """
+    text = str(name_or_path)
+    if text in LABEL_SETS:
+        return LABEL_SETS[text]
+    path, suffix = Path(text), Path(text).suffix.lower()
+    if not (isinstance(name_or_path, Path) or suffix in _SUFFIXES or "/" in text):
+        raise UsageError(
+            f"`labels` is '{text}'; it must be {', '.join(LABEL_SETS)}, or a file that ends in .csv or .toml"
+        )
+    rows = _toml_rows(path) if suffix == ".toml" else _csv_rows(path)
+    return _from_rows(path, rows)
+
+
+def _toml_rows(path: Path) -> list[dict[str, Any]]:
+    content = read_toml(path, "a label set", BadInputError)
+    rows = content.get("label")
+    if set(content) != {"label"} or not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise BadInputError(
+            f"{path} is not a label set: it must hold one [[label]] per id, with the keys id, class and, if wanted, "
+            "name and kind"
+        )
+    return rows
+
+
+def _csv_rows(path: Path) -> list[dict[str, Any]]:
+    with open_source(path) as stream:
+        content = stream.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        raise BadInputError(f"{path} has more than {_MOST_BYTES // 1024} kB; is it a label set?")
+    lines = [line for line in content.decode("utf-8-sig", "replace").splitlines() if line.strip()]
+    table = csv.reader(line for line in lines if not line.startswith("#"))
+    try:
+        head = [word.strip().lower() for word in next(table, [])]
+        rows = [[word.strip() for word in row] for row in table]
+    except csv.Error as error:
+        raise BadInputError(f"{path} is not a label set: {error}") from error
+    if not {"id", "class"} <= set(head):
+        raise BadInputError(
+            f"{path} is not a label set: its first line is '{','.join(head)[:80]}'; it must be id,class or "
+            "id,class,name,kind, with one line per id below"
+        )
+    short = next((row for row in rows if len(row) != len(head)), None)
+    if short is not None:
+        raise BadInputError(
+            f"{path}: the line {','.join(short)[:80]} has {len(short)} values; {len(head)} are required"
+        )
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def _from_rows(path: Path, rows: list[dict[str, Any]]) -> LabelSet:
+    if not rows:
+        raise BadInputError(f"{path} holds no labels; a label set has one line per id: id,class")
+    class_of: dict[int, int] = {}
+    kinds: dict[str, set[int]] = {kind: set() for kind in _KINDS}
+    names: dict[int, str] = {}
+    for row in rows:
+        number, class_id = _whole(path, row, "id", 0, _MOST_ID), _whole(path, row, "class", _NO_CLASS, CLASSES - 1)
+        kind = row.get("kind", "")
+        unknown = sorted(set(row) - set(_KEYS))
+        if unknown or number in class_of or kind not in _KINDS:
+            what = f"the unknown key {unknown[0]}" if unknown else f"the kind '{kind}'" if kind else "two meanings"
+            raise BadInputError(
+                f"{path}: id {number} has {what}; each id stands once, with class and, if wanted, name and kind "
+                "(ground, obstacle, or empty)"
+            )
+        class_of[number] = class_id
+        kinds[kind].add(number)
+        names[number] = str(row.get("name", "")) or f"id {number}"
+    return LabelSet(str(path), class_of, frozenset(kinds["ground"]), frozenset(kinds["obstacle"]), names)
+
+
+def _whole(path: Path, row: Mapping[str, Any], key: str, least: int, most: int) -> int:
+    given = row.get(key)
+    try:
+        number = int(given) if isinstance(given, str | int) and not isinstance(given, bool) else None
+    except ValueError:
+        number = None
+    if number is None or not least <= number <= most:
+        raise BadInputError(f"{path}: {key} is {str(given)[:40]!r}; it must be a whole number from {least} to {most:,}")
+    return number
+
+
+def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin: str) -> None:
+    """Refuse labels that are not of a set.
+
+    Parameters
+    ----------
+    labels : array of int
+        Semantic ids; 0 and below are unlabelled in every set.
+    known : LabelSet
+    origin : str
+        Where the labels are from, for the message.
+
+    Raises
+    ------
+    BadInputError
+        Most ids are not of the set; or they do not fit it (unknown ids, no ground) while they fit a built-in one.
+    """
+    labelled = labels[labels > 0]
+    if not len(labelled) or known.explains(labelled):
+        return
+    fitting = [other.name for other in LABEL_SETS.values() if other.name != known.name and other.explains(labelled)]
+    if fitting or known.is_known(labelled).mean() < _LEAST_KNOWN:
+        advice = f"They fit `labels='{fitting[0]}'`" if fitting else "Name the set they are of, or a file with it"
+        raise BadInputError(
+            f"the labels of {origin} are not those of the set {known.name}: {_describe(labelled, known)}. {advice}"
+        )
+
+
+def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
+    """Return the one built-in set that fits labels.
+
+    Parameters
+    ----------
+    labels : array of int
+        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
+    origin : str
+        Where the labels are from, for the message.
+
+    Raises
+    ------
+    BadInputError
+        No set fits, or several do.
+    """
+    fitting = [known for known in LABEL_SETS.values() if known.explains(labels)]
+    if len(fitting) == 1:
+        return fitting[0]
+    ids = np.unique(labels[labels > 0])
+    what = f"fit {' and '.join(known.name for known in fitting)}" if fitting else "fit no label set that is built in"
+    raise BadInputError(
+        f"the labels of {origin} (ids {_listed(ids)}) {what}; say which they are: `labels='NAME'` "
+        f"({', '.join(LABEL_SETS)}), or `labels='FILE.csv'` with the columns id,class,name,kind"
+    )
+
+
+def _describe(labelled: NDArray[np.integer[Any]], known: LabelSet) -> str:
+    foreign = labelled[~known.is_known(labelled)]
+    if len(foreign):
+        return (
+            f"{len(foreign) / len(labelled):.0%} of the labelled points have other ids ({_listed(np.unique(foreign))})"
+        )
+    return f"none of the ids ({_listed(np.unique(labelled))}) is ground there"
+
+
+def _listed(ids: NDArray[np.integer[Any]]) -> str:
+    more = ", .." if len(ids) > _SHOWN else ""
+    return ", ".join(str(number) for number in ids[:_SHOWN]) + more if len(ids) else "none"

@@ -1,0 +1,125 @@
+"""Label sets: built in, from files, told from the ids, and refused where they are not those of the labels."""
+
+import numpy as np
+import pytest
+
+from bumpymap.core import BadInputError, UsageError
+from bumpymap.readers import LABEL_SETS, label_set, require_label_set, tell_label_set
+from bumpymap.scan import CLASS_OF_LABEL
+
+KITTI = np.array([0, 1, 9, 14, 15, 17, 18])
+SEMANTIC = np.array([0, 40, 52, 70, 71, 72, 80])
+RELLIS = np.array([0, 3, 4, 19, 33])
+CSV = "id,class,name,kind\n# a remark\n1,0,lawn,ground\n2,2,wall,obstacle\n7,-1,,\n"
+TOML = "".join(
+    f'[[label]]\nid = {i}\nclass = {c}\nname = "{n}"\nkind = "{k}"\n'
+    for i, c, n, k in ((1, 0, "lawn", "ground"), (2, 2, "wall", "obstacle"), (7, -1, "", ""))
+)
+
+
+def test_the_classes_of_rellis_are_those_of_the_network():
+    rellis = LABEL_SETS["rellis"]
+    assert {number: k for number, k in rellis.class_of.items() if k >= 0} == CLASS_OF_LABEL
+
+
+@pytest.mark.parametrize("known", LABEL_SETS.values(), ids=str)
+def test_a_built_in_set_is_consistent(known):
+    ids = np.array(sorted(known.class_of))
+    assert set(known.names) == set(known.class_of)
+    assert not known.ground & known.obstacle
+    assert known.ground | known.obstacle <= set(known.class_of)
+    assert [known.class_of[i] for i in ids] == known.classes_of(ids).tolist()
+    assert [i in known.ground for i in ids] == known.is_ground(ids).tolist()
+    assert [i in known.obstacle for i in ids] == known.is_obstacle(ids).tolist()
+    foreign = np.array([-1, 8_000, 65_535])
+    assert known.classes_of(foreign).tolist() == [-1, -1, -1]
+    assert not known.is_known(foreign).any()
+    assert known.is_known(ids.astype(np.uint16)).all()
+
+
+@pytest.mark.parametrize(("file", "text"), [("a.csv", CSV), ("a.toml", TOML)])
+def test_a_set_from_a_file(tmp_path, file, text):
+    path = tmp_path / file
+    path.write_text(text)
+    known = label_set(path)
+    assert known == label_set(str(path))
+    assert known.class_of == {1: 0, 2: 2, 7: -1}
+    assert (known.ground, known.obstacle) == ({1}, {2})
+    assert known.names == {1: "lawn", 2: "wall", 7: "id 7"}
+
+
+def test_two_columns_are_enough(tmp_path):
+    (tmp_path / "a.csv").write_text("id, class\n3, 1\n")
+    assert label_set(tmp_path / "a.csv").class_of == {3: 1}
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("a.csv", "", "first line"),
+        ("a.csv", "label,class\n1,2\n", "first line"),
+        ("a.csv", "id,class\n", "no labels"),
+        ("a.csv", "id,class\n1\n", "1 values; 2"),
+        ("a.csv", "id,class\n1,3\n", "class is '3'.*from -1 to 2"),
+        ("a.csv", "id,class\n70000,1\n", "id is '70000'"),
+        ("a.csv", "id,class\n1,0\n1,0\n", "two meanings"),
+        ("a.csv", "id,class,kind\n1,0,floor\n", "the kind 'floor'"),
+        ("a.csv", "id,class,color\n1,0,red\n", "the unknown key color"),
+        ("a.csv", "id,class\n1.5,0\n", "id is '1.5'"),
+        ("a.toml", "label = 3\n", r"one \[\[label\]\] per id"),
+        ("a.toml", "[[label]]\nid = 3\n", "class is 'None'"),
+        ("a.toml", "[[label]\n", "cannot read a label set"),
+    ],
+)
+def test_a_file_that_is_no_set_is_refused(tmp_path, file, text, message):
+    (tmp_path / file).write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        label_set(tmp_path / file)
+
+
+def test_no_set_and_no_file_are_refused():
+    with pytest.raises(UsageError, match="kitti, semantic-kitti, rellis, or a file"):
+        label_set("semantickitti")
+    with pytest.raises(BadInputError, match="cannot read"):
+        label_set("none/a.csv")
+
+
+@pytest.mark.parametrize(("labels", "name"), [(KITTI, "kitti"), (SEMANTIC, "semantic-kitti"), (RELLIS, "rellis")])
+def test_the_set_is_told_from_the_ids_and_others_are_refused(labels, name):
+    assert tell_label_set(labels, "a.label").name == name
+    require_label_set(labels, LABEL_SETS[name], "a.label")
+    for other in set(LABEL_SETS) - {name}:
+        with pytest.raises(BadInputError, match=f"not those of the set {other}.*`labels='{name}'`"):
+            require_label_set(labels, LABEL_SETS[other], "a.label")
+
+
+def test_ids_that_exist_in_two_sets_are_told_by_their_ground():
+    assert tell_label_set(np.array([3, 4, 19]), "a").name == "rellis"  # kitti: motorcycles, trucks, signs
+    assert tell_label_set(np.array([9, 15, 17]), "a").name == "kitti"  # rellis: objects, logs, persons
+
+
+def test_doubt_is_said():
+    with pytest.raises(BadInputError, match="fit kitti and rellis; say which"):
+        tell_label_set(np.array([10, 18]), "a.label")
+    with pytest.raises(BadInputError, match="fit no label set"):
+        tell_label_set(np.array([0, 500]), "a.label")
+    with pytest.raises(BadInputError, match="ids none"):
+        tell_label_set(np.zeros(5, np.uint16), "a.label")
+    require_label_set(np.zeros(5, np.uint16), LABEL_SETS["kitti"], "a.label")
+
+
+def test_a_set_of_a_file_is_refused_where_most_ids_are_foreign(tmp_path):
+    (tmp_path / "a.csv").write_text("id,class\n900,0\n901,2\n")
+    own = label_set(tmp_path / "a.csv")
+    require_label_set(np.array([900, 901, 500]), own, "a.label")
+    with pytest.raises(BadInputError, match="67% of the labelled points have other ids"):
+        require_label_set(np.array([900, 500, 501]), own, "a.label")
+
+
+@pytest.mark.parametrize("name", ["kitti_labelled", "solid_state_labelled"])
+def test_real_labels(shared_data, name):
+    wanted = {"kitti_labelled": "kitti", "solid_state_labelled": "semantic-kitti"}[name]
+    files = sorted((shared_data / "scans" / name).glob("*.label"))
+    assert files
+    for file in files:
+        assert tell_label_set(np.fromfile(file, "<u4") & 0xFFFF, str(file)).name == wanted
