@@ -26,8 +26,13 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     )
     dropped = record["dropped"]
     print_line(
-        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
+        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
+    )
+    states = record["sector_states"]
+    print_line(
+        f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
+        f"{states['rough']:,} rough, {states['not ground']:,} not ground"
     )
     print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
@@ -35,6 +40,8 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     print_line(f"Output in {config.out}: {', '.join(result.files)}")
     if result.merged is not None:
         print_line(_merged_line(result.merged))
+    if config.bag is not None:
+        print_line(f"Grids of the frames in {config.bag}")
     if result.drive is not None:
         tiles = result.drive.summary
         print_line(
@@ -82,7 +89,7 @@ def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:
         "method": result.method,
         "frames": len(frames),
         "points": sum(frame["points"] for frame in frames),
-        **{name: _sum(frames, name) for name in ("dropped", "sectors", "points_by_class")},
+        **{name: _sum(frames, name) for name in ("dropped", "sectors", "sector_states", "points_by_class")},
         "skipped": result.skipped,
         "gathered": result.merged,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],

@@ -244,7 +244,8 @@ def _outvoted(table: VoxelTable) -> NDArray[np.bool_]:
     is_ground = table.key[:used] & 1 == 1
     _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
     votes = np.where(is_ground, 1, -1) * table.hits[:used]
-    return is_ground & (np.bincount(voxel, votes)[voxel] < 0)
+    lost: NDArray[np.bool_] = is_ground & (np.bincount(voxel, votes)[voxel] < 0)
+    return lost
 
 
 def _empty_table(rows: int) -> VoxelTable:

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.core import ClassedSectors
-
-__all__ = ["AccumulatedSurvey", "ground_points", "open_accumulated"]
+__all__ = ["AccumulatedSurvey", "open_accumulated"]
 
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
@@ -33,11 +31,6 @@ class AccumulatedSurvey:
         record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
         record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
         self._writer.write_points(record)
-
-
-def ground_points(classed: ClassedSectors) -> NDArray[np.bool_]:
-    """Return which points of a scan, (n,), are ground."""
-    return classed.sectors.point_ground
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from bumpymap.lab.worlds.scans._fields import Floats, make_field
 from bumpymap.lab.worlds.scans._solids import Triangles, boxes
 from bumpymap.lab.worlds.scans.ground import GroundSample, SceneGround
 from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.lidar import SimulatedScan, simulate_scan
+from bumpymap.lab.worlds.scans.lidar import SimulatedScan, posture, simulate_scan
 from bumpymap.lab.worlds.scans.objects import vehicle
 from bumpymap.lab.worlds.scans.plants import tree
 from bumpymap.lab.worlds.scans.scene import Scene
@@ -75,8 +75,8 @@ class Street:
     def blocked(self, low: float, high: float, step: float) -> NDArray[np.bool_]:
         """Return where something stands that stays, in cells of ``step`` [m] of a square around the street.
 
-        Whatever stands reaches from below ``low`` to above ``high`` for any vehicle. The square goes from 0 along x and is centred in y, north
-        row first.
+        Whatever stands reaches from below ``low`` to above ``high`` for any vehicle. The square goes from 0 along x and
+        is centred in y, north row first.
         """
         count = round(self.length_m / step)
         at = (np.arange(count) + 0.5) * step
@@ -142,9 +142,12 @@ def drive_street(street: Street, sensor: Sensor, frames: int) -> tuple[list[Simu
     for number in range(frames):
         x, y, turn = 4.0 + _STEP_M * number, -1.75 + 0.3 * np.sin(number / 4.0), 0.03 * np.cos(number / 4.0)
         tilted = replace(sensor, tilt_deg=(0.8 * np.sin(1.3 * number), 0.8 * np.cos(1.7 * number)))
-        scans.append(simulate_scan(street.scene(number, (x, y), turn), tilted, number))
+        scene = street.scene(number, (x, y), turn)
+        scans.append(simulate_scan(scene, tilted, number))
         cos, sin = np.cos(turn), np.sin(turn)
-        poses[number, :3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilted.to_level()
+        poses[number, :3, :3] = (
+            np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ posture(scene) @ tilted.to_level()
+        )
         poses[number, :3, 3] = x, y, street.ground.height(x, y) + sensor.height_m
     return scans, poses
 
