@@ -74,8 +74,11 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class PolarSettings:
-    """The concentric-zone polar grid. From 4 m on the defaults are the paper's grid; the zone before it is for robots
-    whose sensor is low, and sees half of its points there."""
+    """The concentric-zone polar grid.
+
+    From 4 m on the defaults are the paper's grid. The zone before it is for robots whose sensor is low: half of their
+    points lie there.
+    """
 
     zone_starts_m: tuple[float, ...] = (1.0, 4.0, 12.0, 28.0, 60.0)
     """Inner radius of each zone, horizontal distance from the sensor, m."""
@@ -127,8 +130,8 @@ class PolarSettings:
         ):
             raise UsageError(
                 f"least_points is {self.least_points} (3 or more), pixels {self.pixels} (3 to 64), least_normal_z "
-                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} (above "
-                f"0), height_m {self.height_m} (above belly_m)"
+                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} "
+                f"(above 0), height_m {self.height_m} (above belly_m)"
             )
 
 
@@ -153,8 +156,8 @@ class SectorStack:
     traversable: NDArray[np.bool_]
     """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
-    """(n, pixels, pixels) mean z of ground points above their plane, m; zeros without ground. Rows go outwards with distance, columns counter-clockwise
-    with azimuth, both in equal steps; empty pixels are filled."""
+    """(n, pixels, pixels) mean z of ground points above their plane, m; zeros without ground. Rows go outwards with
+    distance, columns counter-clockwise with azimuth, both in equal steps; empty pixels are filled."""
     coverage: NDArray[np.float32]
     """(n,) share of the pixels that hold a ground point, 0..1."""
     variance: NDArray[np.float32]
@@ -167,6 +170,8 @@ class SectorStack:
     """(n,) points that are ground."""
     obstacle_count: NDArray[np.int32]
     """(n,) points between ``belly_m`` and ``height_m`` above the ground."""
+    overhead_count: NDArray[np.int32]
+    """(n,) points from ``height_m`` above the ground on."""
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it."""
     obstacle_height: NDArray[np.float32]

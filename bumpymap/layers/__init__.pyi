@@ -172,7 +172,6 @@ from .route_points import (
 )
 from .scan.accumulated import (
     AccumulatedSurvey as AccumulatedSurvey,
-    ground_points as ground_points,
     open_accumulated as open_accumulated,
 )
 from .scan.folder import (

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from pyproj import CRS
 
@@ -47,7 +48,7 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
     return drive
 
 
-def map_drive(drive: MapConfig, accumulated: Mapping[str, int], progress: Progress) -> MapResult | None:
+def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> MapResult | None:
     """Map the merged frames; return None if none of their points is ground.
 
     Parameters
@@ -58,9 +59,7 @@ def map_drive(drive: MapConfig, accumulated: Mapping[str, int], progress: Progre
     progress : Progress
     """
     if not accumulated["ground"]:
-        _log.warning(
-            "no map was made: none of the %d gathered points lies in a traversable sector", accumulated["points"]
-        )
+        _log.warning("no map was made: none of the %d gathered points is ground", accumulated["points"])
         return None
     if drive.out.is_symlink():
         raise OutputError(

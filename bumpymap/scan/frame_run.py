@@ -66,7 +66,7 @@ class FrameRun:
                 open_products(self.config, self.frames, self.crs, run.path, staged) as products,
             ):
                 reports = self._classify_each(reader, products, progress)
-            accumulated = products.point_counts()
+            accumulated = products.merged()
             manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
             manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
             if self.config.bag is not None and products.grids is not None:

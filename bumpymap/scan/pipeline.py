@@ -1,6 +1,8 @@
 """The scan job, step by step: frames in, classed sectors and their files out; with poses, a map of the drive."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from bumpymap.core import (
     Progress,
@@ -38,6 +40,8 @@ class ScanRun:
     """Wall time by stage."""
     drive: MapResult | None
     """The map of the merged frames; None without poses, or without ground to map."""
+    merged: Mapping[str, Any] | None = None
+    """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
     already_done: bool = False
     """An earlier run with the same frames and settings is complete: nothing was written, and these are its results."""
 
@@ -86,5 +90,12 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
             mapped = map_drive(drive, classified.accumulated, progress)
     already_done = is_done and (mapped is None or mapped.already_done)
     return ScanRun(
-        classified.files, classified.method, classified.reports, classified.skipped, seconds, mapped, already_done
+        classified.files,
+        classified.method,
+        classified.reports,
+        classified.skipped,
+        seconds,
+        mapped,
+        classified.accumulated,
+        already_done,
     )

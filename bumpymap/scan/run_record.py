@@ -44,8 +44,8 @@ class ClassifiedFrames:
     reports: tuple[FrameReport, ...]
     skipped: dict[str, str]
     """Frames that could not be read, with the error message."""
-    accumulated: dict[str, int] | None
-    """Number of ``points`` in gathered.laz, and of those that are ``ground``; None without poses."""
+    accumulated: dict[str, Any] | None
+    """What scan.json says of gathered.laz, see `DriveMerge.record`; None without poses."""
     seconds: dict[str, float]
     """Wall time by stage."""
 
