@@ -15,6 +15,7 @@ from bumpymap.cli._wording import as_options
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
+from bumpymap.scan import ScanConfig
 from bumpymap.survey import BatchConfig
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -172,11 +173,13 @@ def test_no_message_that_a_python_caller_can_see_names_an_option():
 
 
 def test_every_setting_in_backquotes_is_one():
-    known = set(MapConfig.__dataclass_fields__) | {"poses", "stripes", "method", "fit"}
+    known = set(MapConfig.__dataclass_fields__) | {"fit"}
     known |= set(BatchConfig.__dataclass_fields__)
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
+    known |= set(ScanConfig.__dataclass_fields__)
     known |= set(ExportSettings.__dataclass_fields__)
     known |= set(DiffConfig.__dataclass_fields__)
+    known |= set(ScanConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):
         if _is_for_commands(file):
             continue

@@ -9,8 +9,8 @@ import shlex
 
 __all__ = ["as_options"]
 
-_SPELLED = {"start": "from", "goal": "to", "round_trip": "return"}
-"""Options that cannot have the name of the setting: ``from`` and ``return`` are words of Python."""
+_SPELLED = {"start": "from", "goal": "to", "round_trip": "return", "range_m": "range"}
+"""Options that do not have the name of the setting: ``from`` and ``return`` are words of Python."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 
 

@@ -20,20 +20,37 @@ __all__ = ["METHODS", "PRODUCTS", "command"]
 _PARTLY_DONE = 4
 # Copied from bumpymap.scan, whose import would slow --help down by half a second; a test compares them.
 METHODS = ("filter", "learned")
-PRODUCTS = ("polygons", "table", "cloud", "picture")
+PRODUCTS = ("polygons", "table", "cloud")
 _NOT_OF_A_FIT = (
     "out",
     "poses",
     "crs",
+    "deskew",
     "method",
     "model",
     "stripes",
     "compat",
     "products",
+    "odometry",
+    "bag",
+    "pictures",
+    "range_m",
+    "threads",
     "vehicle",
     "calibration",
     "resume",
 )
+
+
+class _EveryNth(click.types.IntParamType):
+    """A whole number that may be left out, which a FRAME that follows is taken for."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number. Raises BadParameter if it is none."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
 
 
 @click.command("scan")
@@ -46,7 +63,15 @@ _NOT_OF_A_FIT = (
     help="Fit the stripe classes of the filter to the frames and write only this file.",
 )
 @click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
+@click.option("--no-deskew", "deskew", flag_value=False, type=bool, help="Keep points as measured in motion.")
+@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: told from them].")
+@click.option(
+    "--labels", metavar="NAME_OR_FILE", help="Label set: kitti, semantic-kitti, rellis, or a file (id,class)."
+)
 @click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
+@click.option("--topic", metavar="NAME", help="Topic of the scans in a bag [default: the only PointCloud2].")
+@click.option("--odometry", metavar="NAME", help="Topic of the poses in a bag [default: the only Odometry, or tf].")
+@click.option("--bag", type=PATH, metavar="FILE", help="Write grids of all frames to this bag of ROS 2 (.mcap).")
 @click.option(
     "--method", type=click.Choice(METHODS), help="How sectors are classified [default: learned if available]."
 )
@@ -54,6 +79,11 @@ _NOT_OF_A_FIT = (
 @click.option("--stripes", type=PATH, metavar="FILE", help="Your own stripe classes, from --fit (filter).")
 @click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
 @click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
+@click.option(
+    "--pictures", type=_EveryNth(), is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
+)
+@click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
+@click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")
 @click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
 @click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
 @click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")
@@ -71,11 +101,12 @@ _NOT_OF_A_FIT = (
 def command(
     ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
 ) -> None:
-    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
+    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
     bumpymap scan frame.pcd --out out
     bumpymap scan drive --poses poses.txt --out out
+    bumpymap scan drive.mcap --out out --bag grids.mcap
     bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli import _scan_summary
@@ -85,7 +116,7 @@ def command(
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
     if ctx.obj:
-        import_without_pandas(*["pyogrio.raw"] if config.poses else [])
+        import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         if fit is None:
             result = scan_frames(config, progress)

@@ -37,9 +37,9 @@ class Dropped:
     """Number of returns of a file that were dropped, by reason."""
 
     no_return: int = 0
-    """At (0, 0, 0): the beam hit nothing."""
+    """At (0, 0, 0), or all three coordinates are NaN: the beam hit nothing."""
     not_finite: int = 0
-    """A coordinate is NaN or infinite."""
+    """A coordinate is infinite, or one or two are NaN."""
     on_robot: int = 0
     """On the robot that carries the sensor."""
 
@@ -58,12 +58,15 @@ class Scan:
     """Name of the frame: the stem of its file."""
     dropped: Dropped = Dropped()
     """Returns of the file that were left out."""
+    time: NDArray[np.float32] | None = None
+    """(n,) s after the time of the frame: as in the file, or after its first return if the file has times of day; None
+    if the file has none."""
 
     def __post_init__(self) -> None:
         count = len(self.points)
         if self.points.shape != (count, 3):
             raise ValueError(f"points are {self.points.shape}; a scan has (n, 3)")
-        for name in ("intensity", "label"):
+        for name in ("intensity", "label", "time"):
             values = getattr(self, name)
             if values is not None and values.shape != (count,):
                 raise ValueError(f"{name} is {values.shape}; the scan has {count} points")

@@ -4,23 +4,24 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.core import ClassedSectors, Scan, move_together, remove_path
+from bumpymap.core import BadInputError, ClassedSectors, Scan, move_together, remove_path
 from bumpymap.layers import (
     ACCUMULATED_NAME,
     FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME,
-    AccumulatedSurvey,
     Frame,
     FramePart,
     FrameReport,
+    GridBag,
     SectorTable,
-    ground_points,
-    has_files,
+    file_sizes,
+    frame_files,
     load_part,
     open_accumulated,
     open_table,
@@ -32,8 +33,9 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.merge import DriveMerge, open_merge
 
-__all__ = ["FrameProducts", "drop_empty_folder", "move_products", "open_products", "staging_folder"]
+__all__ = ["FrameProducts", "drop_empty_folder", "frame_products", "move_products", "open_products", "staging_folder"]
 
 _STAGED = "products"
 """Folder for the products, inside the folder of the run, until all are complete."""
@@ -41,7 +43,10 @@ _STAGED = "products"
 
 @dataclass(frozen=True, slots=True)
 class FrameProducts:
-    """The products of a run while frame after frame is added."""
+    """The products of a run while frame after frame is added.
+
+    Several threads may `load` and `write` frames at a time; one alone may `add` them, in their order.
+    """
 
     config: ScanConfig
     run_folder: Path
@@ -50,71 +55,82 @@ class FrameProducts:
     """Folder of the products until all are complete."""
     table: SectorTable | None
     """None if no table is wanted."""
-    accumulated: AccumulatedSurvey | None
-    """Points of all frames at their poses; None without poses."""
+    accumulated: DriveMerge | None
+    """Merges the points of all frames; None without poses."""
+    grids: GridBag | None
+    """Grids of all frames; None if no bag is wanted."""
 
     def load(self, frame: Frame, number: int) -> FramePart | None:
         """Return a frame that an earlier run has finished; None if it is not finished."""
-        if not has_files(frame.name, self.staged, self.config.products):
-            return None
-        return load_part(part_path(self.run_folder, number), frame)
+        part = load_part(part_path(self.run_folder, number), frame)
+        return part if part is not None and part.files == file_sizes(self._files(frame, number)) else None
 
-    def add_finished(self, frame: Frame, part: FramePart) -> None:
-        """Add a frame whose own files are written already."""
-        self._accumulate(frame, part)
-        self._add_rows(part)
+    def write(self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors) -> FramePart:
+        """Write the files of a frame's own, and its checkpoint; return what it adds to the files of the run."""
+        products, stack = frame_products(self.config, number), classed.sectors
+        write_frame(frame.name, scan, classed, self.staged, products, self.config.range_m)
+        if self.grids is not None:
+            self.grids.add(frame, number, scan, classed)
+        kept = slice(None) if self.accumulated is not None else slice(0)
+        with np.errstate(over="ignore"):
+            heights = stack.point_height[kept].astype(np.float16)
+        part = FramePart(
+            report,
+            sector_rows(frame.name, classed) if self.table is not None else None,
+            scan.points[kept],
+            stack.point_ground[kept],
+            heights,
+            file_sizes(self._files(frame, number)) or {},
+        )
+        save_part(part, part_path(self.run_folder, number))
+        return part
 
-    def add(self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors) -> None:
-        """Write the files of a frame and add it to those of the run.
+    def add(self, frame: Frame, number: int, part: FramePart) -> None:
+        """Add a frame to the files of the run.
 
         Raises
         ------
         BadInputError
-            Its points cannot be placed at its pose; nothing of it is written then.
+            Its points cannot be placed at its pose; the files of its own are removed then.
         """
-        part = self._part(report, scan, classed)
-        self._accumulate(frame, part)  # first: it may refuse the frame
-        write_frame(frame.name, scan, classed, self.staged, self.config.products)
-        save_part(part, part_path(self.run_folder, number))
-        self._add_rows(part)
-
-    def point_counts(self) -> dict[str, int] | None:
-        """Count the accumulated ``points``, and those that are ``ground``; None without poses."""
-        return None if self.accumulated is None else self.accumulated.record()
-
-    def _part(self, report: FrameReport, scan: Scan, classed: ClassedSectors) -> FramePart:
-        with_points = self.accumulated is not None
-        return FramePart(
-            report,
-            sector_rows(report.frame.name, classed) if self.table is not None else None,
-            scan.points if with_points else np.empty((0, 3), np.float32),
-            ground_points(classed) if with_points else np.empty(0, np.bool_),
-        )
-
-    def _accumulate(self, frame: Frame, part: FramePart) -> None:
-        if self.accumulated is not None and frame.pose is not None:
-            self.accumulated.add_points(frame.name, part.points, frame.pose, part.is_ground)
-
-    def _add_rows(self, part: FramePart) -> None:
+        try:
+            if self.accumulated is not None and frame.pose is not None:
+                self.accumulated.add_points(frame.name, part.points, frame.pose, part.is_ground)
+        except BadInputError:
+            for path in (part_path(self.run_folder, number), *self._files(frame, number)):
+                path.unlink(missing_ok=True)
+            raise
         if self.table is not None and part.rows is not None:
             self.table.add_rows(part.rows)
+
+    def merged(self) -> dict[str, Any] | None:
+        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
+        return None if self.accumulated is None else self.accumulated.record()
+
+    def _files(self, frame: Frame, number: int) -> list[Path]:
+        grids = [] if self.grids is None else [self.grids.part(number)]
+        return [*frame_files(frame.name, self.staged, frame_products(self.config, number)), *grids]
+
+
+def frame_products(config: ScanConfig, number: int) -> tuple[str, ...]:
+    """Return the products of the frame with that number in the run."""
+    return (*config.products, *(["picture"] if config.pictures and number % config.pictures == 0 else []))
 
 
 @contextmanager
 def open_products(
     config: ScanConfig, frames: Sequence[Frame], crs: CRS | None, run_folder: Path, staged: Path
 ) -> Iterator[FrameProducts]:
-    """Open the files that take all frames; close them and flush them to disk if the body succeeds."""
+    """Open the files that take all frames, and close them after the body."""
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        accumulated = (
-            open_files.enter_context(open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs)) if poses else None
-        )
-        yield FrameProducts(config, run_folder, staged, table, accumulated)
-    for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME):
-        if (staged / name).exists():
-            sync_to_disk(staged / name)
+        merge = open_files.enter_context(open_merge(run_folder, poses[0])) if poses else None
+        grids = None if config.bag is None else GridBag(run_folder, config.grid)
+        yield FrameProducts(config, run_folder, staged, table, merge, grids)
+        if merge is not None:
+            with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
+                merge.write(survey)
 
 
 def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
@@ -138,6 +154,7 @@ def move_products(staged: Path, out: Path) -> tuple[str, ...]:
         for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
         if (staged / name).exists()
     )
+    sync_to_disk(path for path in staged.rglob("*") if path.is_file())
     move_together(staged, out, SCAN_MANIFEST_NAME)
     remove_stale_products(out, files)
     return files

@@ -5,14 +5,17 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Any
 
 from pyproj import CRS
 
-from bumpymap.core import ClassedSectors, Kept, Progress, RunFolder, Scan, Stopwatch, utf8_path
+from bumpymap.core import Kept, Progress, RunFolder, Stopwatch, in_threads, utf8_path
 from bumpymap.layers import (
     Frame,
+    FramePart,
     FrameReport,
+    describe_file,
     explain_empty_scan,
     has_finished_parts,
     output_errors,
@@ -28,7 +31,7 @@ from bumpymap.scan.frame_products import (
     staging_folder,
 )
 from bumpymap.scan.frames import FrameReader, naming_frame
-from bumpymap.scan.methods import Method
+from bumpymap.scan.methods import Method, choose_method
 from bumpymap.scan.run_record import ClassifiedFrames, scan_manifest
 
 __all__ = ["FrameRun"]
@@ -63,9 +66,13 @@ class FrameRun:
                 open_products(self.config, self.frames, self.crs, run.path, staged) as products,
             ):
                 reports = self._classify_each(reader, products, progress)
-            accumulated = products.point_counts()
+            accumulated = products.merged()
             manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
-            manifest |= {"gathered": accumulated, "seconds": clock.seconds}
+            manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+            if self.config.bag is not None and products.grids is not None:
+                done = {report.frame.name for report in reports}
+                products.grids.write(self.config.bag, (n for n, f in enumerate(self.frames) if f.name in done))
+                manifest["bag"] = describe_file(self.config.bag)
             drop_empty_folder(staged)
             write_scan_manifest(staged, manifest, reports, self.run_spec["inputs"])
             files = move_products(staged, out)
@@ -83,34 +90,44 @@ class FrameRun:
         )
 
     def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:
+        """Read, class and write frames in threads; add them to the files of the run in their order."""
+        methods: SimpleQueue[Method] = SimpleQueue()
+        methods.put(self.method)
+        for _ in range(min(self.config.threads, len(self.frames)) - 1):
+            methods.put(choose_method(self.config))  # each thread needs its own
+
+        def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, str]:
+            method = methods.get()
+            try:
+                return self._finish(*numbered, reader, products, method)
+            finally:
+                methods.put(method)
+
         reports: list[FrameReport] = []
         progress.start("scanning frames", len(self.frames))
-        for number, frame in enumerate(self.frames):
-            with reader.skipping(frame):
-                reports.append(self._classify_one(frame, number, reader, products))
-            progress.advance(1)
+        with in_threads(finish, enumerate(self.frames), self.config.threads) as results:
+            for number, (frame, result) in enumerate(zip(self.frames, results, strict=True)):
+                with reader.skipping(frame):
+                    part, empty = result()
+                    if empty:
+                        _log.warning("no ground was classified in %s: %s", frame.origin, empty)
+                    products.add(frame, number, part)
+                    reports.append(part.report)
+                progress.advance(1)
         reader.require_any(len(reports))
         return reports
 
-    def _classify_one(self, frame: Frame, number: int, reader: FrameReader, products: FrameProducts) -> FrameReport:
-        """Read, class and write a frame; one that an earlier run has finished is only added to the products."""
+    def _finish(
+        self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts, method: Method
+    ) -> tuple[FramePart, str]:
+        """Read and class a frame and write its files, unless an earlier run has; also return why it has no ground."""
         finished = products.load(frame, number)
         if finished is not None:
-            products.add_finished(frame, finished)
-            return finished.report
-        version: Mapping[str, Any] = self.run_spec["inputs"][str(frame.path)]
-        scan, classed, seconds = self._classify_scan(frame, reader)
-        report = report_frame(frame, version, scan, classed, seconds)
-        products.add(frame, number, report, scan, classed)
-        return report
-
-    def _classify_scan(self, frame: Frame, reader: FrameReader) -> tuple[Scan, ClassedSectors, float]:
-        """Read a frame and class its sectors; also return the time that both took, s."""
+            return finished, ""
+        version: Mapping[str, Any] | None = self.run_spec["inputs"].get(str(frame.path))
         begin = time.perf_counter()
         scan = reader.read(frame)
         with naming_frame(frame):
-            classed = self.method.classify(scan)
-        seconds = time.perf_counter() - begin
-        if reason := explain_empty_scan(scan, classed):
-            _log.warning("no ground was classified in %s: %s", frame.path, reason)
-        return scan, classed, seconds
+            classed = method.classify(scan)
+        report = report_frame(frame, version, scan, classed, time.perf_counter() - begin)
+        return products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)

@@ -32,7 +32,7 @@ RUNS: dict[str, tuple[str, ...]] = {
     "bcts all": ("map", "DATA/surveys/bcts_adjoining", "--ground", "all"),
     "bcts csf": ("map", "DATA/surveys/bcts_adjoining", "--ground", "csf"),
     "scan husky": ("scan", "DATA/scans/monoforce/husky"),
-    "scan 128": ("scan", "DATA/scans/patchwork_128ch/000000.pcd", "--method", "filter"),
+    "scan 128": ("scan", "DATA/scans/patchwork_128ch/000000.pcd", "--method", "filter", "--pictures"),
     "scan kitti": ("scan", "DATA/scans/kitti_labelled"),
 }
 """Arguments of each run; SAMPLE and DATA are folders."""

@@ -83,6 +83,7 @@ MEANT = {
     ("train", "seed", 0): lambda got: got[0].seed,
     ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
+    ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,
     ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
@@ -96,7 +97,8 @@ def numbers():
         for option in options(name):
             known = option.type.name in {"integer", "float", "integer range", "float range"}
             if known or (option.metavar in {"SIZE", "LIST"} and option.name not in {"skip", "products"}):
-                for value in ("0", "-1", "nan"):
+                # After an option that may stand alone, click takes a word with a dash for the next option.
+                for value in ("0", "nan") if option._flag_needs_value else ("0", "-1", "nan"):
                     yield pytest.param(name, option, value, id=f"{name} --{option.name} {value}")
 
 

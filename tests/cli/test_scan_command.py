@@ -74,14 +74,39 @@ def test_one_scan(scan, frame, tmp_path):
         assert int(row[2]) == table["class"].count(class_id)
         points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
         assert int(row[-1].replace(",", "")) == points
+    free = sum(own in (0, 1) and not held for own, held in zip(table["class"], table["obstacle"], strict=True))
+    assert f"sectors: {free:,} free" in result.stdout
+    assert f"{table['class'].count(None):,} not ground" in result.stdout
     assert f"Output in {tmp_path / 'out'}: frames, sectors.parquet, scan.json" in result.stdout
     assert out_files(tmp_path) == [
         "frames/frame.json",
         "frames/frame.ply",
-        "frames/frame.png",
         "scan.json",
         "sectors.parquet",
     ]
+
+
+def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(scan, tmp_path):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for number in range(3):
+        write_bin(drive / f"{number}.bin", site(seed=number))
+    words = (drive, "--method", "filter", "--products", "table", "--overwrite", "--pictures")
+    pictures = {}
+    for more in ((), ("2",), ("1", "--range", "10")):
+        assert scan(*words, *more).exit_code == 0
+        pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
+    everyone, second, near = pictures.values()
+    assert list(map(sorted, pictures.values())) == [["0.png", "1.png", "2.png"], ["0.png", "2.png"], sorted(everyone)]
+    assert all(everyone[name] == content for name, content in second.items())
+    assert all(near[name] != content for name, content in everyone.items())
+
+
+def test_a_frame_after_pictures_is_not_taken_for_a_number(scan, frame, tmp_path):
+    done = scan("--pictures", frame)
+    assert done.exit_code == 2
+    assert "Name the frames first, or write --pictures 1" in done.stderr
+    assert out_files(tmp_path) is None
 
 
 def test_a_drive_for_machines(scan, tmp_path):
@@ -161,9 +186,59 @@ def no_calibration(folder):
     return [write_ply(folder / "a.ply", site()), "--poses", folder / "p.txt", "--calibration", folder / "c.json"]
 
 
+def camera_poses(folder):
+    """Ten frames of a drive along the camera's z axis."""
+    (folder / "drive").mkdir()
+    for number in range(10):
+        write_bin(folder / "drive" / f"{number}.bin", site(500, seed=number))
+    rows = [f"1 0 0 0 0 1 0 0 0 0 1 {number}" for number in range(10)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    return [folder / "drive", "--poses", folder / "poses.txt"]
+
+
+def a_world_of_a_camera(folder):
+    (folder / "poses.txt").write_text("0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    return [write_bin(folder / "a.bin", site()), "--poses", folder / "poses.txt"]
+
+
+def another_clock(folder):
+    (folder / "tum.txt").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    return [write_bin(folder / "1700000000_5.bin", site()), "--poses", folder / "tum.txt"]
+
+
+def doubtful_columns(folder):
+    np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(folder / "a.bin")
+    return [folder / "a.bin"]
+
+
+def wrong_columns(folder):
+    """Five columns, cut so that the size fits four."""
+    rows = np.column_stack([site(), np.ones(12_000), np.arange(12_000) % 32]).astype("<f4")
+    rows.ravel()[:-4].tofile(folder / "a.bin")
+    return [folder / "a.bin"]
+
+
+def labels_of_another_set(folder):
+    labels = np.random.default_rng(1).choice([40, 48, 70, 72], 12_000).astype(np.uint16)
+    return [write_ply(folder / "a.ply", site(), label=labels), "--labels", "rellis"]
+
+
+def no_label_set(folder):
+    (folder / "own.csv").write_text("id;class\n1;2\n")
+    return [write_ply(folder / "a.ply", site()), "--labels", folder / "own.csv"]
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (camera_poses, "put the sequence's calib.txt (with the line Tr:) beside it"),
+        (a_world_of_a_camera, "Is the world that of a camera (y down)"),
+        (another_clock, "poses of"),
+        (doubtful_columns, "its values do not tell which. Say it: --columns 4"),
+        (wrong_columns, "lie in 5 columns of float32, but its size"),
+        (labels_of_another_set, "not those of the set rellis"),
+        (labels_of_another_set, "They fit --labels semantic-kitti"),
+        (no_label_set, "must be id,class"),
         (empty, "holds no points"),
         (no_bytes, "is empty (0 bytes)"),
         (other_labels, "12,000 points, whose labels take 48,000"),
@@ -192,7 +267,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     ("points", "words"),
     [
         (np.zeros((100, 3)), "100 returns at (0, 0, 0)"),
-        (np.full((100, 3), np.nan), "100 not finite"),
+        (np.full((100, 3), np.nan), "100 returns at (0, 0, 0) or NaN"),
         (np.array([[5.0, 0.0, -1.0]]), "1 of 1 points lie"),
     ],
 )
@@ -202,7 +277,7 @@ def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points,
     result = scan(path)
     assert result.exit_code == 0, result.output
     assert words in result.stderr
-    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "frames/a.png", "scan.json", "sectors.parquet"]
+    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "scan.json", "sectors.parquet"]
     assert pq.read_table(tmp_path / "out" / "sectors.parquet").num_rows == 0
 
 
@@ -240,7 +315,7 @@ def test_what_is_missing_is_named(frame):
 def test_a_bad_frame_among_others(scan, frame, tmp_path):
     bad = tmp_path / "bad.ply"
     bad.write_bytes(b"ply\nnonsense")
-    assert scan(frame, bad).exit_code == 3
+    assert scan(frame, bad, "--threads", "1").exit_code == 3
     assert out_files(tmp_path) is None
     result = scan(frame, bad, "--skip-bad")
     assert result.exit_code == 4

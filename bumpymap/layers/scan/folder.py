@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from os.path import lexists
 from pathlib import Path
@@ -32,6 +33,7 @@ SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
     "map",
 )
 _NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
+_SYNCED_AT_A_TIME = 8
 _SIDE = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 
 
@@ -106,8 +108,14 @@ def output_errors(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def sync_to_disk(path: Path) -> None:
-    """Flush a file to the disk (fsync)."""
+def sync_to_disk(paths: Iterable[Path]) -> None:
+    """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
+    with ThreadPoolExecutor(_SYNCED_AT_A_TIME) as pool:
+        for _ in pool.map(_sync, paths):
+            pass
+
+
+def _sync(path: Path) -> None:
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 

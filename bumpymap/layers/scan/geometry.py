@@ -19,15 +19,16 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
     Adjacent sectors of a zone share their vertices.
     """
     bounds = sector_bounds(stack)
-    steps = _steps(stack.settings)
-    found = []
-    for zone, near, far, right, left in zip(
-        stack.zone.tolist(), bounds.near, bounds.far, bounds.right, bounds.left, strict=True
-    ):
-        azimuth = np.linspace(right, left, steps[zone] + 1)
-        arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-        inner = near * arc[::-1] if near > 0.0 else np.zeros((1, 2))
-        found.append(np.concatenate([far * arc, inner, far * arc[:1]]))
+    found: list[NDArray[np.float64]] = []
+    for zone, steps in enumerate(_steps(stack.settings)):
+        here = stack.zone == zone
+        azimuth = np.linspace(bounds.right[here], bounds.left[here], steps + 1, axis=1)
+        arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=2)
+        near, far = bounds.near[here][:, None, None], bounds.far[here][:, None, None]
+        outline = np.concatenate([far * arc, near * arc[:, ::-1], far * arc[:, :1]], axis=1)
+        # A sector that starts at the sensor has one vertex there.
+        tip = np.r_[: steps + 2, 2 * steps + 2]
+        found += [one if start > 0.0 else one[tip] for one, start in zip(outline, bounds.near[here], strict=True)]
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, Dropped, Scan, point_classes
 from bumpymap.layers.manifest import describe_input
 from bumpymap.layers.scan.names import Frame
-from bumpymap.layers.scan.style import SCAN_CLASS_NAMES
+from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SECTOR_STATES, sector_states
 
 __all__ = ["FrameReport", "explain_empty_scan", "report_frame"]
 
@@ -20,8 +20,9 @@ class FrameReport:
 
     frame: Frame
     bytes: int
-    """Size of its file."""
-    sha256: str
+    """Size of its file or message."""
+    sha256: str | None
+    """Of its file; None for a message."""
     points: int
     """Points that were kept."""
     dropped: Dropped
@@ -30,6 +31,8 @@ class FrameReport:
     """Where sector 0 of every zone starts."""
     sectors: tuple[int, ...]
     """(4,) sectors of class 0 to 2, then not traversable."""
+    states: tuple[int, ...]
+    """(4,) sectors by ``SECTOR_STATES``."""
     classed_points: tuple[int, ...]
     """(4,) points of class 0 to 2, then of no class."""
     seconds: float
@@ -46,38 +49,40 @@ class FrameReport:
             Dropped(**record["dropped"]),
             record["azimuth_start_rad"],
             tuple(record["sectors"].values()),
+            tuple(record["sector_states"].values()),
             tuple(record["points_by_class"].values()),
             record["seconds"],
         )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the frame in scan.json."""
-        names = [*SCAN_CLASS_NAMES[:CLASSES], "not traversable"]
         return {
             "name": self.frame.name,
             "path": str(self.frame.path),
+            "message": None if self.frame.message is None else asdict(self.frame.message),
             "bytes": self.bytes,
             "sha256": self.sha256,
             "pose": self.frame.pose,
             "points": self.points,
             "dropped": asdict(self.dropped),
             "azimuth_start_rad": self.azimuth_start_rad,
-            "sectors": dict(zip(names, self.sectors, strict=True)),
+            "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
+            "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
             "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
             "seconds": self.seconds,
         }
 
 
 def report_frame(
-    frame: Frame, version: Mapping[str, Any], scan: Scan, classed: ClassedSectors, seconds: float
+    frame: Frame, version: Mapping[str, Any] | None, scan: Scan, classed: ClassedSectors, seconds: float
 ) -> FrameReport:
     """Count the points and sectors of a frame.
 
     Parameters
     ----------
     frame : Frame
-    version : mapping
-        ``size`` and ``mtime_ns`` of its file before it was read.
+    version : mapping or None
+        ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
     scan : Scan
     classed : ClassedSectors
     seconds : float
@@ -91,8 +96,12 @@ def report_frame(
         tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
         for class_id in (classed.class_id, point_classes(scan, classed))
     )
-    known = {"path": frame.path, "bytes": version["size"], "mtime_ns": version["mtime_ns"]}
-    file = describe_input(known)
+    file: Mapping[str, Any]
+    if frame.message is not None:
+        file = {"bytes": frame.message.bytes, "sha256": None}
+    else:
+        known = version or {}
+        file = describe_input({"path": frame.path, "bytes": known.get("size"), "mtime_ns": known.get("mtime_ns")})
     return FrameReport(
         frame,
         file["bytes"],
@@ -101,6 +110,7 @@ def report_frame(
         scan.dropped,
         classed.sectors.azimuth_start_rad,
         sectors,
+        tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
         points,
         round(seconds, 4),
     )
@@ -116,7 +126,7 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
     if not len(scan.points):
         lost = scan.dropped
         return (
-            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0), {lost.not_finite:,} not finite, "
+            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0) or NaN, {lost.not_finite:,} not finite, "
             f"{lost.on_robot:,} on the robot"
         )
     near, far = settings.zone_starts_m[0], settings.end_m

@@ -25,15 +25,19 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("right", pa.float32(), "rad", "azimuth where the sector starts, counter-clockwise from the x axis"),
     ("left", pa.float32(), "rad", "azimuth where it ends"),
     ("points", pa.int32(), "", "points in the sector"),
-    ("normal_x", pa.float32(), "", "axis of the least spread of the points, in the frame of the sensor"),
+    ("ground_points", pa.int32(), "", "those of them that are ground"),
+    ("normal_x", pa.float32(), "", "axis of the least spread of the ground points, in the frame of the sensor"),
     ("normal_y", pa.float32(), "", "the same, to the left"),
     ("normal_z", pa.float32(), "", "the same, upwards"),
-    ("traversable", pa.bool_(), "", "whether the points lie like ground"),
+    ("traversable", pa.bool_(), "", "whether there is ground, not too steep and not overhead"),
+    ("obstacle", pa.bool_(), "", "whether something stands on the ground, between belly and vehicle height"),
+    ("obstacle_height", pa.float32(), "m", "top of it above the ground; null without an obstacle"),
+    ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
     ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
-    ("variance", pa.float32(), "m2", "population variance of z over the points"),
-    ("residual", pa.float32(), "m", "mean perpendicular distance of the points to the RANSAC plane"),
-    ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a point"),
+    ("variance", pa.float32(), "m2", "population variance of z over the ground points"),
+    ("residual", pa.float32(), "m", "mean perpendicular distance of the ground points to the RANSAC plane"),
+    ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a ground point"),
     ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
 )
 """Name, type, unit and description of each column."""
@@ -44,6 +48,7 @@ class SectorTable:
 
     def __init__(self, writer: pq.ParquetWriter) -> None:
         self._writer = writer
+        self._rows = 0
         self.waiting: list[pa.Table] = []
         """Rows that are not written yet."""
 
@@ -54,7 +59,8 @@ class SectorTable:
     def add_rows(self, rows: pa.Table) -> None:
         """Append rows from `sector_rows`."""
         self.waiting.append(rows)
-        if sum(part.num_rows for part in self.waiting) >= ROW_GROUP:
+        self._rows += rows.num_rows
+        if self._rows >= ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
@@ -62,6 +68,7 @@ class SectorTable:
         if self.waiting:
             self._writer.write_table(pa.concat_tables(self.waiting), row_group_size=2 * ROW_GROUP)
             self.waiting.clear()
+            self._rows = 0
 
 
 @contextmanager
@@ -74,7 +81,7 @@ def open_table(path: Path) -> Iterator[SectorTable]:
 
 
 def _schema() -> pa.Schema:
-    nullable = {"stripes", "class", "label", "variance", "residual"}
+    nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual"}
     return pa.schema(
         [
             pa.field(
@@ -95,6 +102,7 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
     columns: dict[str, Any] = {
         "frame": [name] * count,
         "points": stack.count,
+        "ground_points": stack.ground_count,
         "class": pa.array(classed.class_id, pa.int8(), mask=classed.class_id == NOT_TRAVERSABLE),
         "label": pa.array(stack.label, pa.int16(), mask=stack.label < 0),
         "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,

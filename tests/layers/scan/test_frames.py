@@ -10,11 +10,11 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
-from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
+from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS, name_frames, sample_evenly, write_frame
 from bumpymap.layers.scan.cloud import write_cloud
 from bumpymap.layers.scan.geometry import outlines
-from bumpymap.layers.scan.polygons import write_polygons
+from bumpymap.layers.scan.polygons import _numbers, write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
 
 
@@ -28,18 +28,24 @@ def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, clas
     np.testing.assert_array_equal(vertex["label"], scan.label)
 
 
-def test_points_of_a_class_have_its_colour_and_those_of_no_sector_another(scan, classed, tmp_path):
-    write_cloud(replace(scan, intensity=None, label=None), classed, tmp_path / "a.ply")
+def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(scan, classed, tmp_path):
+    rng = np.random.default_rng(0)
+    height = np.where(rng.uniform(size=len(scan.points)) < 0.2, np.nan, rng.uniform(0, 3, len(scan.points)))
+    stack = replace(classed.sectors, point_height=height.astype(np.float32), point_ground=height < 0.1)
+    write_cloud(replace(scan, intensity=None, label=None), replace(classed, sectors=stack), tmp_path / "a.ply")
     vertex = read_vertices(tmp_path / "a.ply")
-    assert list(vertex.dtype.names) == ["x", "y", "z", "red", "green", "blue", "class"]
+    assert list(vertex.dtype.names) == ["x", "y", "z", "height", "red", "green", "blue", "class", "ground"]
+    np.testing.assert_array_equal(vertex["height"], stack.point_height)
+    np.testing.assert_array_equal(vertex["ground"], stack.point_ground)
     colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
-    lost = classed.sectors.point_sector < 0
-    assert lost.any()
-    for class_id in range(3):
-        assert (colours[vertex["class"] == class_id] == SCAN_COLOURS[class_id]).all()
-    assert (colours[(vertex["class"] == 255) & ~lost] == SCAN_COLOURS[3]).all()
-    assert (colours[lost] == SCAN_COLOURS[4]).all()
-    assert len(np.unique(SCAN_COLOURS, axis=0)) == len(SCAN_CLASS_NAMES) == 5
+    class_id = vertex["class"].astype(int)
+    is_ground, stands = height < 0.1, (height >= 0.25) & (height <= 1.38)
+    for style, chosen in enumerate(
+        [*(is_ground & (class_id == own) for own in range(3)), stands, ~stands & (~is_ground | (class_id == 255))]
+    ):
+        assert chosen.any()
+        assert (colours[chosen] == SCAN_COLOURS[style]).all()
+    assert len(np.unique(SCAN_COLOURS, axis=0)) == 5
 
 
 @pytest.mark.parametrize("settings", [PolarSettings(), PolarSettings((0.0, 10.0), 30.0, (3, 7), (1, 2))])
@@ -72,7 +78,22 @@ def test_arcs_keep_within_a_centimetre(scan):
         assert (far - middles[on_outer]).max() < 0.0101
 
 
+def with_obstacles(classed):
+    """Sectors of which every third holds an obstacle, and some have something overhead."""
+    place = np.arange(len(classed.class_id))
+    obstacle = place % 3 == 0
+    stack = replace(
+        classed.sectors,
+        obstacle=obstacle,
+        obstacle_height=np.where(obstacle, 0.3 + place / 100, np.nan).astype(np.float32),
+        clearance=np.where(place % 4 == 0, 1.5 + place / 30, np.nan).astype(np.float32),
+        ground_count=(classed.sectors.count // 2).astype(np.int32),
+    )
+    return replace(classed, sectors=stack)
+
+
 def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path):
+    classed = with_obstacles(classed)
     write_polygons("site", classed, tmp_path / "a.json")
     record = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert record["frame"] == "site"
@@ -90,14 +111,19 @@ def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path
         assert said["class"] == (None if class_id == 255 else class_id)
         assert said["class_name"] == (SCAN_CLASS_NAMES[class_id] if class_id < 3 else "not traversable")
         assert said["points"] == int((stack.point_sector == number).sum())
+        assert (said["ground_points"], said["obstacle"]) == (stack.ground_count[number], stack.obstacle[number])
         assert said["label"] == stack.label[number]
         for name, value in (
             ("variance", stack.variance),
             ("residual", stack.residual),
             ("coverage", stack.coverage),
             ("stripes", classed.stripes),
+            ("obstacle_height", stack.obstacle_height),
+            ("clearance", stack.clearance),
         ):
-            assert said[name] == pytest.approx(float(value[number]), rel=1e-6)
+            assert (np.nan if said[name] is None else said[name]) == pytest.approx(
+                float(value[number]), rel=1e-6, nan_ok=True
+            )
         np.testing.assert_allclose(said["normal"], stack.normal[number], rtol=1e-6, atol=1e-12)
 
 
@@ -128,10 +154,21 @@ def test_only_the_products_that_are_wanted_are_written(scan, classed, tmp_path):
     assert [path.name for path in (tmp_path / "frames").iterdir()] == ["a.ply"]
 
 
+@given(st.lists(st.floats(width=32) | st.floats(-200.0, 200.0, width=32)))
+def test_numbers_of_polygons_have_seven_digits(values):
+    for value, found in zip(values, _numbers(np.array(values, np.float32)), strict=True):
+        if not np.isfinite(value):
+            assert found is None
+        elif value == 0.0 or 1e-5 <= abs(value) <= 1e10:
+            assert found == float(f"{value:.7g}")
+        else:
+            assert found == pytest.approx(value, rel=6e-7, abs=0.0)
+
+
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
     paths = [Path(f"run{number}") / name for number, name in enumerate(names)]
-    frames = name_frames(paths)
+    frames = name_frames([FrameSource(path) for path in paths])
     assert len({frame.name.casefold() for frame in frames}) == len(paths)
     assert [frame.path for frame in frames] == paths
     stems = [path.stem for path in paths]
@@ -144,7 +181,7 @@ def test_no_two_frames_have_one_name_on_any_disk(names):
 
 @pytest.mark.parametrize(("count", "most"), [(3, 5), (5, 5), (1000, 7), (8, 7)])
 def test_frames_are_spread_out_from_the_first_to_the_last(count, most):
-    frames = name_frames([Path(f"{number}.ply") for number in range(count)])
+    frames = name_frames([FrameSource(Path(f"{number}.ply")) for number in range(count)])
     chosen = [int(frame.name) for frame in sample_evenly(frames, most)]
     assert len(chosen) == min(count, most)
     assert (chosen[0], chosen[-1]) == (0, count - 1)

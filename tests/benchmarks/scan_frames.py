@@ -1,0 +1,94 @@
+"""Measure how many frames a second `bumpymap scan` does: only the table, everything, and everything with pictures.
+
+python tests/benchmarks/scan_frames.py --data FOLDER [--frames 100] [--threads 1 2] [--rounds 2] [--method learned]
+
+One scan of a made-up yard is simulated with open3d; each frame is this scan turned, with its own noise, 124,000
+points. Runs with different numbers of threads alternate, and the best round of each counts. Printed are frames a second
+of wall time (stage ``scan`` of scan.json), processor time per frame and peak memory. If the files of two runs of a
+kind are not the same, the exit code is 1.
+"""
+
+import argparse
+import hashlib
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+from _measure import Sample, run_timed
+
+_POINTS = 124_000
+_KINDS = {
+    "table": ("--products", "table"),
+    "everything": (),
+    "everything, all pictures": ("--pictures", "1"),
+}
+
+
+def make_frames(folder: Path, count: int) -> Path:
+    """Write the frames as KITTI-style files, unless they are there."""
+    from bumpymap.lab.worlds.scans.lidar import simulate_scan
+    from bumpymap.lab.worlds.scans.scene import make_scene
+    from bumpymap.lab.worlds.scans.sensor import SENSORS
+
+    if len(list(folder.glob("*.bin"))) == count:
+        return folder
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    points = simulate_scan(make_scene(0, 0, "yard"), SENSORS["64_down"], 0).points
+    points = points[points.any(axis=1)]
+    for number in range(count):
+        rng = np.random.default_rng(number)
+        seen = points[np.sort(rng.choice(len(points), _POINTS))] + 0.01 * rng.standard_normal((_POINTS, 3))
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        x, y = seen[:, :2] @ [[np.cos(turn)], [-np.sin(turn)]], seen[:, :2] @ [[np.sin(turn)], [np.cos(turn)]]
+        np.column_stack([x, y, seen[:, 2], np.full(_POINTS, 0.5)]).astype("<f4").tofile(folder / f"{number:06d}.bin")
+    return folder
+
+
+def measure(frames: Path, out: Path, options: tuple[str, ...], threads: int) -> tuple[float, Sample, str]:
+    """Scan the frames; return the seconds of the frames, the whole command, and a checksum of all files."""
+    shutil.rmtree(out, ignore_errors=True)
+    program = str(Path(sys.executable).with_name("bumpymap"))
+    command = [program, "scan", str(frames), "--out", str(out), "--threads", str(threads), "--quiet", *options]
+    sample = run_timed(command)
+    if sample.exit_code:
+        sys.exit(f"{' '.join(command)}: {sample.stderr_tail}")
+    seconds = json.loads((out / "scan.json").read_text(encoding="utf-8"))["seconds"]["scan"]
+    digest = hashlib.sha256()
+    for path in sorted(path for path in out.rglob("*") if path.is_file() and path.name != "scan.json"):
+        digest.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
+    return seconds, sample, digest.hexdigest()
+
+
+def main() -> None:
+    """Run all kinds with all numbers of threads, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder for the frames and the output")
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--method", default="learned")
+    given = parser.parse_args()
+    frames = make_frames(given.data / "frames", given.frames)
+    differ = False
+    print(f"{'products':26} {'threads':>7} {'frames/s':>9} {'CPU ms/frame':>13} {'peak MB':>8}")
+    for kind, options in _KINDS.items():
+        best: dict[int, tuple[float, Sample, str]] = {}
+        digests = set()
+        for _ in range(given.rounds):
+            for threads in given.threads:
+                found = measure(frames, given.data / "out", ("--method", given.method, *options), threads)
+                digests.add(found[2])
+                best[threads] = min(best.get(threads, found), found, key=lambda one: one[0])
+        for threads, (seconds, sample, _) in best.items():
+            rate, each = given.frames / seconds, 1000.0 * sample.cpu / given.frames
+            print(f"{kind:26} {threads:7} {rate:9.1f} {each:13.1f} {sample.peak / 1e6:8.0f}")
+        differ |= len(digests) > 1
+    if differ:
+        sys.exit("the files differ between runs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""Frames in threads: the same files as one after another, and what happens when a run ends early."""
+
+import hashlib
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bumpymap.core import BadInputError, FrameSource
+from bumpymap.layers import load_part, name_frames, part_path
+from bumpymap.readers import read_scan
+from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.pipeline import scan_frames
+
+FRAMES = 7
+
+
+@pytest.fixture(name="frames", scope="module")
+def frames_fixture(tmp_path_factory):
+    """Seven scans of rolling ground with a wall, each a metre further along it."""
+    folder = tmp_path_factory.mktemp("frames")
+    for number in range(FRAMES):
+        rng = np.random.default_rng(number)
+        x, y = rng.uniform(-20, 20, (2, 12_000))
+        z = -1.5 + 0.05 * np.sin(3 * (x + number)) * np.cos(2 * y)
+        y, z = np.where(y > 15.0, 15.0, y), np.where(y > 15.0, rng.uniform(-1.5, 1.0, len(y)), z)
+        np.column_stack([x, y, z, np.ones(len(x))]).astype("<f4").tofile(folder / f"{number}.bin")
+    places = [f"1 0 0 {number} 0 1 0 0 0 0 1 1.5" for number in range(FRAMES)]
+    (folder / "poses.txt").write_text("\n".join(places) + "\n", encoding="utf-8")
+    return folder
+
+
+def settings(frames, out, **more):
+    paths = tuple(frames / f"{number}.bin" for number in range(FRAMES))
+    return ScanConfig(paths, out, method="filter", **more)
+
+
+def checksums(folder):
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name not in {"scan.json", "run.json"}
+    }
+
+
+@pytest.fixture
+def out_of_order(monkeypatch):
+    """Let frame 0 wait until frame 2 has been read."""
+    read = threading.Event()
+
+    def reading(path, *rest):
+        if path.stem == "0":
+            assert read.wait(20.0)
+        scan = read_scan(path, *rest)
+        if path.stem == "2":
+            read.set()
+        return scan
+
+    monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
+
+
+@pytest.fixture(name="serial", scope="module")
+def serial_fixture(frames, tmp_path_factory):
+    out = tmp_path_factory.mktemp("serial") / "out"
+    return out, scan_frames(settings(frames, out, poses=frames / "poses.txt", pictures=3, threads=1))
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_any_number_of_threads_gives_the_same_bytes(frames, serial, tmp_path, threads, out_of_order):
+    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", pictures=3, threads=threads)
+    result = scan_frames(config)
+    assert checksums(tmp_path / "out") == checksums(serial[0])
+    assert [report.frame.name for report in result.frames] == [str(number) for number in range(FRAMES)]
+    untimed = [replace(report, seconds=0.0).record() | {"pose": None} for report in result.frames]
+    assert untimed == [replace(report, seconds=0.0).record() | {"pose": None} for report in serial[1].frames]
+
+
+def test_every_nth_frame_has_a_picture(serial):
+    pictures = sorted(path.name for path in (serial[0] / "frames").glob("*.png"))
+    assert pictures == ["0.png", "3.png", "6.png"]
+    assert len(list((serial[0] / "frames").iterdir())) == 2 * FRAMES + 3
+
+
+def test_the_first_bad_frame_is_named_and_the_others_go_on_if_wanted(frames, tmp_path, caplog):
+    own = tmp_path / "own"
+    own.mkdir()
+    for number in range(FRAMES):
+        (own / f"{number}.bin").write_bytes(b"123" if number in {2, 5} else (frames / f"{number}.bin").read_bytes())
+    config = settings(own, tmp_path / "out", threads=4)
+    with pytest.raises(BadInputError, match=r"2\.bin has 3 bytes"):
+        scan_frames(config)
+    result = scan_frames(replace(config, resume=True, skip_bad=True))
+    assert list(result.skipped) == [str(own / "2.bin"), str(own / "5.bin")]
+    assert [report.frame.name for report in result.frames] == ["0", "1", "3", "4", "6"]
+    assert [Path(record.args[0]).name for record in caplog.records] == ["2.bin", "5.bin"]
+
+
+class _Stopped:
+    """A progress that ends the run after two frames."""
+
+    def __init__(self):
+        self.left = 2
+
+    def start(self, stage, total):
+        pass
+
+    def advance(self, steps):
+        self.left -= steps
+        if not self.left:
+            raise KeyboardInterrupt
+
+
+def interrupted(config):
+    with pytest.raises(KeyboardInterrupt):
+        scan_frames(config, _Stopped())
+    assert threading.active_count() < 10
+    return config.out / ".bumpymap-run"
+
+
+def test_a_stopped_run_goes_on_from_what_is_finished(frames, serial, tmp_path, monkeypatch):
+    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", pictures=3, threads=2)
+    run = interrupted(config)
+    done = {path.stem for path in run.glob("frame-*.npz")}
+    assert 2 <= len(done) < FRAMES
+    read = []
+
+    def reading(path, *rest):
+        read.append(path)
+        return read_scan(path, *rest)
+
+    monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
+    scan_frames(replace(config, resume=True, threads=3))  # another number of threads is no other run
+    assert len(read) == FRAMES - len(done)
+    assert checksums(tmp_path / "out") == checksums(serial[0])
+
+
+@pytest.mark.parametrize("loss", ["part cut", "part empty", "file cut", "file missing"])
+def test_what_a_power_cut_has_left_half_written_is_made_again(frames, serial, tmp_path, loss):
+    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", pictures=3, threads=1)
+    run = interrupted(config)
+    hit = part_path(run, 0) if loss.startswith("part") else run / "products" / "frames" / "0.ply"
+    if loss == "file missing":
+        hit.unlink()
+    else:
+        hit.write_bytes(hit.read_bytes()[: 0 if loss == "part empty" else hit.stat().st_size // 2])
+    scan_frames(replace(config, resume=True))
+    assert checksums(tmp_path / "out") == checksums(serial[0])
+
+
+def test_a_checkpoint_keeps_what_the_map_of_a_drive_needs(frames, tmp_path):
+    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", threads=1)
+    run = interrupted(config)
+    (frame,) = name_frames([FrameSource(config.frames[0])])
+    part = load_part(part_path(run, 0), frame)
+    scan = read_scan(config.frames[0], config.robot)
+    np.testing.assert_array_equal(part.points, scan.points)
+    assert part.is_ground.dtype == np.bool_
+    assert part.heights.dtype == np.float16
+    assert part.heights.shape == part.is_ground.shape == (len(scan.points),)
+    assert sorted(part.files) == ["0.json", "0.ply"]
+    scan_frames(replace(config, resume=True))
