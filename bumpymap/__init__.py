@@ -2,7 +2,8 @@
 
 ``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
 plan ways over them, ``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and
-``ScanClassifier`` classify the ground in the scans of a robot. Names are imported on first use.
+``ScanClassifier`` classify the ground in the scans of a robot; ``points_of`` and ``GroundGrid`` read and fill the
+messages of ROS 2. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -12,11 +13,13 @@ if TYPE_CHECKING:
     from bumpymap.change import diff_surveys
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
     from bumpymap.layers import (
+        GroundGrid,
         Layers,
         PlannedRoute,
         open_layers as open,  # noqa: A004 (as bumpymap.open)
     )
     from bumpymap.rating import Calibration, Vehicle
+    from bumpymap.readers import points_of
     from bumpymap.route import find_routes, map_reach
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
     from bumpymap.survey import map_batch, map_survey
@@ -27,6 +30,7 @@ __all__ = [
     "BadInputError",
     "BumpymapError",
     "Calibration",
+    "GroundGrid",
     "Layers",
     "OutputError",
     "PlannedRoute",
@@ -42,12 +46,14 @@ __all__ = [
     "map_reach",
     "map_survey",
     "open",
+    "points_of",
 ]
 
 _EXPORTS = {
     "BadInputError": ("bumpymap.core", "BadInputError"),
     "BumpymapError": ("bumpymap.core", "BumpymapError"),
     "Calibration": ("bumpymap.rating", "Calibration"),
+    "GroundGrid": ("bumpymap.layers", "GroundGrid"),
     "Layers": ("bumpymap.layers", "Layers"),
     "OutputError": ("bumpymap.core", "OutputError"),
     "PlannedRoute": ("bumpymap.layers", "PlannedRoute"),
@@ -62,6 +68,7 @@ _EXPORTS = {
     "map_reach": ("bumpymap.route", "map_reach"),
     "map_survey": ("bumpymap.survey", "map_survey"),
     "open": ("bumpymap.layers", "open_layers"),
+    "points_of": ("bumpymap.readers", "points_of"),
 }
 """Public name: the module to import and the name in it."""
 

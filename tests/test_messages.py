@@ -179,6 +179,7 @@ def test_every_setting_in_backquotes_is_one():
     known |= set(ScanConfig.__dataclass_fields__)
     known |= set(ExportSettings.__dataclass_fields__)
     known |= set(DiffConfig.__dataclass_fields__)
+    known |= set(ScanConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):
         if _is_for_commands(file):
             continue

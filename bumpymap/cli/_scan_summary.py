@@ -1,6 +1,6 @@
 """The summary that ``scan`` prints."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from statistics import median
 from typing import Any
 
@@ -26,7 +26,7 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     )
     dropped = record["dropped"]
     print_line(
-        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0), {dropped['not_finite']:,} not finite, "
+        f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
     states = record["sector_states"]
@@ -38,12 +38,29 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     if result.skipped:
         print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
     print_line(f"Output in {config.out}: {', '.join(result.files)}")
+    if result.merged is not None:
+        print_line(_merged_line(result.merged))
+    if config.bag is not None:
+        print_line(f"Grids of the frames in {config.bag}")
     if result.drive is not None:
         tiles = result.drive.summary
         print_line(
             f"Map of the drive in {result.drive.files[0].parent}: {tiles.tiles:,} tiles, {tiles.unknown:,} of them "
             "unknown"
         )
+
+
+def _merged_line(merged: Mapping[str, Any]) -> str:
+    """Tell how many points are left of the frames, and how well their poses agree."""
+    poses = merged["poses"]
+    agree = "the frames share no ground, so their poses were not compared"
+    if poses["before_m"] is not None:
+        agree = (
+            f"poses disagree by {100.0 * poses['before_m']:.1f} cm in height, {100.0 * poses['after_m']:.1f} cm after "
+            "correction"
+        )
+    kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving things"
+    return f"Merged: {kept}; {agree}"
 
 
 def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
@@ -74,6 +91,7 @@ def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:
         "points": sum(frame["points"] for frame in frames),
         **{name: _sum(frames, name) for name in ("dropped", "sectors", "sector_states", "points_by_class")},
         "skipped": result.skipped,
+        "gathered": result.merged,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],
         "seconds": result.seconds,
         "already_done": result.already_done,

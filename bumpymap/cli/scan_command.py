@@ -25,11 +25,14 @@ _NOT_OF_A_FIT = (
     "out",
     "poses",
     "crs",
+    "deskew",
     "method",
     "model",
     "stripes",
     "compat",
     "products",
+    "odometry",
+    "bag",
     "pictures",
     "range_m",
     "threads",
@@ -60,7 +63,15 @@ class _EveryNth(click.types.IntParamType):
     help="Fit the stripe classes of the filter to the frames and write only this file.",
 )
 @click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
+@click.option("--no-deskew", "deskew", flag_value=False, type=bool, help="Keep points as measured in motion.")
+@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: told from them].")
+@click.option(
+    "--labels", metavar="NAME_OR_FILE", help="Label set: kitti, semantic-kitti, rellis, or a file (id,class)."
+)
 @click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
+@click.option("--topic", metavar="NAME", help="Topic of the scans in a bag [default: the only PointCloud2].")
+@click.option("--odometry", metavar="NAME", help="Topic of the poses in a bag [default: the only Odometry, or tf].")
+@click.option("--bag", type=PATH, metavar="FILE", help="Write grids of all frames to this bag of ROS 2 (.mcap).")
 @click.option(
     "--method", type=click.Choice(METHODS), help="How sectors are classified [default: learned if available]."
 )
@@ -90,11 +101,12 @@ class _EveryNth(click.types.IntParamType):
 def command(
     ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
 ) -> None:
-    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin).
+    """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
     bumpymap scan frame.pcd --out out
     bumpymap scan drive --poses poses.txt --out out
+    bumpymap scan drive.mcap --out out --bag grids.mcap
     bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.cli import _scan_summary
@@ -104,7 +116,7 @@ def command(
     set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
     if ctx.obj:
-        import_without_pandas(*["pyogrio.raw"] if config.poses else [])
+        import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         if fit is None:
             result = scan_frames(config, progress)

@@ -69,6 +69,10 @@ from .files import (
     utf8_path as utf8_path,
     write_together as write_together,
 )
+from .frame_source import (
+    BagMessage as BagMessage,
+    FrameSource as FrameSource,
+)
 from .interrupts import (
     Terminated as Terminated,
     interruptible as interruptible,
@@ -98,6 +102,12 @@ from .onnx_file import (
 from .ply_file import (
     PLY_TYPES as PLY_TYPES,
     write_vertices as write_vertices,
+)
+from .pose_track import (
+    LONGEST_GAP_S as LONGEST_GAP_S,
+    NEAREST_S as NEAREST_S,
+    SCAN_S as SCAN_S,
+    PoseTrack as PoseTrack,
 )
 from .processes import (
     Child as Child,

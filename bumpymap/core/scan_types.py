@@ -37,9 +37,9 @@ class Dropped:
     """Number of returns of a file that were dropped, by reason."""
 
     no_return: int = 0
-    """At (0, 0, 0): the beam hit nothing."""
+    """At (0, 0, 0), or all three coordinates are NaN: the beam hit nothing."""
     not_finite: int = 0
-    """A coordinate is NaN or infinite."""
+    """A coordinate is infinite, or one or two are NaN."""
     on_robot: int = 0
     """On the robot that carries the sensor."""
 
@@ -58,12 +58,15 @@ class Scan:
     """Name of the frame: the stem of its file."""
     dropped: Dropped = Dropped()
     """Returns of the file that were left out."""
+    time: NDArray[np.float32] | None = None
+    """(n,) s after the time of the frame: as in the file, or after its first return if the file has times of day; None
+    if the file has none."""
 
     def __post_init__(self) -> None:
         count = len(self.points)
         if self.points.shape != (count, 3):
             raise ValueError(f"points are {self.points.shape}; a scan has (n, 3)")
-        for name in ("intensity", "label"):
+        for name in ("intensity", "label", "time"):
             values = getattr(self, name)
             if values is not None and values.shape != (count,):
                 raise ValueError(f"{name} is {values.shape}; the scan has {count} points")
@@ -71,8 +74,11 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class PolarSettings:
-    """The concentric-zone polar grid. From 4 m on the defaults are the paper's grid; the zone before it is for robots
-    whose sensor is low, and sees half of its points there."""
+    """The concentric-zone polar grid.
+
+    From 4 m on the defaults are the paper's grid. The zone before it is for robots whose sensor is low: half of their
+    points lie there.
+    """
 
     zone_starts_m: tuple[float, ...] = (1.0, 4.0, 12.0, 28.0, 60.0)
     """Inner radius of each zone, horizontal distance from the sensor, m."""
@@ -124,8 +130,8 @@ class PolarSettings:
         ):
             raise UsageError(
                 f"least_points is {self.least_points} (3 or more), pixels {self.pixels} (3 to 64), least_normal_z "
-                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} (above "
-                f"0), height_m {self.height_m} (above belly_m)"
+                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} "
+                f"(above 0), height_m {self.height_m} (above belly_m)"
             )
 
 
@@ -150,8 +156,8 @@ class SectorStack:
     traversable: NDArray[np.bool_]
     """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
-    """(n, pixels, pixels) mean z of ground points above their plane, m; zeros without ground. Rows go outwards with distance, columns counter-clockwise
-    with azimuth, both in equal steps; empty pixels are filled."""
+    """(n, pixels, pixels) mean z of ground points above their plane, m; zeros without ground. Rows go outwards with
+    distance, columns counter-clockwise with azimuth, both in equal steps; empty pixels are filled."""
     coverage: NDArray[np.float32]
     """(n,) share of the pixels that hold a ground point, 0..1."""
     variance: NDArray[np.float32]
@@ -164,6 +170,8 @@ class SectorStack:
     """(n,) points that are ground."""
     obstacle_count: NDArray[np.int32]
     """(n,) points between ``belly_m`` and ``height_m`` above the ground."""
+    overhead_count: NDArray[np.int32]
+    """(n,) points from ``height_m`` above the ground on."""
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it."""
     obstacle_height: NDArray[np.float32]

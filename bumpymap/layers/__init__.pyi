@@ -172,7 +172,6 @@ from .route_points import (
 )
 from .scan.accumulated import (
     AccumulatedSurvey as AccumulatedSurvey,
-    ground_points as ground_points,
     open_accumulated as open_accumulated,
 )
 from .scan.folder import (
@@ -189,6 +188,14 @@ from .scan.frame import (
     frame_files as frame_files,
     has_files as has_files,
     write_frame as write_frame,
+)
+from .scan.grid_bag import (
+    GridBag as GridBag,
+    check_bag_file as check_bag_file,
+)
+from .scan.ground_grid import (
+    GridSettings as GridSettings,
+    GroundGrid as GroundGrid,
 )
 from .scan.manifest import (
     write_scan_manifest as write_scan_manifest,

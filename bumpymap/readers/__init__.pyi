@@ -13,8 +13,26 @@ from .detect import (
 from .find import (
     find_surveys as find_surveys,
 )
+from .frames.bag import (
+    BagReader as BagReader,
+    bag_files as bag_files,
+)
+from .frames.bag_frames import (
+    BagTopics as BagTopics,
+)
+from .frames.bin_columns import (
+    BIN_COLUMNS as BIN_COLUMNS,
+)
+from .frames.cloud_message import (
+    points_of as points_of,
+)
+from .frames.deskew import (
+    deskew as deskew,
+)
 from .frames.find import (
+    bags_at as bags_at,
     find_frames as find_frames,
+    find_sources as find_sources,
 )
 from .frames.kitti import (
     label_file as label_file,
@@ -27,10 +45,14 @@ from .frames.label_sets import (
     tell_label_set as tell_label_set,
 )
 from .frames.poses import (
+    FramePoses as FramePoses,
+    files_beside_poses as files_beside_poses,
+    place_sources as place_sources,
     read_poses as read_poses,
 )
 from .frames.read import (
     Robot as Robot,
+    read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,
 )

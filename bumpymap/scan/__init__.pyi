@@ -20,7 +20,6 @@ from .learned import (
     ScanModel as ScanModel,
     classes_of_labels as classes_of_labels,
     classify_learned as classify_learned,
-    grid_record as grid_record,
     network_input as network_input,
 )
 from .paper import (

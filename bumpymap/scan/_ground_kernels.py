@@ -1,7 +1,7 @@
 """Compiled loops that find the ground of a scan: a plane for every cell of the polar grid, and which points lie on it.
 
 Each cell's plane starts at the lowest points of its parts and is fitted again to the points near it. It must continue
-the planes around it; where it does not, it starts again from theirs, and a cell without a plane of its own passes theirs
+the planes around it; where it does not, it starts again from theirs. A cell without a plane of its own passes theirs
 on. Nothing here allocates: scratch arrays come from the caller. Sums run in the order of the scan's points.
 """
 
@@ -26,7 +26,9 @@ __all__ = [
     "GroundRule",
     "LabelScratch",
     "PlaneScratch",
+    "SearchRule",
     "find_planes",
+    "keep_largest",
     "gather_points",
     "label_points",
 ]
@@ -55,7 +57,7 @@ and as a multiple of their root mean square."""
 _ABOVE_LOWEST, _FAR_BELOW = 0.15, -1.0
 """The lowest points of parts within these heights of the plane through them are its start, m."""
 _RIDGE = 0.02
-"""Weight of the expected slope against the points', m^2 per root of their number: it decides where they lie on a line."""
+"""Weight of the expected slope against the points', m^2 per root of their number: it decides if they lie on a line."""
 _PASSES = 4
 _STEEPEST = math.tan(math.radians(38.0))
 _LEAST_POINTS = 8
@@ -63,6 +65,8 @@ _LEAST_POINTS = 8
 _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
+_KEPT_SHARE = 0.3
+"""Least weight of a set of cells against the heaviest one, see `keep_largest`."""
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
@@ -72,8 +76,8 @@ _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
 _PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.4, 0.2, 1.5, 0.035
-"""Plants stand in a part if so high above its ground there are points, as a share of those on it, and if those on it spread
-by more than this multiple of the scan's noise and more than this, m."""
+"""Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
+on it spread by more than this multiple of the scan's noise and more than this, m."""
 
 
 class CellPoints(NamedTuple):
@@ -134,6 +138,19 @@ class PlaneScratch(NamedTuple):
     """(NEIGHBOURS,) to sort."""
 
 
+class SearchRule(NamedTuple):
+    """How planes are searched for."""
+
+    reach: Floats
+    """(zones,) distance within which a point belongs to a plane, m; 0: by the spread of the points."""
+    least_points: int
+    """Cells with this many points or fewer take their neighbours' plane."""
+    neighbours: int
+    """How many columns of ``CellGeometry.near`` count: 0 in a first round, NEIGHBOURS after `keep_largest`."""
+    slope: Floats
+    """(2,) slope of the whole ground, which planes that are passed on approach."""
+
+
 class GroundRule(NamedTuple):
     """What is ground and what stands on it."""
 
@@ -157,8 +174,10 @@ class GroundLabels(NamedTuple):
     """(scan's points,) comes as False."""
     obstacles: Annotated[NDArray[np.int32], 1]
     """(cells,) points between belly and height; zeros."""
+    overhead: Annotated[NDArray[np.int32], 1]
+    """(cells,) points from ``height`` on; zeros."""
     top: Singles
-    """(cells,) the highest of them, m; comes as -inf."""
+    """(cells,) the highest obstacle point, m; comes as -inf."""
     clearance: Singles
     """(cells,) lowest point from ``height`` on, m; comes as inf."""
     starts: Annotated[NDArray[np.int64], 1]
@@ -203,7 +222,7 @@ def gather_points(
 def _expect(
     cell: int, last: int, at: tuple[float, float], geometry: CellGeometry, planes: GroundPlanes, scratch: PlaneScratch
 ) -> tuple[int, float, float]:
-    """Return the neighbour whose plane has the median height at a place, that height, and how far away its points are."""
+    """Return the neighbour whose plane has the median height at a place, that height, and the way to its points."""
     x, y = at
     count = 0
     for s in range(last):
@@ -417,9 +436,7 @@ def _accept(
 def find_planes(
     points: CellPoints,
     geometry: CellGeometry,
-    reach: Floats,
-    least_points: int,
-    neighbours: int,
+    rule: SearchRule,
     planes: GroundPlanes,
     scratch: PlaneScratch,
 ) -> None:
@@ -428,16 +445,12 @@ def find_planes(
     Parameters
     ----------
     points, geometry
-    reach : (zones,) float64
-        Distance within which a point belongs to a plane, m; 0: by the spread of the points.
-    least_points : int
-        Cells with this many points or fewer take their neighbours' plane.
-    neighbours : int
-        How many columns of ``geometry.near`` count: 3 in a first round, NEIGHBOURS when all cells have a plane.
+    rule : SearchRule
     planes : GroundPlanes
         Filled.
     scratch : PlaneScratch
     """
+    neighbours, slope = rule.neighbours, rule.slope
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
@@ -446,9 +459,9 @@ def find_planes(
         a = b = c = 0.0
         if other >= 0:
             a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]
-        width = reach[geometry.zone[cell]]
+        width = rule.reach[geometry.zone[cell]]
         done = False
-        if n > least_points:
+        if n > rule.least_points:
             there, plane = _start(points, first, n, (other >= 0, a, b, c), origin, scratch)
             if there:
                 there, near, plane = _settle(points, first, n, plane, width, _PASSES, origin, (a, b))
@@ -464,8 +477,70 @@ def find_planes(
                     done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
         if not done:
             planes.kind[cell] = CARRIED if other >= 0 else 0
-            planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
+            height = a * origin[0] + b * origin[1] + c
+            a, b = 0.5 * (a + slope[0]), 0.5 * (b + slope[1])
+            planes.plane[cell, 0], planes.plane[cell, 1] = a, b
+            planes.plane[cell, 2] = height - a * origin[0] - b * origin[1]
             planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = origin[0], origin[1], away
+
+
+@helper
+def _root(of: Integers, cell: int) -> int:
+    """Return the cell that stands for all that are linked to a cell, and shorten the way to it."""
+    while of[cell] != cell:
+        of[cell] = of[of[cell]]
+        cell = int(of[cell])
+    return cell
+
+
+@helper
+def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
+    """Whether the planes of two cells pass each other's points within what is allowed."""
+    dx = planes.centre[other, 0] - planes.centre[cell, 0]
+    dy = planes.centre[other, 1] - planes.centre[cell, 1]
+    limit = _STEP + _STEP_PER_METRE * min(math.sqrt(dx * dx + dy * dy), _FARTHEST)
+    da, db = planes.plane[cell, 0] - planes.plane[other, 0], planes.plane[cell, 1] - planes.plane[other, 1]
+    dc = planes.plane[cell, 2] - planes.plane[other, 2]
+    here = abs(da * planes.centre[cell, 0] + db * planes.centre[cell, 1] + dc)
+    there = abs(da * planes.centre[other, 0] + db * planes.centre[other, 1] + dc)
+    return max(here, there) <= limit
+
+
+@kernel
+def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, weight: Floats) -> None:
+    """Keep the planes of the largest set of cells in which neighbours continue each other; drop small other sets.
+
+    A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
+
+    Parameters
+    ----------
+    geometry, planes
+    of : (cells,) int32
+        Scratch.
+    weight : (cells,) float64
+        Scratch.
+    """
+    cells = len(geometry.x)
+    for cell in range(cells):
+        of[cell], weight[cell] = cell, 0.0
+    for cell in range(cells):
+        for k in range(geometry.near.shape[1]):
+            other = geometry.near[cell, k]
+            if other < 0 or planes.kind[cell] != FOUND or planes.kind[other] != FOUND:
+                continue
+            if _continues(cell, other, planes):
+                one, two = _root(of, cell), _root(of, other)
+                of[max(one, two)] = min(one, two)
+    best = 0
+    for cell in range(cells):
+        if planes.kind[cell] == FOUND:
+            root = _root(of, cell)
+            weight[root] += 1.0 / math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
+            if weight[root] > weight[best]:
+                best = root
+    for cell in range(cells):
+        if weight[_root(of, cell)] < _KEPT_SHARE * weight[best]:
+            planes.kind[cell] = 0
 
 
 @helper
@@ -601,6 +676,7 @@ def label_points(
                 out.obstacles[cell] += 1
                 out.top[cell] = max(out.top[cell], h)
             elif h >= rule.height:
+                out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
     out.starts[len(geometry.x)] = end
     out.starts[len(geometry.x) + 1] = end

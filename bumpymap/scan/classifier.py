@@ -27,6 +27,7 @@ from bumpymap.core import (
 from bumpymap.readers import Robot, read_scan, scene_points
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
+from bumpymap.scan.polar import SectorBuffers
 
 __all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
 
@@ -113,6 +114,9 @@ class ScanClassifier:
         The polar grid, with the names and values of ``[polar]`` in a settings file.
     robot : dict, optional
         Which returns are on the robot itself, with the names and values of ``[robot]`` in a settings file.
+    reuse : bool
+        Give the arrays with a row per point in memory that the next call overwrites: for a loop that is done with a
+        result before it asks for the next one.
 
     Raises
     ------
@@ -144,6 +148,7 @@ class ScanClassifier:
         compat: Compat = "none",
         polar: PolarSettings | Mapping[str, Any] | None = None,
         robot: Robot | Mapping[str, Any] | None = None,
+        reuse: bool = False,
     ) -> None:
         given = {"method": method, "model": model, "stripes": stripes, "compat": compat, "polar": polar, "robot": robot}
         settings = settings_of_call(given, ScanConfig, "ScanClassifier")
@@ -151,6 +156,8 @@ class ScanClassifier:
         self._robot = config.robot
         self._blind = config.robot.box_m is None and config.robot.radius_m <= config.polar.zone_starts_m[0]
         self._method = choose_method(config)
+        self._scratch = SectorBuffers()
+        self._results = SectorBuffers() if reuse else None
 
     def __call__(self, points: ScanSource, /) -> ScanResult:
         """Classify the ground of one scan.
@@ -165,7 +172,7 @@ class ScanClassifier:
         Returns
         -------
         ScanResult
-            Its arrays are not changed by the next scan.
+            Its arrays are not changed by the next scan, unless ``reuse`` is set.
 
         Raises
         ------
@@ -178,15 +185,30 @@ class ScanClassifier:
             scan = read_scan(Path(points), self._robot)
             classed = self._method.classify(scan)
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
-        array = _columns(points)
-        # Points nearer than the inner border of the grid are in no sector.
-        kept = None if self._blind and np.isfinite(array).all() else scene_points(array, self._robot)
-        scan = Scan(array if kept is None else array[kept])
+        results = SectorBuffers() if self._results is None else self._results
+        array = _columns(points, results)
+        rows = self._scene(array)
+        scan = Scan(array if rows is None else self._keep(array, rows))
         classed = self._method.classify(scan)
         classes, sector = point_classes(scan, classed), classed.sectors.point_sector
-        if kept is not None:
-            classes, sector = _spread(classes, kept, NOT_TRAVERSABLE), _spread(sector, kept, -1)
+        if rows is not None:
+            classes = _spread(classes, rows, NOT_TRAVERSABLE, results.empty("class", len(array), np.uint8))
+            sector = _spread(sector, rows, -1, results.empty("sector", len(array), np.int32))
         return ScanResult(array, classes, sector, classed)
+
+    def _scene(self, points: NDArray[np.float32]) -> NDArray[np.intp] | None:
+        """Return the rows of points of the scene; None if all may be classified."""
+        if not self._blind:
+            return np.flatnonzero(scene_points(points, self._robot))
+        # Points nearer than the inner border of the grid are in no sector: only those that are not finite are left out.
+        with np.errstate(over="ignore", invalid="ignore"):
+            finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
+        return None if finite.all() else np.flatnonzero(finite)
+
+    def _keep(self, points: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return some points, in a buffer: only the classification of this scan reads them."""
+        out = self._scratch.empty("points", 3 * len(rows), np.float32).reshape(-1, 3)
+        return points.take(rows, axis=0, out=out, mode="clip")
 
 
 def classify_scan(
@@ -222,20 +244,24 @@ def classify_scan(
     return classifier(points)
 
 
-def _columns(points: ArrayLike) -> NDArray[np.float32]:
-    """Return x, y and z of an array of points as contiguous float32."""
+def _columns(points: ArrayLike, buffers: SectorBuffers) -> NDArray[np.float32]:
+    """Return x, y and z of an array of points as contiguous float32; in a buffer, if the array is not so itself."""
     try:
         array = np.asarray(points)
         if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu":
-            return np.ascontiguousarray(array[:, :3], np.float32)
+            if array.dtype == np.float32 and array.shape[1] == 3 and array.flags.c_contiguous:
+                return array
+            out = buffers.empty("given", 3 * len(array), np.float32).reshape(-1, 3)
+            np.copyto(out, array[:, :3], casting="unsafe")
+            return out
         what = f"an array of shape {array.shape} and type {array.dtype}"
     except ValueError as error:  # rows of different lengths
         what = f"no array ({error})"
     raise UsageError(f"points are {what}; give an array (n, 3) of x, y and z in metres, or the path of a file")
 
 
-def _spread(values: NDArray[Any], kept: NDArray[np.bool_], gap: int) -> NDArray[Any]:
-    """Return the values of the kept points in their rows of the full array, ``gap`` elsewhere."""
-    full = np.full(len(kept), gap, values.dtype)
-    full[kept] = values
+def _spread(values: NDArray[Any], rows: NDArray[np.intp], gap: int, full: NDArray[Any]) -> NDArray[Any]:
+    """Put values in their rows of the full array, ``gap`` elsewhere; return it."""
+    full.fill(gap)
+    full[rows] = values
     return full

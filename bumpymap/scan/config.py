@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
-from bumpymap.readers import Robot
+from bumpymap.layers import GridSettings
+from bumpymap.readers import BIN_COLUMNS, BagTopics, Robot, bags_at
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
@@ -19,13 +20,25 @@ class ScanConfig:
     """All settings of a scan run."""
 
     frames: tuple[Path, ...]
-    """Files of scans, or folders of them."""
+    """Files of scans, folders of them, or bags."""
     out: Path
     """Folder for the products; of a fit, the file for the stripe classes."""
+    topic: str | None = None
+    """Topic of the scans in a bag; None: the only one of its type."""
+    odometry: str | None = None
+    """Topic of the odometry in a bag; None: the only one of its type, or else the transforms (tf)."""
+    bag: Path | None = None
+    """File (``.mcap``) for the grids of all frames, as messages of ROS 2."""
     poses: Path | None = None
     """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
     crs: str | None = None
     """CRS of the poses, in metres; None: local coordinates."""
+    deskew: bool = True
+    """Move points to where they are seen at the time of the frame, if poses and points have times."""
+    columns: int | None = None
+    """Number of float32 columns of ``.bin`` files: 4, 5 or 6; None: told from their values."""
+    labels: NameOrFile | None = None
+    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
     method: ScanMethod | None = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Path | None = None
@@ -54,6 +67,8 @@ class ScanConfig:
     """Continue an interrupted run."""
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
+    grid: GridSettings = field(default_factory=GridSettings)
+    """Size of the grids in ``bag``."""
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
@@ -67,6 +82,8 @@ class ScanConfig:
                 f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), threads "
                 f"{self.threads} (1 or more)"
             )
+        if self.columns not in {None, *BIN_COLUMNS}:
+            raise UsageError(f"`columns` is {self.columns}; .bin files have 4, 5 or 6 columns")
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
@@ -77,8 +94,27 @@ class ScanConfig:
             )
         if self.stripes is not None and self.compat == "paper":
             raise UsageError("`compat='paper'` fits stripe classes in every scan, so it cannot use those of `stripes`")
+        if self.poses is not None and self.odometry is not None:
+            raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
+        if self.bag is not None and self.bag.suffix.lower() != ".mcap":
+            raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
+        if not self.may_have_poses:
+            self.refuse_map_settings()
+
+    @property
+    def may_have_poses(self) -> bool:
+        """Whether poses are given, or bags that may hold some."""
+        return self.poses is not None or any(map(bags_at, self.frames))
+
+    @property
+    def bag_topics(self) -> BagTopics:
+        """Which topics of a bag are read."""
+        return BagTopics(self.topic, self.odometry)
+
+    def refuse_map_settings(self) -> None:
+        """Raise UsageError if there are settings for the map of the drive; for runs without poses."""
         maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
-        if maps and self.poses is None:
+        if maps:
             raise UsageError(
                 f"`{maps[0]}` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
             )

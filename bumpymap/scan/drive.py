@@ -1,12 +1,13 @@
 """The map of a drive: the frames, merged by their poses, are mapped like a survey."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from pyproj import CRS
 
 from bumpymap.core import Kept, MapConfig, OutputError, Progress, UsageError, parse_crs, what_to_keep
-from bumpymap.layers import ACCUMULATED_NAME, MAP_FOLDER
+from bumpymap.layers import ACCUMULATED_NAME, MAP_FOLDER, Frame
 from bumpymap.rating import find_calibration
 from bumpymap.scan.config import ScanConfig
 from bumpymap.survey import MapResult, map_surveys
@@ -26,9 +27,10 @@ def crs_of_poses(config: ScanConfig) -> CRS | None:
     return crs
 
 
-def drive_settings(config: ScanConfig) -> MapConfig | None:
+def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | None:
     """Return the settings of the map of the drive, None without poses; check its calibration before the long work."""
-    if config.poses is None:
+    if all(frame.pose is None for frame in frames):
+        config.refuse_map_settings()
         return None
     own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
     drive = MapConfig(
@@ -46,7 +48,7 @@ def drive_settings(config: ScanConfig) -> MapConfig | None:
     return drive
 
 
-def map_drive(drive: MapConfig, accumulated: Mapping[str, int], progress: Progress) -> MapResult | None:
+def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> MapResult | None:
     """Map the merged frames; return None if none of their points is ground.
 
     Parameters
@@ -57,9 +59,7 @@ def map_drive(drive: MapConfig, accumulated: Mapping[str, int], progress: Progre
     progress : Progress
     """
     if not accumulated["ground"]:
-        _log.warning(
-            "no map was made: none of the %d gathered points lies in a traversable sector", accumulated["points"]
-        )
+        _log.warning("no map was made: none of the %d gathered points is ground", accumulated["points"])
         return None
     if drive.out.is_symlink():
         raise OutputError(

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -14,10 +15,10 @@ from bumpymap.layers import (
     FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME,
-    AccumulatedSurvey,
     Frame,
     FramePart,
     FrameReport,
+    GridBag,
     SectorTable,
     file_sizes,
     frame_files,
@@ -32,6 +33,7 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.merge import DriveMerge, open_merge
 
 __all__ = ["FrameProducts", "drop_empty_folder", "frame_products", "move_products", "open_products", "staging_folder"]
 
@@ -53,8 +55,10 @@ class FrameProducts:
     """Folder of the products until all are complete."""
     table: SectorTable | None
     """None if no table is wanted."""
-    accumulated: AccumulatedSurvey | None
-    """Points of all frames at their poses; None without poses."""
+    accumulated: DriveMerge | None
+    """Merges the points of all frames; None without poses."""
+    grids: GridBag | None
+    """Grids of all frames; None if no bag is wanted."""
 
     def load(self, frame: Frame, number: int) -> FramePart | None:
         """Return a frame that an earlier run has finished; None if it is not finished."""
@@ -65,6 +69,8 @@ class FrameProducts:
         """Write the files of a frame's own, and its checkpoint; return what it adds to the files of the run."""
         products, stack = frame_products(self.config, number), classed.sectors
         write_frame(frame.name, scan, classed, self.staged, products, self.config.range_m)
+        if self.grids is not None:
+            self.grids.add(frame, number, scan, classed)
         kept = slice(None) if self.accumulated is not None else slice(0)
         with np.errstate(over="ignore"):
             heights = stack.point_height[kept].astype(np.float16)
@@ -97,12 +103,13 @@ class FrameProducts:
         if self.table is not None and part.rows is not None:
             self.table.add_rows(part.rows)
 
-    def point_counts(self) -> dict[str, int] | None:
-        """Count the accumulated ``points``, and those that are ``ground``; None without poses."""
+    def merged(self) -> dict[str, Any] | None:
+        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
         return None if self.accumulated is None else self.accumulated.record()
 
     def _files(self, frame: Frame, number: int) -> list[Path]:
-        return frame_files(frame.name, self.staged, frame_products(self.config, number))
+        grids = [] if self.grids is None else [self.grids.part(number)]
+        return [*frame_files(frame.name, self.staged, frame_products(self.config, number)), *grids]
 
 
 def frame_products(config: ScanConfig, number: int) -> tuple[str, ...]:
@@ -118,10 +125,12 @@ def open_products(
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        accumulated = (
-            open_files.enter_context(open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs)) if poses else None
-        )
-        yield FrameProducts(config, run_folder, staged, table, accumulated)
+        merge = open_files.enter_context(open_merge(run_folder, poses[0])) if poses else None
+        grids = None if config.bag is None else GridBag(run_folder, config.grid)
+        yield FrameProducts(config, run_folder, staged, table, merge, grids)
+        if merge is not None:
+            with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
+                merge.write(survey)
 
 
 def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:

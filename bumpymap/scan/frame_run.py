@@ -15,6 +15,7 @@ from bumpymap.layers import (
     Frame,
     FramePart,
     FrameReport,
+    describe_file,
     explain_empty_scan,
     has_finished_parts,
     output_errors,
@@ -65,9 +66,13 @@ class FrameRun:
                 open_products(self.config, self.frames, self.crs, run.path, staged) as products,
             ):
                 reports = self._classify_each(reader, products, progress)
-            accumulated = products.point_counts()
+            accumulated = products.merged()
             manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
-            manifest |= {"gathered": accumulated, "seconds": clock.seconds}
+            manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+            if self.config.bag is not None and products.grids is not None:
+                done = {report.frame.name for report in reports}
+                products.grids.write(self.config.bag, (n for n, f in enumerate(self.frames) if f.name in done))
+                manifest["bag"] = describe_file(self.config.bag)
             drop_empty_folder(staged)
             write_scan_manifest(staged, manifest, reports, self.run_spec["inputs"])
             files = move_products(staged, out)
@@ -105,7 +110,7 @@ class FrameRun:
                 with reader.skipping(frame):
                     part, empty = result()
                     if empty:
-                        _log.warning("no ground was classified in %s: %s", frame.path, empty)
+                        _log.warning("no ground was classified in %s: %s", frame.origin, empty)
                     products.add(frame, number, part)
                     reports.append(part.report)
                 progress.advance(1)
@@ -119,7 +124,7 @@ class FrameRun:
         finished = products.load(frame, number)
         if finished is not None:
             return finished, ""
-        version: Mapping[str, Any] = self.run_spec["inputs"][str(frame.path)]
+        version: Mapping[str, Any] | None = self.run_spec["inputs"].get(str(frame.path))
         begin = time.perf_counter()
         scan = reader.read(frame)
         with naming_frame(frame):

@@ -4,10 +4,20 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from threading import Lock
 
 from bumpymap.core import BadInputError, Scan
 from bumpymap.layers import Frame
-from bumpymap.readers import read_scan
+from bumpymap.readers import (
+    BagReader,
+    LabelSet,
+    deskew,
+    label_set,
+    read_message,
+    read_scan,
+    require_label_set,
+)
 from bumpymap.scan.config import ScanConfig
 
 __all__ = ["FrameReader", "naming_frame"]
@@ -28,12 +38,28 @@ class FrameReader:
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
+        self._labels: LabelSet | None = None if config.labels is None else label_set(config.labels)
         self.skipped: dict[str, str] = {}
-        """Path -> error message of each frame that was skipped."""
+        """Origin -> error message of each frame that was skipped."""
+        self._bags: dict[Path, BagReader] = {}
+        self._lock = Lock()
 
     def read(self, frame: Frame) -> Scan:
-        """Read a frame. Raises BadInputError if it cannot be read."""
-        return replace(read_scan(frame.path, self._config.robot), name=frame.name)
+        """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
+        if frame.message is not None:
+            scan = read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
+        else:
+            scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
+        if self._labels is not None and scan.label is not None:
+            require_label_set(scan.label, self._labels, frame.origin)
+        return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
+
+    def _bag(self, path: Path) -> BagReader:
+        """Return a bag, which is opened once."""
+        with self._lock:
+            if path not in self._bags:
+                self._bags[path] = BagReader(path)
+            return self._bags[path]
 
     @contextmanager
     def skipping(self, frame: Frame) -> Iterator[None]:
@@ -44,8 +70,8 @@ class FrameReader:
             if not self._config.skip_bad:
                 error.add_note("`skip_bad=True` goes on without such frames.")
                 raise
-            _log.warning("skipped %s: %s", frame.path, error)
-            self.skipped[str(frame.path)] = str(error)
+            _log.warning("skipped %s: %s", frame.origin, error)
+            self.skipped[frame.origin] = str(error)
 
     def require_any(self, count: int) -> None:
         """Raise BadInputError, with the reasons, if no frame could be read."""
@@ -57,8 +83,8 @@ class FrameReader:
 
 @contextmanager
 def naming_frame(frame: Frame) -> Iterator[None]:
-    """Add the path of the frame to the message of a BadInputError."""
+    """Add the origin of the frame to the message of a BadInputError."""
     try:
         yield
     except BadInputError as error:
-        raise BadInputError(f"cannot classify {frame.path}: {error}") from error
+        raise BadInputError(f"cannot classify {frame.origin}: {error}") from error

@@ -19,8 +19,10 @@ from bumpymap.scan._ground_kernels import (
     GroundRule,
     LabelScratch,
     PlaneScratch,
+    SearchRule,
     find_planes,
     gather_points,
+    keep_largest,
     label_points,
 )
 from bumpymap.scan._place_kernels import CellOrder, PointPlaces
@@ -46,8 +48,10 @@ class Ground:
     """(m,) height above the ground, m; NaN where it is not known."""
     obstacles: NDArray[np.int32]
     """(cells,) points between belly and height of the vehicle."""
+    overhead: NDArray[np.int32]
+    """(cells,) points higher than the vehicle."""
     top: NDArray[np.float32]
-    """(cells,) the highest of them above the ground, m; -inf without any."""
+    """(cells,) the highest obstacle point above the ground, m; -inf without any."""
     clearance: NDArray[np.float32]
     """(cells,) lowest point above the vehicle's height, m; inf without any."""
 
@@ -85,13 +89,18 @@ def find_ground(
         np.empty(NEIGHBOURS, np.int32),
     )
     zones = len(settings.sectors)
-    find_planes(held, geometry, np.zeros(zones), settings.least_points, 3, planes, scratch)
+    level = np.zeros(2)
+    find_planes(held, geometry, SearchRule(np.zeros(zones), settings.least_points, 0, level), planes, scratch)
+    keep_largest(geometry, planes, np.empty(cells, np.int32), np.empty(cells))
     noise = _noise(planes, geometry, zones)
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
-    find_planes(held, geometry, reach, settings.least_points, NEIGHBOURS, planes, scratch)
+    slope = np.median(planes.plane[planes.kind == FOUND, :2], axis=0) if planes.kind.any() else level
+    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
+    find_planes(held, geometry, rule, planes, scratch)
     labels = GroundLabels(
         np.full(len(points), np.nan, np.float32),
         np.zeros(len(points), np.bool_),
+        np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
@@ -120,6 +129,7 @@ def find_ground(
         labels.ground,
         labels.height,
         labels.obstacles,
+        labels.overhead,
         labels.top,
         labels.clearance,
     )
@@ -135,6 +145,7 @@ def all_ground(by_cell: CellOrder, points: NDArray[np.float32]) -> Ground:
         by_cell,
         inside,
         np.full(count, np.nan, np.float32),
+        np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),

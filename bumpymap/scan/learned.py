@@ -1,12 +1,11 @@
-"""The learned method: a small network classifies the heightmap of each sector.
+"""The learned method: a small network classifies each sector by the heightmap of its ground and by what stands on it.
 
-The only input that depends on the rest of the scan is ``beside``: the number of points relative to that of the other
-ground in the ring. The result for a sector does not depend on the others in the batch: batches have a fixed size, the
+The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of
+other sectors in the ring. The result for a sector does not depend on the others in the batch: batches have a fixed size, the
 last one is padded, inference runs on one thread, and the graph treats each sector separately.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from bumpymap.core import (
     UsageError,
     metadata_of,
     read_network,
+    sector_bounds,
     session,
     shipped_network,
 )
@@ -36,17 +36,32 @@ __all__ = [
     "ScanModel",
     "classes_of_labels",
     "classify_learned",
-    "grid_record",
     "network_input",
     "probabilities",
 ]
 
-SECTOR_VERSION = 2
+SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
 CHANNELS = 2
 """Image channels of a sector: heights scaled by their own range, and heights on a fixed scale."""
-MEASURES = ("count", "beside", "coverage", "z_deviation", "residual", "upright", "distance")
-"""Scalar inputs of the network, which the filled and scaled images do not show."""
+MEASURES = (
+    "count",
+    "beside",
+    "coverage",
+    "z_deviation",
+    "residual",
+    "upright",
+    "distance",
+    "width",
+    "depth",
+    "ground",
+    "obstacles",
+    "overhead",
+    "obstacle_height",
+    "clearance",
+)
+"""Scalar inputs of the network, which the filled and scaled images do not show. ``ground``, ``obstacles`` and
+``overhead`` are shares of the sector's points."""
 CLASS_OF_LABEL = {
     **dict.fromkeys((3, 10, 1, 23), 0),
     **dict.fromkeys((6, 31, 33, 19, 34), 1),
@@ -69,20 +84,20 @@ class ScanModel:
     """The ONNX file."""
     metadata: dict[str, str]
     """Its ``metadata_props``: seed, command, accuracies."""
-    grid: str
-    """``grid_record`` of the polar grid that it was trained for."""
+    pixels: int
+    """Rows and columns of the heightmaps that it was trained on; the rest of the polar grid is free."""
 
     @property
     def id(self) -> str:
         """Twelve hex digits that change with any byte of the file."""
         return hashlib.sha256(self.content).hexdigest()[:12]
 
-    def require_grid(self, settings: PolarSettings) -> None:
-        """Raise UsageError if the network was trained for another grid."""
-        if grid_record(settings) != self.grid:
+    def require_pixels(self, settings: PolarSettings) -> None:
+        """Raise UsageError if the network was trained on heightmaps of another size."""
+        if settings.pixels != self.pixels:
             raise UsageError(
-                f"the polar grid is {grid_record(settings)}; the scan network {self.id} was trained for {self.grid}. "
-                "Use that grid, or the filter method"
+                f"pixels is {settings.pixels}; the scan network {self.id} was trained on heightmaps of {self.pixels}. "
+                "Use that number, or the filter method"
             )
 
     @classmethod
@@ -99,24 +114,12 @@ class ScanModel:
     def from_bytes(cls, content: bytes, origin: str) -> "ScanModel":
         """Check an ONNX file from ``origin``. Raises BadInputError if it is not a scan network."""
         metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
-        if metadata.get("sector_version") != str(SECTOR_VERSION) or "grid" not in metadata:
+        if metadata.get("sector_version") != str(SECTOR_VERSION) or not metadata.get("pixels", "").isdigit():
             raise BadInputError(
                 f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap uses "
                 f"version {SECTOR_VERSION}. {_REMEDY}"
             )
-        return cls(content, metadata, metadata["grid"])
-
-
-def grid_record(settings: PolarSettings) -> str:
-    """Return the properties of a grid that a network depends on as JSON: zones, sectors, rings, pixels."""
-    return json.dumps(
-        {
-            "zones_m": [*settings.zone_starts_m, settings.end_m],
-            "sectors": list(settings.sectors),
-            "rings": list(settings.rings),
-            "pixels": settings.pixels,
-        }
-    )
+        return cls(content, metadata, int(metadata["pixels"]))
 
 
 def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
@@ -128,7 +131,7 @@ def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
 
 
 def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the network's inputs for sectors; training and inference both use this function.
+    """Return the network's inputs for the traversable sectors; training and inference both use this function.
 
     Returns
     -------
@@ -138,47 +141,55 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     measures : array (n, len(MEASURES)) float32
         Each about -1 to 1.
     """
-    heights = stack.heights
+    asked = np.flatnonzero(stack.traversable)
+    heights = stack.heights[asked]
     low = heights.min(axis=(1, 2), keepdims=True)
     span = heights.max(axis=(1, 2), keepdims=True) - low
     scaled = np.divide(heights - low, span, out=np.full_like(heights, 0.5), where=span > 0)
     patches = np.stack([2.0 * scaled - 1.0, np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)], axis=1)
+    ground, points = stack.ground_count[asked], stack.count[asked]
+    distance, width, depth = _sizes(stack, asked)
     measures = np.column_stack(
         [
-            np.log10(stack.count / 200.0),
-            np.log10(stack.count / _usual_count(stack)),
-            2.0 * stack.coverage - 1.0,
-            0.5 * np.log10(stack.variance + 1e-6) + 1.0,
-            np.log10(stack.residual + 1e-3) + 1.5,
-            2.0 * np.abs(stack.normal[:, 2]) - 1.0,
-            np.log10(_distance(stack) / 20.0),
+            np.log10(ground / 200.0),
+            np.log10(ground / _usual_count(stack, asked)),
+            2.0 * stack.coverage[asked] - 1.0,
+            0.5 * np.log10(stack.variance[asked] + 1e-6) + 1.0,
+            np.log10(stack.residual[asked] + 1e-3) + 1.5,
+            2.0 * np.abs(stack.normal[asked, 2]) - 1.0,
+            np.log10(distance / 20.0),
+            np.log10(width / 4.0),
+            np.log10(depth / 4.0),
+            2.0 * ground / points - 1.0,
+            2.0 * np.sqrt(stack.obstacle_count[asked] / points) - 1.0,
+            2.0 * np.sqrt(stack.overhead_count[asked] / points) - 1.0,
+            2.0 * np.nan_to_num(stack.obstacle_height[asked]) / stack.settings.height_m - 1.0,
+            2.0 * np.nan_to_num(stack.settings.height_m / stack.clearance[asked]) - 1.0,
         ]
     )
     return np.ascontiguousarray(patches, np.float32), measures.astype(np.float32)
 
 
-def _usual_count(stack: SectorStack) -> NDArray[np.float64]:
-    """Return the median number of points of traversable sectors in the same ring: what the sensor returns from ground.
+def _usual_count(stack: SectorStack, asked: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the median number of ground points of traversable sectors in the same ring.
 
-    Relative to it, water and wet mud have few points, whatever the sensor. Walls and trees are left out: they return
-    many points, and any ground would look wet in comparison.
+    Relative to it, water and wet mud have few points, whatever the sensor.
     """
-    ring = stack.zone.astype(np.int64) * (max(stack.settings.rings)) + stack.ring
+    ring = stack.zone[asked].astype(np.int64) * max(stack.settings.rings) + stack.ring[asked]
+    count = stack.ground_count[asked]
     usual = np.empty(len(ring))
     for number in np.unique(ring):
         here = ring == number
-        ground = here & stack.traversable
-        usual[here] = np.median(stack.count[ground if ground.any() else here])
+        usual[here] = np.median(count[here])
     return usual
 
 
-def _distance(stack: SectorStack) -> NDArray[np.float64]:
-    """Return the distance of the centre of each sector from the sensor, m."""
-    settings = stack.settings
-    edges = np.array([*settings.zone_starts_m, settings.end_m])
-    width = np.diff(edges) / np.array(settings.rings)
-    middle: NDArray[np.float64] = edges[stack.zone] + (stack.ring + 0.5) * width[stack.zone]
-    return middle
+def _sizes(stack: SectorStack, asked: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
+    """Return the distance of the centre of sectors from the sensor, their width around it and depth outwards, m."""
+    bounds = sector_bounds(stack)
+    near, far = bounds.near[asked], bounds.far[asked]
+    middle = 0.5 * (near + far)
+    return middle, middle * (bounds.left - bounds.right)[asked], far - near
 
 
 def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:
@@ -199,21 +210,21 @@ def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> Clas
     Raises
     ------
     UsageError
-        The network was trained for another grid.
+        The network was trained on heightmaps of another size.
     """
-    probability = probabilities(stack, model or ScanModel.shipped(), stack.traversable)
+    probability = probabilities(stack, model or ScanModel.shipped())
     class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
     class_id[stack.traversable] = probability[stack.traversable].argmax(axis=1)
     return ClassedSectors(stack, class_id, None, "learned", probability.max(axis=1))
 
 
-def probabilities(stack: SectorStack, model: ScanModel, which: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the probability of each class (n, CLASSES); NaN where ``which`` (n,) is False."""
-    model.require_grid(stack.settings)
+def probabilities(stack: SectorStack, model: ScanModel) -> NDArray[np.float32]:
+    """Return the probability of each class (n, CLASSES); NaN for sectors that are not traversable."""
+    model.require_pixels(stack.settings)
     found = np.full((len(stack.zone), CLASSES), np.nan, np.float32)
-    if which.any():
+    if stack.traversable.any():
         patches, measures = network_input(stack)
-        found[which] = infer(model.content, {"patches": patches[which], "measures": measures[which]})
+        found[stack.traversable] = infer(model.content, {"patches": patches, "measures": measures})
     return found
 
 

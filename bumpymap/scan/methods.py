@@ -6,7 +6,7 @@ from importlib.resources import files
 
 from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, UsageError
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.learned import ScanModel, classify_learned, grid_record
+from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.paper import classify_paper
 from bumpymap.scan.polar import SectorBuffers, polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
@@ -54,7 +54,7 @@ def _learned(config: ScanConfig) -> Method:
     model = _shipped_network() if config.model is None else ScanModel.load(config.model)
     if model is None:
         raise UsageError("no scan network is included for this; name one with `model`, or use `method='filter'`")
-    model.require_grid(config.polar)
+    model.require_pixels(config.polar)
     basis = f"scan network {model.id}"
     buffers = SectorBuffers()
     return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar, buffers), model))
@@ -64,7 +64,7 @@ def _by_network(config: ScanConfig) -> bool:
     if config.stripes is not None:
         return False
     model = _shipped_network()
-    return model is not None and grid_record(config.polar) == model.grid
+    return model is not None and config.polar.pixels == model.pixels
 
 
 def _shipped_network() -> ScanModel | None:

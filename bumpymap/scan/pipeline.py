@@ -1,6 +1,8 @@
 """The scan job, step by step: frames in, classed sectors and their files out; with poses, a map of the drive."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from bumpymap.core import (
     Progress,
@@ -11,8 +13,8 @@ from bumpymap.core import (
     locked,
     remove_empty_on_error,
 )
-from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_scan_folder, is_complete, name_frames
-from bumpymap.readers import find_frames, read_poses
+from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_bag_file, check_scan_folder, is_complete, name_frames
+from bumpymap.readers import find_sources, place_sources
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.drive import crs_of_poses, drive_settings, map_drive
 from bumpymap.scan.frame_run import FrameRun
@@ -38,6 +40,8 @@ class ScanRun:
     """Wall time by stage."""
     drive: MapResult | None
     """The map of the merged frames; None without poses, or without ground to map."""
+    merged: Mapping[str, Any] | None = None
+    """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
     already_done: bool = False
     """An earlier run with the same frames and settings is complete: nothing was written, and these are its results."""
 
@@ -61,15 +65,23 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
         method = choose_method(config)
         crs = crs_of_poses(config)
-        drive = drive_settings(config)
-        paths = find_frames(config.frames)
-        frames = name_frames(paths, None if config.poses is None else read_poses(config.poses, len(paths)))
-        run_spec = describe_scan(config, frames, method)
+        sources = find_sources(config.frames, config.bag_topics)
+        found = None
+        if config.poses is not None:
+            found, sources = place_sources(config.poses, sources)
+        frames = name_frames(sources)
+        drive = drive_settings(config, frames)
+        run_spec = describe_scan(config, frames, method, found)
     if is_done:
         classified = earlier_frames(config, run_spec, frames)
         seconds = dict(classified.seconds)
     else:
-        check_scan_folder(config.out, paths, overwrite=config.overwrite, unfinished=unfinished)
+        check_scan_folder(
+            config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished
+        )
+        if config.bag is not None:
+            inputs = [frame.path for frame in frames]
+            check_bag_file(config.bag, inputs, overwrite=config.overwrite or unfinished)
         classified = FrameRun(config, frames, method, crs, run_spec).classify(progress, clock)
         seconds = clock.seconds
     mapped = None
@@ -78,5 +90,12 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
             mapped = map_drive(drive, classified.accumulated, progress)
     already_done = is_done and (mapped is None or mapped.already_done)
     return ScanRun(
-        classified.files, classified.method, classified.reports, classified.skipped, seconds, mapped, already_done
+        classified.files,
+        classified.method,
+        classified.reports,
+        classified.skipped,
+        seconds,
+        mapped,
+        classified.accumulated,
+        already_done,
     )

@@ -119,6 +119,7 @@ def polar_sectors(
         label=_labels(scan, by_cell, cells),
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
+        overhead_count=ground.overhead[cells],
         obstacle=stands,
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=_finite(ground.clearance[cells]),

@@ -19,14 +19,17 @@ from bumpymap.layers import (
     software_versions,
     verified_record,
 )
-from bumpymap.readers import identity, label_file
+from bumpymap.readers import FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frame_products import frame_products
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "poses", "vehicle", "calibration", "threads"}
+_WITHOUT_EFFECT = {
+    *("frames", "out", "overwrite", "resume", "skip_bad", "threads"),
+    *("poses", "labels", "vehicle", "calibration"),
+}
 """Settings that do not change the files of the frames: a resumed run may use other values. Those of the map of the
 drive are checked when it is made."""
 
@@ -41,19 +44,30 @@ class ClassifiedFrames:
     reports: tuple[FrameReport, ...]
     skipped: dict[str, str]
     """Frames that could not be read, with the error message."""
-    accumulated: dict[str, int] | None
-    """Number of ``points`` in gathered.laz, and of those that are ``ground``; None without poses."""
+    accumulated: dict[str, Any] | None
+    """What scan.json says of gathered.laz, see `DriveMerge.record`; None without poses."""
     seconds: dict[str, float]
     """Wall time by stage."""
 
 
-def describe_scan(config: ScanConfig, frames: Sequence[Frame], method: Method) -> dict[str, Any]:
+def describe_scan(
+    config: ScanConfig, frames: Sequence[Frame], method: Method, poses: FramePoses | None
+) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
-    paths = [frame.path for frame in frames] + _side_files(config, frames)
+    paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
         "made with": software_versions() | {"method": f"{method.name}, {method.basis}"},
+        "poses": None if all(frame.pose is None for frame in frames) else _describe_poses(config, frames, poses),
+    }
+
+
+def _describe_poses(config: ScanConfig, frames: Sequence[Frame], poses: FramePoses | None) -> dict[str, Any]:
+    return {
+        "matched_by": "time" if poses is None else poses.matched_by,
+        "calib": None if poses is None or poses.calib is None else str(poses.calib),
+        "deskew": config.deskew and any(frame.motion is not None for frame in frames),
     }
 
 
@@ -69,8 +83,9 @@ def scan_manifest(
     return {
         "settings": config,
         "method": {"name": method.name, "basis": method.basis},
+        "poses": run_spec["poses"],
         "skipped": skipped,
-        "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped],
+        "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
         "side_files": [
             describe_file(path) | {"mtime_ns": known[str(path)]["mtime_ns"]} for path in _side_files(config, frames)
         ],
@@ -87,15 +102,15 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
     """
     with verified_record(config.out, (), SCAN_MANIFEST_NAME) as record:
         method = record["method"]
-        inputs = [*record["frames"], *record["side_files"]]
+        inputs = [*(frame for frame in record["frames"] if frame.get("message") is None), *record["side_files"]]
         ignored = _WITHOUT_EFFECT - {"skip_bad"} if record["skipped"] else _WITHOUT_EFFECT
         before = spec_of_manifest(
             {**record, "inputs": inputs}, ignored, {"method": f"{method['name']}, {method['basis']}"}
         )
         now = {**run_spec, "settings": flat_settings(config, ignored)}
         refuse_replacing(config.out, differences(before, now, same_content))
-        own = {str(frame.path): frame for frame in frames}
-        reports = tuple(FrameReport.of(own[each["path"]], each) for each in record["frames"])
+        own = {frame.name: frame for frame in frames}
+        reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, frames, reports)
         files = tuple(
             name
@@ -107,12 +122,20 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
-    """List the files that are read beside the frames: poses and labels."""
+    """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
     labels = [found for frame in frames if frame.path.suffix == ".bin" and (found := label_file(frame.path))]
-    return [*([] if config.poses is None else [config.poses]), *labels]
+    beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
+    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
+    stored = [file for bag in bags for file in bag_files(bag)]
+    return [*([] if config.poses is None else [config.poses]), *beside, *labels, *stored]
 
 
 def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequence[FrameReport]) -> None:
+    if config.bag is not None and not config.bag.exists():
+        raise OutputError(
+            f"{config.out} already holds a complete run, but its bag {config.bag} is missing. Pass `overwrite=True` to "
+            "make both again"
+        )
     done = {report.frame.name for report in reports}
     for number, frame in enumerate(frames):
         if frame.name in done and not has_files(frame.name, config.out, frame_products(config, number)):

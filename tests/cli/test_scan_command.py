@@ -186,9 +186,59 @@ def no_calibration(folder):
     return [write_ply(folder / "a.ply", site()), "--poses", folder / "p.txt", "--calibration", folder / "c.json"]
 
 
+def camera_poses(folder):
+    """Ten frames of a drive along the camera's z axis."""
+    (folder / "drive").mkdir()
+    for number in range(10):
+        write_bin(folder / "drive" / f"{number}.bin", site(500, seed=number))
+    rows = [f"1 0 0 0 0 1 0 0 0 0 1 {number}" for number in range(10)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    return [folder / "drive", "--poses", folder / "poses.txt"]
+
+
+def a_world_of_a_camera(folder):
+    (folder / "poses.txt").write_text("0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    return [write_bin(folder / "a.bin", site()), "--poses", folder / "poses.txt"]
+
+
+def another_clock(folder):
+    (folder / "tum.txt").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    return [write_bin(folder / "1700000000_5.bin", site()), "--poses", folder / "tum.txt"]
+
+
+def doubtful_columns(folder):
+    np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(folder / "a.bin")
+    return [folder / "a.bin"]
+
+
+def wrong_columns(folder):
+    """Five columns, cut so that the size fits four."""
+    rows = np.column_stack([site(), np.ones(12_000), np.arange(12_000) % 32]).astype("<f4")
+    rows.ravel()[:-4].tofile(folder / "a.bin")
+    return [folder / "a.bin"]
+
+
+def labels_of_another_set(folder):
+    labels = np.random.default_rng(1).choice([40, 48, 70, 72], 12_000).astype(np.uint16)
+    return [write_ply(folder / "a.ply", site(), label=labels), "--labels", "rellis"]
+
+
+def no_label_set(folder):
+    (folder / "own.csv").write_text("id;class\n1;2\n")
+    return [write_ply(folder / "a.ply", site()), "--labels", folder / "own.csv"]
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (camera_poses, "put the sequence's calib.txt (with the line Tr:) beside it"),
+        (a_world_of_a_camera, "Is the world that of a camera (y down)"),
+        (another_clock, "poses of"),
+        (doubtful_columns, "its values do not tell which. Say it: --columns 4"),
+        (wrong_columns, "lie in 5 columns of float32, but its size"),
+        (labels_of_another_set, "not those of the set rellis"),
+        (labels_of_another_set, "They fit --labels semantic-kitti"),
+        (no_label_set, "must be id,class"),
         (empty, "holds no points"),
         (no_bytes, "is empty (0 bytes)"),
         (other_labels, "12,000 points, whose labels take 48,000"),
@@ -217,7 +267,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     ("points", "words"),
     [
         (np.zeros((100, 3)), "100 returns at (0, 0, 0)"),
-        (np.full((100, 3), np.nan), "100 not finite"),
+        (np.full((100, 3), np.nan), "100 returns at (0, 0, 0) or NaN"),
         (np.array([[5.0, 0.0, -1.0]]), "1 of 1 points lie"),
     ],
 )

@@ -174,6 +174,25 @@ def _drive(folder: Path) -> None:
     )
     packed = head.encode() + np.ascontiguousarray(points).tobytes()
     (folder / "frame.pcd").write_bytes(packed)
+    _bag(folder)
+
+
+def _bag(folder: Path) -> None:
+    """Write the frames and poses of the drive to a bag."""
+    sys.path.append(str(ROOT / "tests" / "helpers"))
+    from bags import cloud, lidar_rows, odometry, write_bag
+    from scipy.spatial.transform import Rotation
+
+    messages = []
+    for number, file in enumerate(sorted((folder / "drive").iterdir())):
+        points = np.fromfile(file, "<f4").reshape(-1, 4)[:, :3]
+        pose = Rotation.identity(), (float(number), 0.0, 0.0)
+        time_ns = 1_700_000_000_000_000_000 + number * 500_000_000
+        messages.append(("/odom", time_ns, odometry(time_ns, pose, child="lidar")))
+        messages.append(("/points", time_ns, cloud(lidar_rows(points), time_ns)))
+    bag = write_bag(folder / "bag", messages)
+    (bag / "bag.mcap").rename(folder / "drive.mcap")
+    shutil.rmtree(bag)
 
 
 def _run(command: str, rule: Rule | None, folder: Path) -> str:

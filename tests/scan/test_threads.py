@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, FrameSource
 from bumpymap.layers import load_part, name_frames, part_path
 from bumpymap.readers import read_scan
 from bumpymap.scan.config import ScanConfig
@@ -152,7 +152,7 @@ def test_what_a_power_cut_has_left_half_written_is_made_again(frames, serial, tm
 def test_a_checkpoint_keeps_what_the_map_of_a_drive_needs(frames, tmp_path):
     config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", threads=1)
     run = interrupted(config)
-    (frame,) = name_frames(config.frames[:1])
+    (frame,) = name_frames([FrameSource(config.frames[0])])
     part = load_part(part_path(run, 0), frame)
     scan = read_scan(config.frames[0], config.robot)
     np.testing.assert_array_equal(part.points, scan.points)

@@ -13,10 +13,19 @@ from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.route_sheet import common_window
 from bumpytiles import TileWindow
 
-__all__ = ["TOPIC", "GridLayers", "make_layers", "require_rosbags", "typestore", "write_gridmap"]
+__all__ = [
+    "GRID_MAP",
+    "TOPIC",
+    "GridLayers",
+    "grid_map_message",
+    "make_layers",
+    "require_rosbags",
+    "typestore",
+    "write_gridmap",
+]
 
 TOPIC = "/grid_map"
-_MESSAGE = "grid_map_msgs/msg/GridMap"
+GRID_MAP = "grid_map_msgs/msg/GridMap"
 _MAX_CELLS = 5_000_000
 """Most cells: 100 MB in one message."""
 _DEFINITIONS = {
@@ -26,7 +35,7 @@ float64 length_x
 float64 length_y
 geometry_msgs/Pose pose
 """,
-    _MESSAGE: """\
+    GRID_MAP: """\
 std_msgs/Header header
 grid_map_msgs/GridMapInfo info
 string[] layers
@@ -53,7 +62,7 @@ def require_rosbags() -> None:
         import rosbags.typesys  # noqa: F401 (tried)
     except ImportError as error:
         raise UsageError(
-            f"a grid_map is written with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
+            f"a bag is written with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
         ) from error
 
 
@@ -154,15 +163,15 @@ def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[st
     message = _message(store, area, layers)
     try:
         with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            topic = writer.add_connection(TOPIC, _MESSAGE, typestore=store, offered_qos_profiles=[_latched()])
-            writer.write(topic, 0, store.serialize_cdr(message, _MESSAGE))
+            topic = writer.add_connection(TOPIC, GRID_MAP, typestore=store, offered_qos_profiles=[_latched()])
+            writer.write(topic, 0, store.serialize_cdr(message, GRID_MAP))
         for name in ("gridmap.mcap", "metadata.yaml"):
             with atomic(folder / name) as temporary:
                 (bag / name).rename(temporary)
         remove_path(bag)
     except OSError as error:
         raise OutputError(f"cannot write the bag to {folder.parent}: {error}. Choose another `out`") from error
-    return {"topic": TOPIC, "type": _MESSAGE, "layer_names": list(layers.values)}
+    return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers.values)}
 
 
 def _latched() -> Any:
@@ -185,19 +194,41 @@ def _latched() -> Any:
 def _message(store: Any, area: ExportArea, layers: GridLayers) -> Any:
     """Make the message: position of the middle, sides, and the layers."""
     types, bounds = store.types, area.bounds
-    point = types["geometry_msgs/msg/Point"](
-        x=(bounds.west + bounds.east) / 2.0, y=(bounds.south + bounds.north) / 2.0, z=0.0
-    )
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME)
+    middle = ((bounds.west + bounds.east) / 2.0, (bounds.south + bounds.north) / 2.0)
+    return grid_map_message(store, header, middle, area.resolution, layers)
+
+
+def grid_map_message(
+    store: Any, header: Any, middle: tuple[float, float], resolution: float, layers: GridLayers
+) -> Any:
+    """Make a message ``grid_map_msgs/GridMap``.
+
+    Parameters
+    ----------
+    store
+        From `typestore`.
+    header : std_msgs/Header
+    middle : tuple of float
+        x and y of the middle of the grid in the frame of the header, m.
+    resolution : float
+        Side of a cell, m.
+    layers : GridLayers
+        One of them is ``elevation``.
+    """
+    types = store.types
+    rows, cols = layers.values["elevation"].shape
+    point = types["geometry_msgs/msg/Point"](x=middle[0], y=middle[1], z=0.0)
     upright = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
     info = types["grid_map_msgs/msg/GridMapInfo"](
-        resolution=area.resolution,
-        length_x=bounds.east - bounds.west,
-        length_y=bounds.north - bounds.south,
+        resolution=resolution,
+        length_x=cols * resolution,
+        length_y=rows * resolution,
         pose=types["geometry_msgs/msg/Pose"](position=point, orientation=upright),
     )
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    return types[_MESSAGE](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME),
+    return types[GRID_MAP](
+        header=header,
         info=info,
         layers=list(layers.values),
         basic_layers=["elevation"],

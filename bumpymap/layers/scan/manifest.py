@@ -33,12 +33,13 @@ def write_scan_manifest(
         for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME)
         if (folder / name).exists()
     ]
+    times = {path: identity["mtime_ns"] for path, identity in identities.items()}
     record = {
         "format": _FORMAT,
         "version": _VERSION,
         **known,
         "versions": software_versions(),
         "files": files,
-        "frames": [{**frame.record(), "mtime_ns": identities[str(frame.frame.path)]["mtime_ns"]} for frame in frames],
+        "frames": [{**frame.record(), "mtime_ns": times.get(str(frame.frame.path))} for frame in frames],
     }
     write_manifest(record, folder / SCAN_MANIFEST_NAME)

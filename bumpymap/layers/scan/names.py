@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import BagMessage, FrameSource, PoseTrack
+
 __all__ = ["FRAME_FILES", "FRAME_FOLDER", "Frame", "name_frames", "sample_evenly"]
 
 FRAME_FOLDER = "frames"
@@ -22,29 +24,46 @@ class Frame:
     name: str
     """Stem of its output files, unique in the run."""
     path: Path
+    """File of the scan; or the bag that holds it."""
     pose: NDArray[np.float64] | None = None
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
+    motion: PoseTrack | None = None
+    """Poses around the frame, at times relative to it; None if unknown."""
+    message: BagMessage | None = None
+    """Its place in a bag; None if it has a file of its own."""
+
+    @property
+    def origin(self) -> str:
+        """The file; or the bag, topic and number of the message."""
+        where = "" if self.message is None else f", message {self.message.number} of {self.message.topic}"
+        return f"{self.path}{where}"
 
 
-def name_frames(paths: Sequence[Path], poses: NDArray[np.float64] | None = None) -> list[Frame]:
+def name_frames(sources: Sequence[FrameSource]) -> list[Frame]:
     """Give each frame a unique name.
 
     Returns
     -------
     list of Frame
-        Named by the stems of their files. In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and
-        two hex digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal
-        (ignoring case, as some file systems do), all names start with the number of the frame in the run:
-        ``000000_STEM``, ``000001_STEM``.
+        Named by the stems of their files; those in a bag by their time, seconds and nanoseconds
+        (``1700000000_250000000``). In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and two hex
+        digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal (ignoring
+        case, as some file systems do), all names start with the number of the frame in the run: ``000000_STEM``,
+        ``000001_STEM``.
     """
-    names = [_as_text(path.stem) for path in paths]
+    names = [_stem(source) for source in sources]
     if len({name.casefold() for name in names}) < len(names):
         names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
-    places = [None] * len(names) if poses is None else list(poses)
-    return [Frame(*known) for known in zip(names, paths, places, strict=True)]
+    return [
+        Frame(name, source.path, source.pose, source.motion, source.message)
+        for name, source in zip(names, sources, strict=True)
+    ]
 
 
-def _as_text(stem: str) -> str:
+def _stem(source: FrameSource) -> str:
+    if source.message is not None:
+        return "{}_{:09d}".format(*divmod(source.message.stamp_ns, 1_000_000_000))
+    stem = source.path.stem
     try:
         stem.encode()
     except UnicodeEncodeError:

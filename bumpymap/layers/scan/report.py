@@ -20,8 +20,9 @@ class FrameReport:
 
     frame: Frame
     bytes: int
-    """Size of its file."""
-    sha256: str
+    """Size of its file or message."""
+    sha256: str | None
+    """Of its file; None for a message."""
     points: int
     """Points that were kept."""
     dropped: Dropped
@@ -58,6 +59,7 @@ class FrameReport:
         return {
             "name": self.frame.name,
             "path": str(self.frame.path),
+            "message": None if self.frame.message is None else asdict(self.frame.message),
             "bytes": self.bytes,
             "sha256": self.sha256,
             "pose": self.frame.pose,
@@ -72,15 +74,15 @@ class FrameReport:
 
 
 def report_frame(
-    frame: Frame, version: Mapping[str, Any], scan: Scan, classed: ClassedSectors, seconds: float
+    frame: Frame, version: Mapping[str, Any] | None, scan: Scan, classed: ClassedSectors, seconds: float
 ) -> FrameReport:
     """Count the points and sectors of a frame.
 
     Parameters
     ----------
     frame : Frame
-    version : mapping
-        ``size`` and ``mtime_ns`` of its file before it was read.
+    version : mapping or None
+        ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
     scan : Scan
     classed : ClassedSectors
     seconds : float
@@ -94,8 +96,12 @@ def report_frame(
         tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
         for class_id in (classed.class_id, point_classes(scan, classed))
     )
-    known = {"path": frame.path, "bytes": version["size"], "mtime_ns": version["mtime_ns"]}
-    file = describe_input(known)
+    file: Mapping[str, Any]
+    if frame.message is not None:
+        file = {"bytes": frame.message.bytes, "sha256": None}
+    else:
+        known = version or {}
+        file = describe_input({"path": frame.path, "bytes": known.get("size"), "mtime_ns": known.get("mtime_ns")})
     return FrameReport(
         frame,
         file["bytes"],
@@ -120,7 +126,7 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
     if not len(scan.points):
         lost = scan.dropped
         return (
-            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0), {lost.not_finite:,} not finite, "
+            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0) or NaN, {lost.not_finite:,} not finite, "
             f"{lost.on_robot:,} on the robot"
         )
     near, far = settings.zone_starts_m[0], settings.end_m

@@ -5,14 +5,61 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, FrameSource, UsageError
+from bumpymap.readers.frames.bag import BAG_SUFFIXES, is_bag
+from bumpymap.readers.frames.bag_frames import BagTopics, find_messages
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
 
-__all__ = ["SUFFIXES", "find_frames", "natural_key"]
+__all__ = ["SUFFIXES", "bags_at", "find_frames", "find_sources", "natural_key"]
 
 SUFFIXES = (".ply", ".pcd", ".bin")
 """File suffixes that a folder is searched for, in any case."""
 _NUMBER = re.compile(r"(\d+)")
+
+
+def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+    """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders of scans, or bags (``.mcap``, ``.db3``, folders with ``metadata.yaml`` or with such files).
+    topics : BagTopics
+        For bags alone.
+
+    Returns
+    -------
+    list of FrameSource
+        Several bags in natural order of their paths.
+
+    Raises
+    ------
+    BadInputError
+        A path does not exist, holds no scans, or a bag cannot be read or leaves open which topic is meant.
+    UsageError
+        Topics are given without a bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
+    """
+    bags = [bag for path in paths for bag in bags_at(path)]
+    if not bags:
+        if topics != BagTopics():
+            raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
+        return [FrameSource(path) for path in find_frames(paths)]
+    files = [path for path in paths if not bags_at(path)]
+    if files:
+        raise UsageError(f"{files[0]} and {bags[0]} were given; give files of scans or bags, not both")
+    unique = {os.path.realpath(bag): bag for bag in reversed(bags)}
+    return find_messages(sorted(unique.values(), key=natural_key), topics)
+
+
+def bags_at(path: Path) -> list[Path]:
+    """Return the bags at a path: itself, or the files of bags in a folder that lost its metadata; else none."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        raise BadInputError(f"{path} is a bag of ROS 1; convert it to one of ROS 2 first, with rosbags-convert")
+    if is_bag(path):
+        return [path] if path.exists() else []
+    if not path.is_dir() or _scans(path):
+        return []
+    return [file for file in path.iterdir() if file.suffix.lower() in BAG_SUFFIXES and file.is_file()]
 
 
 def find_frames(paths: Sequence[Path]) -> list[Path]:

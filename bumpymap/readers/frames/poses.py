@@ -1,115 +1,175 @@
-"""Read the pose of the sensor at each frame.
+"""The pose of the sensor at each frame, from a file of poses.
 
-KITTI's ``poses.txt`` has twelve numbers per line: the upper three rows of the matrix that transforms points from the
-sensor frame to the world frame. A CSV file has a header and one line per frame, with one of these sets of columns in
-any order (others, such as a time stamp, are ignored): ``x y z qx qy qz qw`` (metres and a quaternion) or
-``T00 T01 .. T23`` (the same matrix). The poses must be those of the LiDAR, not of a camera or of the robot's base.
+Poses and frames that both have times are matched by time: the poses may have another rate, and are interpolated. Others
+must be as many as the frames, in the same order.
 """
 
-import csv
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
-from bumpymap.readers.source import open_source
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, FrameSource, PoseTrack
+from bumpymap.readers.frames.camera_poses import calib_beside, in_lidar_frame, refuse_wrong_frame
+from bumpymap.readers.frames.frame_times import find_times, frame_times, read_times
+from bumpymap.readers.frames.kitti import POINT_FOLDERS
+from bumpymap.readers.frames.pose_file import PoseFile, read_pose_file
 
-__all__ = ["read_poses"]
+__all__ = ["FramePoses", "files_beside_poses", "place_sources", "read_poses"]
 
-_PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_MATRIX = tuple(f"t{row}{column}" for row in range(3) for column in range(4))
-_ROUNDING = 0.02
-"""Tolerance of rotation matrices and quaternions: some files have only three decimals."""
+_log = logging.getLogger(__name__)
+
+_POINT_FOLDERS = (*POINT_FOLDERS, "data")
+"""Folders of frames inside of a sequence, which holds the files beside them."""
 
 
-def read_poses(path: Path, count: int) -> NDArray[np.float64]:
-    """Read the pose of each of ``count`` frames.
+@dataclass(frozen=True, slots=True)
+class FramePoses:
+    """The pose of each frame, and the motion around it."""
 
-    Returns
-    -------
-    (count, 4, 4) float64
-        Transforms from the sensor frame to the world frame, m.
+    poses: NDArray[np.float64]
+    """(n, 4, 4) transforms from the sensor frame to the world frame, m."""
+    motions: tuple[PoseTrack | None, ...]
+    """(n,) poses around each frame, at times relative to the frame's; None if the poses have no times."""
+    matched_by: Literal["time", "order"]
+    """How poses and frames were matched."""
+    calib: Path | None
+    """The ``calib.txt`` by which poses of a camera were turned into those of the LiDAR; None if they were not."""
+
+
+def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | None = None) -> FramePoses:
+    """Read the pose of each frame.
+
+    Parameters
+    ----------
+    path : Path
+        KITTI, TUM, CSV, or an export of TF. KITTI's ``calib.txt`` and ``times.txt`` beside it are used.
+    frames : sequence of Path
+        Files of scans.
+    known : (n,) float64, optional
+        Times of the frames, s, if they have none of their own: those of messages in a bag.
 
     Raises
     ------
     BadInputError
-        The file cannot be read, holds another number of poses, or invalid poses.
+        The file cannot be read or holds invalid poses; the poses are those of a camera; they cannot be matched with the
+        frames, or do not cover their times.
     """
-    with open_source(path) as stream:
-        text = stream.read().decode("utf-8-sig", "replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise BadInputError(f"{path} is empty; it must have one line per frame")
-    has_header = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in lines[0])
-    words = [line.split() for line in lines]
-    poses = _from_csv(path, lines) if has_header else _from_matrices(_numbers(path, words, 12))
-    if len(poses) != count:
+    file = read_pose_file(path)
+    folders = _folders(path, frames)
+    poses, calib = _of_lidar(path, file, calib_beside(folders))
+    refuse_wrong_frame(path, poses)
+    times = _times_beside(path, len(poses), len(frames)) if file.times is None else file.times
+    track = None if times is None else _track(path, times, poses)
+    source = "their messages"
+    if known is None and track is not None:
+        known, source = frame_times(frames, folders)
+    if track is None or times is None or known is None:
+        _require_same_count(path, len(poses), len(frames), with_times=track is not None)
+        motions = (None,) * len(frames) if track is None or times is None else _motions(track, times)
+        return FramePoses(poses, motions, "order", calib)
+    _require_cover(path, track, known, source)
+    return FramePoses(track.at(known), _motions(track, known), "time", calib)
+
+
+def place_sources(path: Path, sources: Sequence[FrameSource]) -> tuple[FramePoses, list[FrameSource]]:
+    """Read the pose of each frame, see `read_poses`; return them, and the sources with them."""
+    messages = [source.message for source in sources if source.message is not None]
+    known = np.array([message.stamp_ns for message in messages]) * 1e-9 if messages else None
+    found = read_poses(path, [source.path for source in sources], known)
+    placed = zip(sources, found.poses, found.motions, strict=True)
+    return found, [replace(source, pose=pose, motion=motion) for source, pose, motion in placed]
+
+
+def files_beside_poses(path: Path, frames: Sequence[Path]) -> list[Path]:
+    """List the files that are read together with a file of poses: ``calib.txt`` and lists of times."""
+    folders = _folders(path, frames)
+    found = {calib_beside(folders), find_times([path.parent]), find_times(folders)}
+    return sorted(file for file in found if file is not None)
+
+
+def _folders(path: Path, frames: Sequence[Path]) -> list[Path]:
+    """Return the folders of the sequence and of the poses."""
+    of_frames = [frame.parent for frame in frames[:1]]
+    of_sequence = [folder.parent for folder in of_frames if folder.name in _POINT_FOLDERS]
+    return [*of_frames, *of_sequence, path.parent]
+
+
+def _of_lidar(path: Path, file: PoseFile, calib: Path | None) -> tuple[NDArray[np.float64], Path | None]:
+    turned = None if calib is None else in_lidar_frame(file.poses, calib, is_kitti=file.is_kitti)
+    if turned is None:
+        return file.poses, None
+    _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)
+    return turned, calib
+
+
+def _times_beside(path: Path, poses: int, frames: int) -> NDArray[np.float64] | None:
+    """Return the times of poses without times of their own, from the list beside them."""
+    listed = find_times([path.parent])
+    if listed is None:
+        return None
+    times = read_times(listed)
+    if len(times) == poses:
+        return times
+    if poses != frames:
         raise BadInputError(
-            f"{path} holds {len(poses):,} poses, but there are {count:,} frames; there must be one pose per frame, "
-            "in order of time. Does the file belong to another drive, or are frames missing?"
+            f"{path} holds {poses:,} poses and {listed} {len(times):,} times, for {frames:,} frames; there must be one "
+            "time for each pose, or one pose for each frame"
         )
-    _make_rigid(path, poses)
-    return poses
+    return None
 
 
-def _from_csv(path: Path, lines: list[str]) -> NDArray[np.float64]:
-    head, *rows = ([word.strip() for word in row] for row in csv.reader(lines))
-    names = [name.lower() for name in head]
-    wanted = next((kind for kind in (_PLACE, _MATRIX) if set(kind) <= set(names)), None)
-    if wanted is None:
+def _track(path: Path, times: NDArray[np.float64], poses: NDArray[np.float64]) -> PoseTrack:
+    """Return the poses with increasing times; of several at the same time, the first."""
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
         raise BadInputError(
-            f"{path} has the columns {', '.join(head)}; poses need {', '.join(_PLACE)}, or T00, T01 to T23"
+            f"the times of {path} go back at pose {back[0] + 1:,} (counted from 0), from {times[back[0]]:.3f} s to "
+            f"{times[back[0] + 1]:.3f} s; poses must be in the order of time. Are there two drives in the file?"
         )
-    table = _numbers(path, rows, len(names))[:, [names.index(name) for name in wanted]]
-    return _from_quaternions(path, table) if wanted is _PLACE else _from_matrices(table)
+    first = np.concatenate([[True], np.diff(times) > 0.0])
+    return PoseTrack(times[first], poses[first])
 
 
-def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:
-    """Convert text to a table; a word that is not a number (a time, a name) becomes NaN, which no pose may contain."""
-    table = np.empty((len(rows), width))
-    for number, row in enumerate(rows):
-        if len(row) != width:
-            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are required")
-        for column, word in enumerate(row):
-            try:
-                table[number, column] = float(word)
-            except ValueError:
-                table[number, column] = np.nan
-    return table
+def _motions(track: PoseTrack, times: NDArray[np.float64]) -> tuple[PoseTrack, ...]:
+    return tuple(track.around(time, SCAN_S) for time in times.tolist())
 
 
-def _from_matrices(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3] = table.reshape(-1, 3, 4)
-    return poses
+def _require_same_count(path: Path, poses: int, frames: int, *, with_times: bool) -> None:
+    if poses == frames:
+        return
+    advice = "Does the file belong to another drive, or are frames missing?"
+    if with_times:
+        advice = "Its poses have times, but the frames have none: give them times.txt, or names that are time stamps"
+    raise BadInputError(
+        f"{path} holds {poses:,} poses, but there are {frames:,} frames; there must be one pose per frame, in order of "
+        f"time. {advice}"
+    )
 
 
-def _from_quaternions(path: Path, table: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(table[:, 3:], axis=1)
-    far = np.abs(length - 1.0)
-    _refuse_first(path, np.isnan(far) | (far > _ROUNDING), "a quaternion whose length is not 1")
-    x, y, z, w = (table[:, 3:] / length[:, None]).T
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3] = table[:, :3]
-    poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
-    poses[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
-    poses[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
-    return poses
-
-
-def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
-    """Refuse invalid poses; replace each rotation, rounded in the file, by the nearest exact one."""
-    _refuse_first(path, ~np.isfinite(np.abs(poses).max(axis=(1, 2))), "something that is not a finite number")
-    turn = poses[:, :3, :3]
-    error = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    _refuse_first(path, (error > _ROUNDING) | (np.linalg.det(turn) < 0.0), "a matrix that is not a rotation")
-    left, _, right = np.linalg.svd(turn)
-    poses[:, :3, :3] = left @ right
-
-
-def _refuse_first(path: Path, bad: NDArray[np.bool_], what: str) -> None:
-    if bad.any():
+def _require_cover(path: Path, track: PoseTrack, times: NDArray[np.float64], source: str) -> None:
+    """Refuse frames without a pose."""
+    missing = ~track.covers(times)
+    if not missing.any():
+        return
+    first, last = float(track.times[0]), float(track.times[-1])
+    spans = (
+        f"the poses of {path} span {first:.3f} to {last:.3f} s, the frames {times.min():.3f} to {times.max():.3f} s "
+        f"(from {source})"
+    )
+    if times.max() < first - NEAREST_S or times.min() > last + NEAREST_S:
         raise BadInputError(
-            f"pose {int(bad.argmax()):,} of {path} (counted from 0) has {what}; {int(bad.sum()):,} of {len(bad):,} do"
+            f"no frame has a pose: {spans}. Do they belong to different drives, or to different clocks? Give both the "
+            "same clock; or, with one pose per frame in order, leave out the times of the poses (12 numbers a line)"
         )
+    lost = int(missing.sum())
+    outside = int(((times < first) | (times > last))[missing].sum())
+    raise BadInputError(
+        f"{lost:,} of {len(times):,} frames have no pose within {NEAREST_S} s: {outside:,} lie outside of the time of "
+        f"the poses, {lost - outside:,} in gaps of more than {LONGEST_GAP_S} s; {spans}. Leave these frames out, the "
+        f"first is number {int(missing.argmax()):,} (counted from 0), or complete the poses"
+    )

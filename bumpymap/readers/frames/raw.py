@@ -18,3 +18,5 @@ class RawScan:
     """(n,)"""
     label: NDArray[np.uint16] | None
     """(n,) semantic ids."""
+    time: NDArray[np.float32] | None = None
+    """(n,) s, see `bumpymap.core.Scan`; NaN if unknown."""

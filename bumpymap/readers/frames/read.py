@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Dropped, Scan, UsageError
+from bumpymap.core import BadInputError, BagMessage, Dropped, Scan, UsageError
+from bumpymap.readers.frames.bag import BagReader
+from bumpymap.readers.frames.cloud_message import read_cloud
 from bumpymap.readers.frames.raw import RawScan
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
-__all__ = ["Robot", "read_scan", "scene_points"]
+__all__ = ["Robot", "read_message", "read_scan", "scene_points"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class Robot:
             )
 
 
-def read_scan(path: Path, robot: Robot | None = None) -> Scan:
+def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None) -> Scan:
     """Read one scan: PLY, PCD, or KITTI-style ``.bin`` with its labels.
 
     Parameters
@@ -40,6 +42,8 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
     path : Path
     robot : Robot, optional
         Returns on the robot are dropped.
+    columns : int, optional
+        Number of columns of a ``.bin`` file: 4, 5 or 6; None: told from its values.
 
     Returns
     -------
@@ -49,21 +53,31 @@ def read_scan(path: Path, robot: Robot | None = None) -> Scan:
     Raises
     ------
     BadInputError
-        The file cannot be read, is empty, truncated or of another format, changes while it is read, or its labels do
-        not match.
+        The file cannot be read, is empty, truncated or of another format, changes while it is read, its labels do not
+        match, or the number of its columns is in doubt.
     """
     version = version_of(path)
     with pinned_version(path, version):
-        raw = _read(path)
+        raw = _read(path, columns)
     require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
 
-def _read(path: Path) -> RawScan:
+def read_message(bag: BagReader, message: BagMessage, robot: Robot, name: str) -> Scan:
+    """Read a scan from an open bag. Raises BadInputError if the message is damaged or holds no points."""
+    try:
+        return _keep_points(read_cloud(bag.read(message)), robot, name)
+    except BadInputError as error:
+        raise BadInputError(
+            f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}"
+        ) from error
+
+
+def _read(path: Path, columns: int | None) -> RawScan:
     if path.suffix.lower() == ".bin":
         from bumpymap.readers.frames.kitti import read_kitti
 
-        return read_kitti(path)
+        return read_kitti(path, columns)
     from bumpymap.readers.frames.table import read_table
 
     return read_table(path)
@@ -93,10 +107,13 @@ def _return_kinds(
 def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
     finite, nothing, on_robot = _return_kinds(raw.points, robot)
     kept = finite & ~nothing & ~on_robot
+    missing = nothing.sum() + np.isnan(raw.points[~finite]).all(axis=1).sum()
+    time = None if raw.time is None else raw.time[kept]
     return Scan(
         np.ascontiguousarray(raw.points[kept], np.float32),
         None if raw.intensity is None else raw.intensity[kept].astype(np.float32),
         None if raw.label is None else raw.label[kept],
         name,
-        Dropped(int(nothing.sum()), int((~finite).sum()), int(on_robot.sum())),
+        Dropped(int(missing), int((~finite).sum() + nothing.sum() - missing), int(on_robot.sum())),
+        time if time is not None and np.isfinite(time).all() else None,
     )

@@ -10,7 +10,7 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
-from bumpymap.core import PolarSettings, Scan, point_classes, sector_bounds
+from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS, name_frames, sample_evenly, write_frame
 from bumpymap.layers.scan.cloud import write_cloud
 from bumpymap.layers.scan.geometry import outlines
@@ -168,7 +168,7 @@ def test_numbers_of_polygons_have_seven_digits(values):
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
     paths = [Path(f"run{number}") / name for number, name in enumerate(names)]
-    frames = name_frames(paths)
+    frames = name_frames([FrameSource(path) for path in paths])
     assert len({frame.name.casefold() for frame in frames}) == len(paths)
     assert [frame.path for frame in frames] == paths
     stems = [path.stem for path in paths]
@@ -181,7 +181,7 @@ def test_no_two_frames_have_one_name_on_any_disk(names):
 
 @pytest.mark.parametrize(("count", "most"), [(3, 5), (5, 5), (1000, 7), (8, 7)])
 def test_frames_are_spread_out_from_the_first_to_the_last(count, most):
-    frames = name_frames([Path(f"{number}.ply") for number in range(count)])
+    frames = name_frames([FrameSource(Path(f"{number}.ply")) for number in range(count)])
     chosen = [int(frame.name) for frame in sample_evenly(frames, most)]
     assert len(chosen) == min(count, most)
     assert (chosen[0], chosen[-1]) == (0, count - 1)

@@ -1,60 +1,118 @@
-"""Poses in KITTI's and in CSV form are the same poses; what is none is refused."""
+"""Poses in every format are the same poses, matched with the frames by time or by order; what is none is refused."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from ply_files import write_ply
+from pypcd4 import Encoding, PointCloud
+from scipy.spatial.transform import Rotation, Slerp
 
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import read_poses
+from bumpymap.readers import files_beside_poses, read_poses, read_scan
+from bumpymap.readers.frames.pose_file import read_pose_file
+from bumpymap.readers.frames.time_text import seconds_of_names
 
 TURNS = Rotation.random(6, random_state=3)
 PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4
+QUATS = TURNS.as_quat()
+TIMES = 1_700_000_000.25 + 0.5 * np.arange(6)
 
 
-def matrices():
-    poses = np.tile(np.eye(4), (6, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = TURNS.as_matrix(), PLACES
+def as_poses(turns, places):
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), places
     return poses
 
 
+MATRICES = as_poses(TURNS, PLACES)
+
+
 def write(path, rows, header=None, separator=","):
-    lines = [separator.join(f"{value!r}" if isinstance(value, float) else value for value in row) for row in rows]
+    lines = [separator.join(f"{value!r}" if isinstance(value, float) else str(value) for value in row) for row in rows]
     path.write_text("\n".join([*([header] if header else []), *lines]) + "\n")
     return path
 
 
-def test_kitti(tmp_path):
-    path = write(tmp_path / "poses.txt", matrices()[:, :3].reshape(6, 12).tolist(), separator=" ")
-    np.testing.assert_allclose(read_poses(path, 6), matrices(), atol=1e-9)
+def numbers(*columns):
+    return [list(map(float, row)) for row in np.column_stack(columns)]
 
 
-@pytest.mark.parametrize("header", ["time,x,y,z,qx,qy,qz,qw", "Time, X, Y, Z, Qx, Qy, Qz, Qw"])
-def test_csv_with_quaternions(tmp_path, header):
-    rows = [["12:30:01", *map(float, row)] for row in np.hstack([PLACES, TURNS.as_quat()])]
-    np.testing.assert_allclose(read_poses(write(tmp_path / "p.csv", rows, header), 6), matrices(), atol=1e-9)
+def kitti_rows(poses):
+    return poses[:, :3].reshape(-1, 12).tolist()
 
 
-def test_csv_columns_are_found_by_name(tmp_path):
-    quats = TURNS.as_quat()
-    rows = [[float(v) for v in (*q[[3, 0, 1, 2]], *p[::-1])] for q, p in zip(quats, PLACES, strict=True)]
-    path = write(tmp_path / "p.csv", rows, "qw,qx,qy,qz,z,y,x")
-    np.testing.assert_allclose(read_poses(path, 6), matrices(), atol=1e-9)
+def tf_rows(child="lidar"):
+    stamps = [divmod(round(time * 1e9), 10**9) for time in TIMES]
+    return [[*stamp, "map", child, *row] for stamp, row in zip(stamps, numbers(PLACES, QUATS), strict=True)]
 
 
-def test_csv_with_matrices_is_freed_from_rounding(tmp_path):
-    header = "stamp," + ",".join(f"T{r}{c}" for r in range(3) for c in range(4))
-    rows = [["1.5", *(f"{v:.3f}" for v in pose[:3].ravel())] for pose in matrices()]
-    poses = read_poses(write(tmp_path / "p.csv", rows, header), 6)
-    np.testing.assert_allclose(poses, matrices(), atol=2e-3)
+FORMATS = {
+    "tum": (numbers(TIMES, PLACES, QUATS), None, " "),
+    "tum with a remark": (numbers(TIMES, PLACES, QUATS), "# timestamp tx ty tz qx qy qz qw", " "),
+    "csv": (numbers(TIMES, PLACES, QUATS), "time,x,y,z,qx,qy,qz,qw", ","),
+    "csv, header as a remark": (numbers(TIMES, PLACES, QUATS), "#timestamp,x,y,z,qx,qy,qz,qw", ","),
+    "csv, other case and order": (
+        numbers(QUATS[:, 3], QUATS[:, :3], PLACES, TIMES),
+        "Qw, Qx, Qy, Qz, X, Y, Z, Stamp",
+        ",",
+    ),
+    "csv of matrices": (
+        numbers(TIMES, MATRICES[:, :3].reshape(6, 12)),
+        "stamp," + ",".join(f"T{r}{c}" for r in range(3) for c in range(4)),
+        ",",
+    ),
+    "odometry of ROS 1": (
+        [[round(time * 1e9), "map", *row] for time, row in zip(TIMES, numbers(PLACES, QUATS), strict=True)],
+        "%time,field.header.frame_id,"
+        + ",".join(f"field.pose.pose.position.{a}" for a in "xyz")
+        + ","
+        + ",".join(f"field.pose.pose.orientation.{a}" for a in "xyzw"),
+        ",",
+    ),
+    "seconds and nanoseconds": (
+        tf_rows(),
+        "header.stamp.sec,header.stamp.nanosec,header.frame_id,child_frame_id,"
+        + ",".join([*(f"transform.translation.{a}" for a in "xyz"), *(f"transform.rotation.{a}" for a in "xyzw")]),
+        ",",
+    ),
+    "tf of ROS 2": (tf_rows(), None, ","),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_the_same_poses_and_times(tmp_path, name):
+    found = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
+    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
+    np.testing.assert_allclose(found.times, TIMES, atol=1e-6)
+
+
+def test_kitti_has_no_times(tmp_path):
+    found = read_pose_file(write(tmp_path / "poses.txt", kitti_rows(MATRICES), separator=" "))
+    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
+    assert found.times is None
+
+
+@pytest.mark.parametrize("stamp", ["12:30:01", "noon", "nan"])
+def test_words_that_are_no_times_are_ignored(tmp_path, stamp):
+    rows = [[stamp, *row] for row in numbers(PLACES, QUATS)]
+    found = read_pose_file(write(tmp_path / "p.csv", rows, "time,x,y,z,qx,qy,qz,qw"))
+    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
+    assert found.times is None
+
+
+def test_rounding_of_matrices_is_removed(tmp_path):
+    header = ",".join(f"T{r}{c}" for r in range(3) for c in range(4))
+    rows = [[f"{v:.3f}" for v in pose[:3].ravel()] for pose in MATRICES]
+    poses = read_pose_file(write(tmp_path / "p.csv", rows, header)).poses
+    np.testing.assert_allclose(poses, MATRICES, atol=2e-3)
     turns = poses[:, :3, :3]
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (6, 1, 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [5, 7, 0])
-def test_another_number_of_frames_is_refused(tmp_path, count):
-    path = write(tmp_path / "poses.txt", matrices()[:, :3].reshape(6, 12).tolist(), separator=" ")
-    with pytest.raises(BadInputError, match=f"6 poses, but there are {count} frames;"):
-        read_poses(path, count)
+def test_transforms_of_several_frames_are_refused(tmp_path):
+    rows = [row for pair in zip(tf_rows("lidar"), tf_rows("camera"), strict=True) for row in pair]
+    with pytest.raises(BadInputError, match=r"several frames.*camera, lidar"):
+        read_pose_file(write(tmp_path / "tf.csv", rows))
 
 
 def kitti_row(**change):
@@ -69,7 +127,7 @@ def kitti_row(**change):
     [
         ("", "empty"),
         ("# nothing but a remark\n", "empty"),
-        ("1 2 3\n", "3 numbers; 12"),
+        ("1 2 3\n", "3 numbers; 12 are required.*TUM"),
         (kitti_row(_3="nan"), "not a finite number"),
         (kitti_row(_7="inf"), "not a finite number"),
         (kitti_row(_0=-1.0), "not a rotation"),
@@ -78,15 +136,329 @@ def kitti_row(**change):
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,0\n", "quaternion"),
         ("x,y,z,qx,qy,qz,qw\n1,2,word,0,0,0,1\n", "not a finite number"),
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0\n", "6 numbers; 7"),
-        ("x,y,z,qx,qy,qz,qw\n", "0 poses, but there are 1 frames"),
+        ("x,y,z,qx,qy,qz,qw\n", "no poses"),
     ],
 )
 def test_what_is_no_pose_is_refused(tmp_path, text, message):
     (tmp_path / "p").write_text(text)
     with pytest.raises(BadInputError, match=message):
-        read_poses(tmp_path / "p", 1)
+        read_pose_file(tmp_path / "p")
 
 
 def test_no_file_is_refused(tmp_path):
     with pytest.raises(BadInputError, match="cannot read"):
-        read_poses(tmp_path / "none.txt", 1)
+        read_poses(tmp_path / "none.txt", [tmp_path / "0.bin"])
+
+
+# ---- matching ----
+
+
+def drive(count=40, rate=20.0):
+    """Times and poses of a drive along a curve, x forward and z up."""
+    times = np.arange(count) / rate
+    angle = 0.4 * times
+    turns = Rotation.from_euler("zyx", np.column_stack([angle, 0.02 * np.sin(times), 0.03 * np.cos(times)]))
+    places = np.column_stack([12.0 * np.sin(angle), 12.0 * (1.0 - np.cos(angle)), 0.1 * np.sin(times)])
+    return times, as_poses(turns, places)
+
+
+def tum(path, times, poses):
+    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    return write(path, numbers(times, poses[:, :3, 3], quats), separator=" ")
+
+
+def files(folder, names):
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}.bin" for name in names]
+    for path in paths:
+        path.write_bytes(b"")
+    return paths
+
+
+def numbered(folder, count):
+    return files(folder, [f"{number:06d}" for number in range(count)])
+
+
+def interpolated(times, poses, wanted):
+    slerp = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))
+    places = np.column_stack([np.interp(wanted, times, poses[:, axis, 3]) for axis in range(3)])
+    return as_poses(slerp(wanted), places)
+
+
+def test_interpolation_is_that_of_scipy():
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.01, 1.0, 30))
+    poses = as_poses(Rotation.random(30, random_state=2), rng.normal(size=(30, 3)))
+    wanted = np.concatenate([rng.uniform(times[0], times[-1], 500), times])
+    np.testing.assert_allclose(PoseTrack(times, poses).at(wanted), interpolated(times, poses, wanted), atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.1415])
+def test_motion_continues_beyond_the_ends(angle):
+    """Constant speed: at twice the time, twice the way and twice the angle."""
+    turn = Rotation.from_rotvec([angle, 0.0, 0.0])
+    track = PoseTrack(np.array([0.0, 1.0]), as_poses(Rotation.concatenate([Rotation.identity(), turn]), np.eye(3)[:2]))
+    ends = track.at(np.array([-1.0, 2.0]))
+    np.testing.assert_allclose(ends[:, :3, :3], [turn.inv().as_matrix(), (turn * turn).as_matrix()], atol=1e-9)
+    np.testing.assert_allclose(ends[:, :3, 3], [[2.0, -1.0, 0.0], [-1.0, 2.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("stamp", ["{:.0f}", "{:.3f}", "{:.9f}", "lidar__{:.0f}"])
+def test_frames_named_by_their_time_are_matched_at_another_rate(tmp_path, stamp):
+    times, poses = drive(400)
+    wanted = 1.7e9 + np.array([3.013, 4.5, 17.777])
+    unit = 1e6 if "__" in stamp else 1e9 if ":.0f" in stamp else 1.0
+    frames = files(tmp_path / "frames", [stamp.format(time * unit) for time in wanted])
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times, poses), frames)
+    assert found.matched_by == "time"
+    np.testing.assert_allclose(
+        found.poses, interpolated(1.7e9 + times, poses, wanted), atol=1e-3 if ":.3" in stamp else 1e-4
+    )
+    assert [motion.covers(np.array([0.0, 0.1])).all() for motion in found.motions] == [True] * 3
+    for motion, pose in zip(found.motions, found.poses, strict=True):
+        np.testing.assert_allclose(motion.at(np.zeros(1))[0], pose, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "seconds"),
+    [
+        (["1666877643_267394304", "1666877644_67394304"], [1666877643.267394304, 1666877644.067394304]),
+        (["frame000104-1581624652_964", "frame000105-1581624653_064"], [1581624652.964, 1581624653.064]),
+        (["n015__LIDAR_TOP__1532402927647951.pcd"], [1532402927.647951]),
+        (["1532402927"], [1532402927.0]),
+        (["000000", "000001"], None),
+        (["0000000000", "0000000001"], None),
+        (["1532402927", "cloud"], None),
+    ],
+)
+def test_times_in_names(names, seconds):
+    found = seconds_of_names(names)
+    assert (found is None) == (seconds is None)
+    if seconds is not None:
+        np.testing.assert_allclose(found, seconds, atol=1e-6)
+
+
+@pytest.mark.parametrize("dates", [False, True])
+@pytest.mark.parametrize("chosen", [slice(None), slice(3, 7)])
+def test_a_list_of_times_belongs_to_the_frames_of_its_sequence(tmp_path, dates, chosen):
+    times, poses = drive(100, rate=100.0)
+    wanted = np.arange(10) * 0.0977
+    shift = np.datetime64("2011-09-26T13:02:25").astype(float) if dates else 0.0
+    lines = [
+        str(np.datetime64(round((shift + t) * 1e9), "ns")).replace("T", " ") if dates else f"{t:e}" for t in wanted
+    ]
+    frames = numbered(tmp_path / "velodyne", 10)
+    (tmp_path / ("timestamps.txt" if dates else "times.txt")).write_text("\n".join(lines) + "\n")
+    found = read_poses(tum(tmp_path / "odometry.txt", shift + times, poses), frames[chosen])
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, wanted)[chosen], atol=1e-5)
+
+
+def test_a_list_of_times_of_another_length_is_refused(tmp_path):
+    times, poses = drive()
+    frames = numbered(tmp_path / "velodyne", 4)
+    (tmp_path / "times.txt").write_text("0\n1\n2\n")
+    with pytest.raises(BadInputError, match=r"3 times, but .* 4 frames"):
+        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
+    (tmp_path / "times.txt").write_text("once\n")
+    with pytest.raises(BadInputError, match="not a list of times"):
+        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
+
+
+def test_without_times_of_the_frames_the_order_counts(tmp_path):
+    times, poses = drive(6)
+    path = tum(tmp_path / "p.txt", times, poses)
+    found = read_poses(path, numbered(tmp_path / "frames", 6))
+    assert found.matched_by == "order"
+    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    with pytest.raises(BadInputError, match=r"6 poses, but there are 5 frames.*frames have none: give them times.txt"):
+        read_poses(path, numbered(tmp_path / "frames", 5))
+
+
+@pytest.mark.parametrize("count", [5, 7])
+def test_another_number_of_frames_is_refused(tmp_path, count):
+    _, poses = drive(6)
+    path = write(tmp_path / "poses.txt", kitti_rows(poses), separator=" ")
+    with pytest.raises(BadInputError, match=f"6 poses, but there are {count} frames;"):
+        read_poses(path, numbered(tmp_path / "frames", count))
+
+
+def test_other_clocks_are_refused_with_both_spans(tmp_path):
+    times, poses = drive(20)
+    frames = files(tmp_path / "frames", ["1700000000.5", "1700000001.5"])
+    with pytest.raises(BadInputError, match=r"no frame has a pose: .* span 0\.000 to 0\.950 s, .* 1700000000\.500 to"):
+        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
+
+
+def test_frames_without_a_pose_are_counted(tmp_path):
+    times, poses = drive(100, rate=10.0)
+    keep = (times < 3.0) | (times > 6.0)
+    wanted = 1.7e9 + np.array([-1.0, -NEAREST_S / 2, 1.0, 3.05, 4.5, 9.95, 12.0])
+    frames = files(tmp_path / "frames", [f"{time:.2f}" for time in wanted])
+    with pytest.raises(BadInputError, match=r"3 of 7 frames have no pose .* 2 lie outside .* 1 in gaps .* number 0"):
+        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[keep], poses[keep]), frames)
+
+
+def test_poses_every_second_are_enough_and_rarer_ones_are_not():
+    track = PoseTrack(np.array([0.0, 1.0, 1.5 + LONGEST_GAP_S]), np.tile(np.eye(4), (3, 1, 1)))
+    assert track.covers(np.array([0.5, 1.1, 1.6, 2.9, 3.1, 3.3])).tolist() == [True, True, False, True, True, False]
+
+
+def test_times_that_go_back_are_refused_and_repeated_ones_count_once(tmp_path):
+    times, poses = drive(4)
+    frames = files(tmp_path / "frames", [str(1_700_000_000)])
+    with pytest.raises(BadInputError, match="go back at pose 3"):
+        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses), frames)
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 0, 1, 2]], poses), frames)
+    np.testing.assert_allclose(found.poses, poses[:1], atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+def test_times_of_day_of_points_are_times_of_frames(tmp_path, suffix):
+    times, poses = drive(100, rate=50.0)
+    frames = []
+    for number, start in enumerate([1.7e9 + 0.31, 1.7e9 + 1.27]):
+        columns = [np.full(50, 5.0), np.arange(50.0), np.full(50, -1.0), start + np.linspace(0.0, 0.1, 50)]
+        frames.append(tmp_path / f"{number}.{suffix}")
+        if suffix == "ply":
+            rows = np.rec.fromarrays(columns, dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", "<f8")])
+            write_ply(frames[-1], rows)
+        else:
+            types = (np.float32, np.float32, np.float32, np.float64)
+            cloud = PointCloud.from_points(columns, ("x", "y", "z", "timestamp"), types)
+            cloud.save(str(frames[-1]), encoding=Encoding.BINARY)
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times, poses), frames)
+    assert found.matched_by == "time"
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, np.array([0.31, 1.27])), atol=1e-4)
+    np.testing.assert_allclose(read_scan(frames[0]).time, np.linspace(0.0, 0.1, 50), atol=1e-6)
+
+
+def test_files_of_any_content_are_read_or_refused(tmp_path):
+    rng = np.random.default_rng(5)
+    texts = [
+        rng.bytes(300),
+        b"1700000000_1\0,,,\n" * 3,
+        b"2011-02-31 00:00:00 1 2 3 0 0 0 1\n",
+        b"x,y,z,qx,qy,qz,qw\n" + b"1" * 200_000,
+    ]
+    whole = (kitti_row() + "\n").encode() * 3 + ",".join(map(str, tf_rows()[0])).encode() + b"\n"
+    for _ in range(300):
+        data = bytearray(whole)
+        for place in rng.integers(0, len(data), 3):
+            data[place] = rng.integers(0, 256)
+        texts.append(bytes(data[: rng.integers(1, len(data))]))
+    for text in texts:
+        (tmp_path / "p").write_bytes(text)
+        (tmp_path / "times.txt").write_bytes(text)
+        try:
+            read_poses(tmp_path / "p", [tmp_path / "0.bin"])
+        except BadInputError:
+            continue
+
+
+def test_messages_of_a_bag_bring_their_times(tmp_path):
+    times, poses = drive(20)
+    found = read_poses(tum(tmp_path / "p.txt", times, poses), [tmp_path / "a.mcap"] * 2, np.array([0.11, 0.22]))
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, np.array([0.11, 0.22])), atol=1e-9)
+
+
+# ---- frames of the poses ----
+
+NEARLY_AXES = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * Rotation.from_euler(
+    "xyz", (0.01, -0.02, 0.01)
+)
+TR = as_poses(NEARLY_AXES, np.array([[-0.01, -0.05, -0.29]]))[0]
+
+
+def of_camera(poses):
+    """Poses of KITTI's camera, in the frame of its first pose."""
+    lidar = np.linalg.inv(poses[0]) @ poses
+    return TR @ lidar @ np.linalg.inv(TR)
+
+
+def write_calib(folder):
+    words = " ".join(map(repr, map(float, TR[:3].ravel())))
+    (folder / "calib.txt").write_text(f"P0: {kitti_row()}\nTr: {words}\n")
+    return folder / "calib.txt"
+
+
+@pytest.mark.parametrize("inside", ["", "sequences/00"])
+def test_the_camera_poses_of_kitti_become_those_of_the_lidar(tmp_path, caplog, inside):
+    _, poses = drive()
+    path = write(tmp_path / "00.txt", kitti_rows(of_camera(poses)), separator=" ")
+    frames = numbered(tmp_path / "sequences/00/velodyne", 40)
+    calib = write_calib(tmp_path / inside)
+    found = read_poses(path, frames)
+    np.testing.assert_allclose(found.poses, np.linalg.inv(poses[0]) @ poses, atol=1e-9)
+    assert found.calib == calib
+    assert "calib.txt turns them into those of the LiDAR" in caplog.text
+    assert files_beside_poses(path, frames) == [calib]
+
+
+def test_camera_poses_without_calib_are_refused(tmp_path):
+    times, poses = drive()
+    frames = numbered(tmp_path / "velodyne", 40)
+    message = r"poses of a camera: 100% of the way.*put the sequence's calib.txt \(with the line Tr:\) beside it"
+    for path in (
+        write(tmp_path / "poses.txt", kitti_rows(of_camera(poses)), separator=" "),
+        tum(tmp_path / "tum.txt", times, of_camera(poses)),
+    ):
+        with pytest.raises(BadInputError, match=message):
+            read_poses(path, frames)
+    (tmp_path / "calib.txt").write_text("P0: 1 2 3\n")
+    with pytest.raises(BadInputError, match="poses of a camera"):
+        read_poses(tmp_path / "poses.txt", frames)
+    (tmp_path / "calib.txt").write_text("Tr: 1 2 3\n")
+    with pytest.raises(BadInputError, match="is not a transform"):
+        read_poses(tmp_path / "poses.txt", frames)
+
+
+def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
+    """Odometry of LiDAR scans is written in KITTI's format too."""
+    _, poses = drive()
+    write_calib(tmp_path)
+    path = write(tmp_path / "poses.txt", kitti_rows(poses), separator=" ")
+    found = read_poses(path, numbered(tmp_path / "velodyne", 40))
+    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    assert found.calib is None
+
+
+def test_a_camera_that_stands_is_one_too(tmp_path):
+    _, poses = drive()
+    write_calib(tmp_path)
+    path = write(tmp_path / "poses.txt", kitti_rows(of_camera(poses[:1])), separator=" ")
+    assert read_poses(path, numbered(tmp_path / "velodyne", 1)).calib is not None
+
+
+@pytest.mark.parametrize("world", [TR, np.diag([1.0, -1.0, -1.0, 1.0])])
+def test_a_world_that_is_not_upright_is_refused(tmp_path, world):
+    _, poses = drive()
+    path = write(tmp_path / "poses.txt", kitti_rows(world @ poses), separator=" ")
+    with pytest.raises(BadInputError, match="z axis of the LiDAR does not point up"):
+        read_poses(path, numbered(tmp_path / "velodyne", 40))
+
+
+def test_backwards_uphill_and_sideways_are_a_lidar(tmp_path):
+    frames = numbered(tmp_path / "frames", 40)
+    for turn in (Rotation.from_euler("z", 180, degrees=True), Rotation.from_euler("z", 90, degrees=True),
+                 Rotation.from_euler("y", -35, degrees=True)):  # fmt: skip
+        ahead = turn.as_matrix() @ np.outer([1.0, 0, 0], np.arange(40.0))
+        path = write(
+            tmp_path / "p.txt", kitti_rows(as_poses(Rotation.concatenate([turn] * 40), ahead.T)), separator=" "
+        )
+        assert read_poses(path, frames).calib is None
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("robot", "reason"), [("husky", "1666877650.268 to"), ("husky_oru", "1 in gaps of more than")])
+def test_real_frames_without_a_pose(shared_data, robot, reason):
+    """One frame was taken before the first pose, the other in a gap of 5 s."""
+    folder = shared_data / "scans" / "monoforce" / robot
+    with pytest.raises(BadInputError, match=reason):
+        read_poses(folder / "lidar_poses.csv", list(folder.glob("*.ply")))
+
+
+@pytest.mark.realdata
+def test_real_poses_every_second(shared_data, tmp_path):
+    found = read_poses(shared_data / "scans/monoforce/husky/lidar_poses.csv", files(tmp_path, ["1666877651_500000000"]))
+    assert found.matched_by == "time"
+    assert found.poses[0, 2, 2] > 0.99

@@ -6,7 +6,7 @@ from bumpymap.core import CLASSES, PolarSettings
 from bumpymap.lab.train.scan.evaluate import ScanEvaluation
 from bumpymap.lab.train.scan.train import ScanTrainSettings
 from bumpymap.lab.train.score import percent, score_table
-from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION, grid_record
+from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION
 
 __all__ = ["LABEL_NAMES", "CardFacts", "model_card"]
 
@@ -61,7 +61,7 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
   {made.parameters:,} trained parameters; {made.size:,} bytes of ONNX, opset 17.
-- **Grid**: {grid_record(PolarSettings())}; other grids are rejected.
+- **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
 - **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data

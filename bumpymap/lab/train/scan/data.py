@@ -16,6 +16,7 @@ __all__ = [
     "SWAPPED_MEASURES",
     "UNSEEN",
     "Sectors",
+    "crowns_as_bushes",
     "draw_cuts",
     "draw_epoch",
     "folder_frames",
@@ -40,6 +41,8 @@ _OTHER_GRID = 0.5
 SWAPPED_MEASURES = ("coverage",)
 """Measures that training swaps between some sectors."""
 _SWAPPED_SHARE = 0.15
+_TREE, _BUSH = 4, 19
+"""Ids of RELLIS-3D."""
 ScanProgress = Callable[[int, int], None]
 """Called with the number of finished scans and the number of all scans."""
 
@@ -96,10 +99,11 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         class_id = classes_of_labels(stack.label)
         known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
+        chosen = known[stack.traversable]
         parts.append(
             Sectors(
-                patches[known],
-                measures[known],
+                patches[chosen],
+                measures[chosen],
                 class_id[known].astype(np.int64),
                 stack.label[known],
                 stack.zone[known],
@@ -116,6 +120,17 @@ def scene_scan(seed: int, index: int) -> Scan:
     seen = simulate_scan(make_scene(seed, index), sensor, index)
     there = seen.points.any(axis=1)
     return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
+
+
+def crowns_as_bushes(scan: Scan) -> Scan:
+    """Return a labelled scan whose tree points higher than the vehicle are labelled as bush.
+
+    A crown over a road is no reason to avoid it, a trunk on it is.
+    """
+    stack = polar_sectors(scan)
+    label = np.asarray(scan.label).copy()
+    label[(label == _TREE) & (stack.point_height >= stack.settings.height_m)] = _BUSH
+    return replace(scan, label=label)
 
 
 def simulated_sectors(
@@ -144,7 +159,7 @@ def simulated_sectors(
             with np.load(file) as kept:
                 parts.append(Sectors(**kept))
         else:
-            parts.append(labelled_sectors(scene_scan(seed, index), cuts))
+            parts.append(labelled_sectors(crowns_as_bushes(scene_scan(seed, index)), cuts))
             if file is not None:
                 _save(file, parts[-1])
         if progress:

@@ -23,7 +23,7 @@ from bumpymap.lab.train.scan.evaluate import ScanEvaluation, evaluate
 from bumpymap.lab.train.scan.export import to_onnx
 from bumpymap.lab.train.scan.train import ScanTrainSettings, train
 from bumpymap.lab.train.training import EpochReport
-from bumpymap.scan import SECTOR_VERSION, grid_record
+from bumpymap.scan import SECTOR_VERSION
 
 __all__ = ["UNSEEN_SCENES", "make_scan_model"]
 
@@ -108,7 +108,7 @@ def _collect_sectors(
 def _metadata(
     settings: ScanTrainSettings, evaluation: ScanEvaluation, parameters: int, command: str
 ) -> dict[str, object]:
-    network = {"sector_version": SECTOR_VERSION, "grid": grid_record(PolarSettings())}
+    network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
     training = {"parameters": parameters, "seed": settings.seed, "command": command}
     scores = {
         "accuracy_even": evaluation.every.balanced_accuracy,

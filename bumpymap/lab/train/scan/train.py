@@ -22,7 +22,7 @@ class ScanTrainSettings(LoopSettings):
     """All settings that affect a training; the scans come in addition."""
 
     epochs: int = 20
-    scenes: int = 300
+    scenes: int = 440
     """Number of synthetic training scenes; not used with a data set on disk."""
     turns: int = 2
     """Number of additional cuts of each scan, each after a random rotation."""

@@ -19,7 +19,7 @@ from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
 from bumpymap.lab.worlds.scans.scene import Scene
 from bumpymap.lab.worlds.scans.sensor import Sensor
 
-__all__ = ["SimulatedScan", "load_open3d", "simulate_scan"]
+__all__ = ["SimulatedScan", "load_open3d", "posture", "simulate_scan"]
 
 _MARGIN_M = 5.0
 """The ground extends this far beyond the maximum range."""
@@ -106,7 +106,7 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
     """
     rng = np.random.default_rng([*scene.seed, seed, 1])
     rays = sensor.directions()
-    level = rays @ (_posture(scene) @ sensor.to_level()).T
+    level = rays @ (posture(scene) @ sensor.to_level()).T
     eye = np.array([0.0, 0.0, float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m])
     world = _World.of(scene, sensor, rng)
     hits = _in_grass(scene, world.cast(scene, eye, level), eye, level, rng)
@@ -127,7 +127,7 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
     )
 
 
-def _posture(scene: Scene) -> Floats:
+def posture(scene: Scene) -> Floats:
     """Return the rotation (3, 3) from a robot that stands on the ground at the origin to a level frame."""
     around = _FOOTPRINT_M * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     z = scene.ground.sample(around[:, 0], around[:, 1]).z

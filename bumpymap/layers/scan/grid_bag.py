@@ -1,0 +1,152 @@
+"""Write the grids of all frames to a bag of ROS 2 (``.mcap``): an OccupancyGrid and a GridMap for each frame.
+
+The messages of a frame are written to a file of their own as soon as it is classified, so that a run can be resumed,
+and are joined to the bag at the end, one frame at a time.
+"""
+
+import shutil
+import struct
+from collections.abc import Iterable
+from os.path import lexists
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bumpymap.core import ClassedSectors, OutputError, Scan, atomic, remove_path
+from bumpymap.layers.export.gridmap import GRID_MAP, GridLayers, grid_map_message, require_rosbags, typestore
+from bumpymap.layers.scan.ground_grid import GridSettings, GroundGrid
+from bumpymap.layers.scan.names import Frame
+
+__all__ = ["GRID_TOPICS", "GridBag", "check_bag_file"]
+
+_OCCUPANCY = "nav_msgs/msg/OccupancyGrid"
+GRID_TOPICS = {"/ground/occupancy": _OCCUPANCY, "/ground/grid_map": GRID_MAP}
+"""Topics of the bag and their types."""
+_SENSOR = "sensor"
+"""Coordinate frame of scans whose file names none."""
+_PERIOD_NS = 100_000_000
+"""Time between scans whose files hold no time."""
+
+
+def check_bag_file(path: Path, inputs: Iterable[Path], *, overwrite: bool) -> None:
+    """Check that a bag can be written, before the long work.
+
+    A bag that is a symbolic link will be replaced as a link; its target is not touched.
+
+    Raises
+    ------
+    OutputError
+        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, or its folder does not exist.
+    UsageError
+        The extra ``ros`` is not installed.
+    """
+    require_rosbags()
+    if any(path.resolve() == own.resolve() or own.resolve() in path.resolve().parents for own in inputs):
+        raise OutputError(f"{path} is an input of this run, or inside of one. Choose another `bag`")
+    if lexists(path) and (not overwrite or path.is_dir()):
+        raise OutputError(f"{path} exists already. Choose another `bag`, or pass `overwrite=True` to replace it")
+    if not path.parent.is_dir():
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Choose another `bag`")
+
+
+class GridBag:
+    """The grids of a run while frame after frame is added, in any order; several threads may add frames.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run, for the messages of the frames.
+    settings : GridSettings
+    """
+
+    def __init__(self, folder: Path, settings: GridSettings) -> None:
+        self._folder = folder
+        self._grid = GroundGrid(settings.resolution_m, settings.reach_m)
+        self._store = typestore()
+
+    def part(self, number: int) -> Path:
+        """Return the file with the messages of the frame with that number in the run."""
+        return self._folder / f"grids-{number:06d}.cdr"
+
+    def add(self, frame: Frame, number: int, scan: Scan, classed: ClassedSectors) -> None:
+        """Write the grids of a frame to its file, without flushing it to the disk."""
+        grid, header = self._grid, self._header(frame, number)
+        occupancy = grid.fill(self._blank(), classed, header)
+        occupancy.data = np.frombuffer(occupancy.data, np.int8)
+        layers = GridLayers({name: layer[::-1] for name, layer in grid.layers(scan, classed).items()})
+        grid_map = grid_map_message(self._store, header, (0.0, 0.0), grid.resolution_m, layers)
+        with self.part(number).open("wb") as file:
+            file.write(struct.pack("<q", _stamp_ns(frame, number)))
+            for message, kind in zip((occupancy, grid_map), GRID_TOPICS.values(), strict=True):
+                data = self._store.serialize_cdr(message, kind)
+                file.write(struct.pack("<q", len(data)))
+                file.write(data)
+
+    def write(self, path: Path, numbers: Iterable[int]) -> None:
+        """Join the grids of frames to a bag, which appears when it is complete.
+
+        Parameters
+        ----------
+        path : Path
+        numbers : iterable of int
+            Of frames that were added, in order of time.
+
+        Raises
+        ------
+        OutputError
+            The bag cannot be written.
+        """
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+        bag = self._folder / "grids"
+        if lexists(bag):
+            remove_path(bag)
+        writer = Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with writer:
+            topics = [writer.add_connection(topic, kind, typestore=self._store) for topic, kind in GRID_TOPICS.items()]
+            for number in numbers:
+                stamp, *messages = _messages(self.part(number).read_bytes())
+                for topic, data in zip(topics, messages, strict=True):
+                    writer.write(topic, stamp, data)
+        with atomic(path) as temporary:
+            shutil.move(bag / "grids.mcap", temporary)
+        remove_path(bag)
+
+    def _header(self, frame: Frame, number: int) -> Any:
+        seconds, rest = divmod(_stamp_ns(frame, number), 1_000_000_000)
+        types = self._store.types
+        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+        frame_id = _SENSOR if frame.message is None else frame.message.frame_id
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+
+    def _blank(self) -> Any:
+        """Return an OccupancyGrid with nothing in it."""
+        types = self._store.types
+        stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+        origin = types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
+            orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        return types[_OCCUPANCY](
+            header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+            info=types["nav_msgs/msg/MapMetaData"](
+                map_load_time=stamp, resolution=0.0, width=0, height=0, origin=origin
+            ),
+            data=np.empty(0, np.int8),
+        )
+
+
+def _stamp_ns(frame: Frame, number: int) -> int:
+    return number * _PERIOD_NS if frame.message is None else frame.message.stamp_ns
+
+
+def _messages(data: bytes) -> Iterable[Any]:
+    """Yield the time of a frame's file, and the messages in it."""
+    yield struct.unpack_from("<q", data)[0]
+    place = 8
+    while place < len(data):
+        (size,) = struct.unpack_from("<q", data, place)
+        yield data[place + 8 : place + 8 + size]
+        place += 8 + size

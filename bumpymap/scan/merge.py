@@ -1,0 +1,298 @@
+"""Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
+
+Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
+world, with an image of the nearest ranges by direction. When all are there, the heights of the ground in different
+frames give small corrections of the poses, and block after block is read back: a voxel through which two other frames
+or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
+block.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError
+from bumpymap.layers import AccumulatedSurvey
+from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
+from bumpymap.scan.agreement import LIMITS, LOWEST, REACH_M, refuse_wrong_poses
+from bumpymap.scan.align import Alignment, GroundHeights, align_frames, ground_heights
+
+__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "open_merge"]
+
+MOST_GROUND, MOST_OTHERS = 8, 3
+"""Ground points per pixel of the map, and other points per voxel, that are kept."""
+VOXEL_MM = 200
+"""Edge of a voxel; a pixel of the map is as wide."""
+_BLOCK_MM, _SIDE = 30_000, 1 << 20
+"""Edge of a block, and blocks in a row of the world."""
+_COLUMNS = 480
+"""Directions around a range image; it has half as many rows, from straight down to straight up."""
+_PROBE_MM = 800
+"""Whether ground can be driven on shows at this height above it, between belly and top of a vehicle."""
+_POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
+_FAR_MM = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _MergeFrame:
+    """A frame whose points are in the file."""
+
+    pose: NDArray[np.float64]
+    heights: GroundHeights
+    rows: tuple[int, int]
+    """Where its points lie in the file: from, to."""
+
+
+@dataclass
+class DriveMerge:
+    """The frames of a drive while they come, then their merged points.
+
+    Parameters
+    ----------
+    points, images : binary files
+        Take the points, and the range images, of all frames.
+    offset : (3,) float64
+        What is taken off coordinates before they become whole millimetres, m; whole metres.
+    """
+
+    points: BinaryIO
+    images: BinaryIO
+    offset: NDArray[np.float64]
+    frames: list[_MergeFrame] = field(default_factory=list)
+    blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
+    """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
+    seen: int = 0
+    """Points that came."""
+    written: int = 0
+    ground: int = 0
+    """Ground points among the written ones."""
+    moving: int = 0
+    """Points in voxels that were seen through."""
+    alignment: Alignment | None = None
+    """None until all frames have come."""
+    shift: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    """Its corrections."""
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry in scan.json."""
+        poses = None if self.alignment is None else self.alignment.record()
+        return {
+            "seen": self.seen,
+            "points": self.written,
+            "ground": self.ground,
+            "moving": self.moving,
+            "poses": poses,
+        }
+
+    def add_points(
+        self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
+    ) -> None:
+        """Take the points of a frame.
+
+        Parameters
+        ----------
+        name : str
+            Of the frame.
+        points : (n, 3) float32
+            In the frame of the sensor, m.
+        pose : (4, 4) float64
+            Transform from the sensor's frame to the world, m.
+        is_ground : (n,) bool
+
+        Raises
+        ------
+        BadInputError
+            The frame lies too far from the first one.
+        """
+        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
+        whole = np.round(1000.0 * world)
+        if np.abs(whole).max(initial=0.0) > _FAR_MM:
+            raise BadInputError(
+                f"according to its pose, the frame {name} lies more than 2,000 km from the first one. Are they from "
+                "one drive?"
+            )
+        rows = np.empty(len(points), _POINT)
+        rows["place"] = whole
+        rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
+        rows["kind"] = is_ground
+        block = np.floor_divide(rows["place"][:, :2] + self._whole_offset(), _BLOCK_MM) @ [1, _SIDE]
+        places, number = np.unique(block, return_inverse=True)
+        order = np.argsort(number.astype(np.min_scalar_type(len(places))), kind="stable")
+        ends = self.seen + np.cumsum(np.bincount(number, minlength=len(places)))
+        for place, begin, end in zip(places.tolist(), [self.seen, *ends[:-1].tolist()], ends.tolist(), strict=False):
+            self.blocks.setdefault(place, []).append((len(self.frames), begin, end))
+        rows[order].tofile(self.points)
+        image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
+        range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
+        image.tofile(self.images)
+        heights = ground_heights(points, is_ground, pose)
+        self.frames.append(_MergeFrame(pose, heights, (self.seen, self.seen + len(points))))
+        self.seen += len(points)
+
+    def write(self, survey: AccumulatedSurvey) -> None:
+        """Align the frames, and write what is left of their points, block by block."""
+        self.points.flush()
+        self.images.flush()
+        self.alignment = align_frames([frame.heights for frame in self.frames])
+        refuse_wrong_poses(self.alignment, self)
+        self.shift = self.alignment.shift
+        for block in sorted(self.blocks):
+            xyz, is_ground = self._thin(block, self._gather(block))
+            survey.add_points(self.offset + 0.001 * xyz, is_ground)
+            self.written += len(xyz)
+            self.ground += int(is_ground.sum())
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """(frames, 4, 4) as they were given, when all have come."""
+        return np.array([frame.pose for frame in self.frames]).reshape(-1, 4, 4)
+
+    def read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Read a frame back: its points (n, 3) in the frame of the sensor, m, and whether each is ground (n,)."""
+        frame = self.frames[number]
+        begin, end = frame.rows
+        rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+        world = 0.001 * rows["place"] + (self.offset - frame.pose[:3, 3])
+        return world @ frame.pose[:3, :3], rows["kind"] == 1
+
+    def image(self, number: int) -> NDArray[np.uint16]:
+        """Read the range image of a frame, see `range_image`."""
+        pixels = _COLUMNS * _COLUMNS // 2
+        flat = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
+        return flat.reshape(-1, _COLUMNS)
+
+    def _whole_offset(self) -> NDArray[np.int64]:
+        return (1000 * self.offset[:2]).astype(np.int64)
+
+    def _corner(self, block: int) -> NDArray[np.int64]:
+        """Return the corner of a block in the coordinates of the file, mm."""
+        row = (block + _SIDE // 2) // _SIDE
+        return np.array([block - row * _SIDE, row]) * _BLOCK_MM - self._whole_offset()
+
+    def _gather(self, block: int) -> VoxelTable:
+        """Read the points of a block, frame after frame, into voxels."""
+        table, corner = _empty_table(1 << 16), self._corner(block)
+        for number, begin, end in self.blocks[block]:
+            rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+            xyz = rows["place"].astype(np.int64)
+            xyz[:, 2] += self._shift_mm(number, xyz)
+            xyz[:, :2] -= corner
+            table = _with_room(table, len(rows))
+            gather_points(xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table)
+        return table
+
+    def _shift_mm(self, number: int, xyz: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what is added to the heights of points (n, 3) of a frame, mm."""
+        shift, away = self.shift[number], 0.001 * xyz[:, :2] - (self.frames[number].pose[:2, 3] - self.offset[:2])
+        added: NDArray[np.int64] = np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
+        return added
+
+    def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (4, n)."""
+        corner = 0.001 * self._corner(block) + self.offset[:2]
+        middle = self.poses[:, :2, 3]
+        away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
+        found = np.zeros((4, len(where)), np.int32)
+        for number in np.flatnonzero(away < REACH_M).tolist():
+            pose = self.frames[number].pose.copy()
+            pose[:3, 3] -= [*corner, self.offset[2]]
+            pose[2, 3] += self.shift[number, 0]
+            back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
+            judge_places(where, back, LOWEST, self.image(number), LIMITS, found)
+        return found
+
+    def _thin(self, block: int, table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the points of a block that stay, mm, and whether they are ground.
+
+        Those in voxels that were seen through go. So does ground above which something hides the space that a vehicle
+        needs from every frame: it was seen between the wheels of a car.
+        """
+        used = int(table.size[0])
+        is_ground = table.key[:used] & 1 == 1
+        nearest = table.place[:used, 0]
+        through = self._judge(block, nearest.copy())[0]
+        moved = (through >= 2) & (through > table.hits[:used])
+        above = self._judge(block, nearest[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
+        hidden = np.zeros(used, np.bool_)
+        hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
+        kept = np.arange(MOST_GROUND) < table.held[:used, None]
+        self.moving += int(kept[moved].sum())
+        kept &= ~(moved | hidden | _outvoted(table))[:, None]
+        kept[~is_ground, MOST_OTHERS:] = False
+        row, rank = np.nonzero(kept)
+        xyz, ground = table.place[row, rank].astype(np.int64), is_ground[row]
+        pixel = xyz[:, 1] // VOXEL_MM * 4096 + xyz[:, 0] // VOXEL_MM
+        # More than one voxel of ground may lie in a pixel.
+        order = np.lexsort((table.turn[row, rank], pixel, ground))
+        first = np.r_[True, (np.diff(pixel[order]) != 0) | np.diff(ground[order])][: len(order)]
+        since = np.arange(len(order)) - np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+        chosen = np.zeros(len(order), np.bool_)
+        chosen[order] = ~ground[order] | (since < MOST_GROUND)
+        xyz[:, :2] += self._corner(block)
+        return xyz[chosen], ground[chosen]
+
+
+def _outvoted(table: VoxelTable) -> NDArray[np.bool_]:
+    """Return which rows are ground that more frames did not take for ground."""
+    used = int(table.size[0])
+    is_ground = table.key[:used] & 1 == 1
+    _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
+    votes = np.where(is_ground, 1, -1) * table.hits[:used]
+    lost: NDArray[np.bool_] = is_ground & (np.bincount(voxel, votes)[voxel] < 0)
+    return lost
+
+
+def _empty_table(rows: int) -> VoxelTable:
+    """Make a table with room for that many voxels, a power of two."""
+
+    def zeros(*shape: int, kind: type = np.int32) -> NDArray[Any]:
+        return np.zeros((rows, *shape), kind)
+
+    return VoxelTable(
+        np.full(2 * rows, -1, np.int32),
+        zeros(kind=np.int64),
+        zeros(),
+        zeros(),
+        zeros(),
+        zeros(),
+        zeros(MOST_GROUND, kind=np.uint32),
+        zeros(MOST_GROUND, 3),
+        np.zeros(1, np.int32),
+    )
+
+
+def _with_room(table: VoxelTable, more: int) -> VoxelTable:
+    """Return the table, or a copy with room for ``more`` voxels."""
+    used = int(table.size[0])
+    if used + more <= len(table.key):
+        return table
+    larger = _empty_table(1 << int(used + more).bit_length())
+    for name in ("key", "hits", "last", "mine", "held", "turn", "place"):
+        getattr(larger, name)[:used] = getattr(table, name)[:used]
+    move_voxels(table, larger)
+    return larger
+
+
+@contextmanager
+def open_merge(folder: Path, first: NDArray[np.float64]) -> Iterator[DriveMerge]:
+    """Open the files of a merge in the folder of a run, and remove them at the end.
+
+    Parameters
+    ----------
+    folder : Path
+    first : (4, 4) float64
+        Pose of the first frame, m; coordinates in the files count from there.
+    """
+    paths = [folder / name for name in ("merge.points", "merge.images")]
+    try:
+        with paths[0].open("wb") as points, paths[1].open("wb") as images:
+            yield DriveMerge(points, images, np.round(first[:3, 3]))
+    finally:
+        for path in paths:
+            path.unlink(missing_ok=True)

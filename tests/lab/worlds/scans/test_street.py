@@ -1,0 +1,91 @@
+"""The made-up street, a drive along it, and the map of that drive."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.ndimage import binary_dilation
+
+from bumpymap.lab.worlds.scans.labels import Label
+from bumpymap.lab.worlds.scans.sensor import Sensor
+from bumpymap.lab.worlds.scans.street import LANES_M, drive_street, make_street, noisy_poses
+from bumpymap.scan import ScanConfig, scan_frames
+
+pytestmark = pytest.mark.slow
+
+SENSOR = Sensor(lines=40, columns=720, noise_m=0.005, end_m=60.0, lost=0.0)
+FRAMES = 8
+
+
+@pytest.fixture(name="street", scope="module")
+def street_fixture():
+    return make_street(3, 42.0)
+
+
+@pytest.fixture(name="drive", scope="module")
+def drive_fixture(street):
+    return drive_street(street, SENSOR, FRAMES)
+
+
+def test_true_poses_put_the_ground_where_it_is(street, drive):
+    scans, poses = drive
+    for scan, pose in zip(scans, poses, strict=True):
+        near = np.isin(scan.label, (Label.ASPHALT, Label.CONCRETE)) & (np.linalg.norm(scan.points, axis=1) < 15.0)
+        world = scan.points[near].astype(float) @ pose[:3, :3].T + pose[:3, 3]
+        off = world[:, 2] - street.ground.sample(world[:, 0], world[:, 1]).z
+        assert near.sum() > 3000
+        assert np.abs(np.median(off)) < 0.005
+        assert np.quantile(np.abs(off), 0.9) < 0.02
+        lanes = np.abs(world[:, 1]) < LANES_M
+        assert (scan.label[near][lanes] == Label.ASPHALT).all()
+
+
+def test_what_stands_is_where_it_is_said_and_cars_move(street, drive):
+    scans, poses = drive
+    blocked = binary_dilation(street.blocked(0.25, 1.38, 0.1), iterations=2)
+    moved = []
+    for scan, pose in zip(scans, poses, strict=True):
+        car = scan.label == Label.VEHICLE
+        x, y, z = (scan.points[car].astype(float) @ pose[:3, :3].T + pose[:3, 3]).T
+        parked = np.abs(y) > LANES_M
+        inside = parked & (x > 0.5) & (x < 41.5) & (z < 1.2) & (z > 0.5)
+        held = blocked[(10 * (21.0 - y[inside])).astype(int), (10 * x[inside]).astype(int)]
+        assert held.mean() > 0.97
+        moved.append(np.median(x[~parked & (y < 0.0) & (x > pose[0, 3])]))
+    assert 3.0 < np.mean(np.diff(moved)) < 4.0
+
+
+def test_the_same_seed_gives_the_same_street(street):
+    again, other = make_street(3, 42.0), make_street(4, 42.0)
+    np.testing.assert_array_equal(again.solids, street.solids)
+    assert other.solids.shape != street.solids.shape or not np.array_equal(other.solids, street.solids)
+
+
+def test_errors_of_poses_are_as_large_as_asked():
+    true = np.tile(np.eye(4), (4000, 1, 1))
+    wrong = noisy_poses(true, 1, 0.05, 0.3)
+    np.testing.assert_allclose(wrong[:, :3, 3].std(axis=0), 0.05, rtol=0.1)
+    np.testing.assert_allclose(np.degrees(wrong[:, 1, 2]).std(), 0.3, rtol=0.1)
+    np.testing.assert_allclose(wrong[:, :3, :3] @ wrong[:, :3, :3].transpose(0, 2, 1), true[:, :3, :3], atol=1e-12)
+    np.testing.assert_array_equal(noisy_poses(true[:2], 1, 0.0, 0.0), true[:2])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_the_lanes_of_a_drive_are_smooth_and_passable(drive, tmp_path, noise):
+    scans, poses = drive
+    (tmp_path / "drive").mkdir()
+    for number, scan in enumerate(scans):
+        rows = np.column_stack([scan.points, scan.intensity]).astype("<f4")
+        rows.tofile(tmp_path / "drive" / f"{number}.bin")
+    given = noisy_poses(poses, 2, 0.05 * noise, 0.3 * noise)
+    np.savetxt(tmp_path / "poses.txt", given[:, :3].reshape(-1, 12))
+    config = ScanConfig(
+        (tmp_path / "drive",), tmp_path / "out", poses=tmp_path / "poses.txt", products=("table",), method="filter"
+    )
+    agree = scan_frames(config).merged["poses"]
+    assert agree["after_m"] < 0.01
+    assert (agree["before_m"] > 0.02) == bool(noise)
+    table = pq.read_table(tmp_path / "out" / "map" / "tiles.parquet", columns=["col", "row", "class", "passable"])
+    tiles = {(tile["col"], tile["row"]): tile for tile in table.to_pylist()}
+    lanes = [tiles[col, row] for col in range(2, 9) for row in (-1, 0)]
+    assert sum(tile["class"] in {0, 1} for tile in lanes) >= (14 if noise == 0.0 else 13)
+    assert sum(bool(tile["passable"]) for tile in lanes) >= 13

@@ -1,0 +1,305 @@
+"""A scan run over a bag: frames, poses and map from it, and the grids that it writes, read back with rosbags."""
+
+import hashlib
+import json
+import shutil
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("rosbags")
+
+from bags import cloud, lidar_rows, odometry, transforms, write_bag
+
+from bumpymap.cli import main
+from bumpymap.core import OutputError, UsageError
+from bumpymap.layers import ExportSettings, GroundGrid, export_map, open_map
+from bumpymap.layers.scan.ground_grid import sector_occupancy
+from bumpymap.readers import Robot
+from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
+
+pytestmark = pytest.mark.slow
+
+T0 = 1_700_000_000_000_000_000
+STAMPS = [T0 + n * 100_000_000 for n in range(4)]
+MOUNT = (Rotation.from_euler("x", 3, degrees=True), np.array([0.4, 0.0, 1.2]))
+
+
+def pose(stamp):
+    seconds = (stamp - T0) * 1e-9
+    return Rotation.from_euler("z", 0.4 * seconds), np.array([3.0 * seconds, 0.0, 0.3])
+
+
+def world():
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-22, 24, 45_000), rng.uniform(-22, 22, 45_000)
+    return np.column_stack([x, y, np.where(y < 0, 0.2 * rng.standard_normal(len(x)), 0.0)])
+
+
+def seen(stamp):
+    """The world in the frame of the sensor."""
+    turn, place = pose(stamp)
+    on_base = turn.inv().apply(world() - place)
+    return MOUNT[0].inv().apply(on_base - MOUNT[1])
+
+
+@pytest.fixture(name="bag", scope="module")
+def bag_fixture(tmp_path_factory):
+    messages = [("/tf_static", T0 - 1, transforms(T0, ("base", "lidar", MOUNT)))]
+    for stamp in STAMPS:
+        messages += [("/odom", stamp, odometry(stamp, pose(stamp)))]
+        messages += [("/points", stamp + 50_000_000, cloud(lidar_rows(seen(stamp)), stamp))]
+    return write_bag(tmp_path_factory.mktemp("bag") / "drive", messages)
+
+
+@pytest.fixture(name="ran", scope="module")
+def ran_fixture(bag, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ran")
+    config = ScanConfig((bag,), folder / "out", bag=folder / "grids.mcap", method="filter", products=("table", "cloud"))
+    return config, scan_frames(config)
+
+
+def messages_of(path):
+    """By the definitions that the bag itself holds: topic -> messages."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    found = {}
+    with Reader(path) as reader:
+        store = get_typestore(Stores.EMPTY)
+        for topic in reader.connections:
+            types = get_types_from_msg(topic.msgdef.data, topic.msgtype)
+            store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
+        for topic, time, raw in reader.messages():
+            found.setdefault(topic.topic, []).append((time, store.deserialize_cdr(raw, topic.msgtype)))
+    return found
+
+
+def test_frames_have_the_names_of_their_stamps_and_the_poses_of_the_bag(ran):
+    config, result = ran
+    assert [report.frame.name for report in result.frames] == [f"1700000000_{n}00000000" for n in range(4)]
+    for report, stamp in zip(result.frames, STAMPS, strict=True):
+        turn, place = pose(stamp)
+        expected = np.eye(4)
+        expected[:3, :3], expected[:3, 3] = (turn * MOUNT[0]).as_matrix(), turn.apply(MOUNT[1]) + place
+        np.testing.assert_allclose(report.frame.pose, expected, atol=1e-6)
+    record = json.loads((config.out / "scan.json").read_text(encoding="utf-8"))
+    assert [frame["message"]["number"] for frame in record["frames"]] == [0, 1, 2, 3]
+    assert {frame["sha256"] for frame in record["frames"]} == {None}
+    assert {file["path"].rpartition("/")[2] for file in record["side_files"]} == {"metadata.yaml", "drive.mcap"}
+    assert record["bag"]["sha256"] == hashlib.sha256(config.bag.read_bytes()).hexdigest()
+
+
+def test_the_map_of_the_drive_is_made_from_the_poses_of_the_bag(ran):
+    config, result = ran
+    las = laspy.read(config.out / "gathered.laz")
+    ground = las.classification == 2
+    north = las.y > 2.0
+    np.testing.assert_allclose(las.z[ground & north], 0.0, atol=0.01)
+    assert result.drive.summary.tiles > 100
+
+
+@pytest.mark.parametrize("clock", ["since the header", "of the day"])
+def test_points_with_times_are_deskewed_by_the_poses_of_the_bag(clock, tmp_path):
+    truth, rng = world()[:6000], np.random.default_rng(1)
+    late = np.sort(rng.uniform(0.0, 0.1, len(truth)))
+    kind = np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("timestamp", "f8")])
+    messages = [("/odom", t, odometry(t, pose(t), child="lidar")) for t in range(T0 - 10**8, T0 + 5 * 10**8, 10**7)]
+    for stamp in STAMPS[:2]:
+        moments = [pose(stamp + seconds * 1e9) for seconds in late]
+        turns, places = Rotation.concatenate([turn for turn, _ in moments]), np.array([place for _, place in moments])
+        rows = lidar_rows(turns.inv().apply(truth - places), kind)
+        rows["timestamp"] = late + (stamp * 1e-9 if clock == "of the day" else 0.0)
+        messages.append(("/points", stamp, cloud(rows, stamp)))
+    folder = write_bag(tmp_path / "drive", sorted(messages, key=lambda each: each[1]))
+    config = ScanConfig((folder,), tmp_path / "out", method="filter", products=("table",), robot=Robot(0.0))
+    off = []
+    for number, deskewed in enumerate((True, False)):
+        scan_frames(replace(config, out=tmp_path / str(number), deskew=deskewed))
+        record = json.loads((tmp_path / str(number) / "scan.json").read_text(encoding="utf-8"))
+        assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": deskewed}
+        found = laspy.read(tmp_path / str(number) / "gathered.laz").xyz
+        off.append(np.abs(found - np.concatenate([truth, truth])).max())
+    assert off[0] < 0.004
+    assert off[1] > 0.3
+
+
+def test_the_map_of_a_drive_becomes_a_map_for_nav2(ran, tmp_path):
+    site = open_map([ran[0].out / "map"])
+    done = export_map(site, tmp_path / "nav2", ExportSettings(to="nav2"))
+    assert done.record["tiles"]["passable"] > 50
+    assert (tmp_path / "nav2" / "map.pgm").stat().st_size > 100
+
+
+def test_grids_are_read_back_with_the_values_of_the_sectors(ran):
+    from bumpymap.core import Scan
+
+    found = messages_of(ran[0].bag)
+    assert set(found) == {"/ground/occupancy", "/ground/grid_map"}
+    for number, stamp in enumerate(STAMPS):
+        time, message = found["/ground/occupancy"][number]
+        assert time == stamp == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        assert (message.header.frame_id, message.info.width, message.info.height) == ("lidar", 240, 240)
+        assert message.info.resolution == np.float32(0.25)
+        points = seen(stamp).astype(np.float32)
+        scan = Scan(points[np.hypot(points[:, 0], points[:, 1]) >= 0.5])
+        classed = classify_filter(polar_sectors(scan, ran[0].polar))
+        grid = GroundGrid()
+        rows = grid.rows(classed.sectors)
+        expected = np.append(sector_occupancy(classed), np.int8(-1))[rows]
+        np.testing.assert_array_equal(np.asarray(message.data).reshape(240, 240), expected)
+        assert {-1, 0, 100} <= set(expected.ravel().tolist())
+        # The values beside points are those of the points' sectors.
+        index = ((scan.points[:, :2] - [message.info.origin.position.x, message.info.origin.position.y]) / 0.25).astype(
+            int
+        )
+        inside = ((index >= 0) & (index < 240)).all(axis=1) & (classed.sectors.point_sector >= 0)
+        at_points = expected[index[inside, 1], index[inside, 0]]
+        of_points = sector_occupancy(classed)[classed.sectors.point_sector[inside]]
+        assert (at_points == of_points).mean() > 0.9  # sectors cut through cells
+        check_grid_map(found["/ground/grid_map"][number], stamp, grid.layers(scan, classed))
+
+
+def check_grid_map(stored, stamp, layers):
+    """Place the cells by the rules of grid_map: index (0, 0) is the corner at +x, +y."""
+    time, message = stored
+    assert (time, message.header.frame_id) == (stamp, "lidar")
+    assert message.layers == ["class", "elevation", "obstacle_height", "ground"]
+    assert (message.info.length_x, message.info.length_y, message.info.resolution) == (60.0, 60.0, 0.25)
+    assert (message.info.pose.position.x, message.info.pose.position.y) == (0.0, 0.0)
+    for name, array in zip(message.layers, message.data, strict=True):
+        matrix = np.asarray(array.data).reshape(240, 240).T  # column by column; rows run to -x, columns to -y
+        np.testing.assert_array_equal(matrix[::-1, ::-1].T, layers[name])
+
+
+def test_the_same_bag_gives_the_same_bytes(ran, tmp_path):
+    config = replace(ran[0], out=tmp_path / "out", bag=tmp_path / "again.mcap")
+    scan_frames(config)
+    assert config.bag.read_bytes() == ran[0].bag.read_bytes()
+    assert (config.out / "sectors.parquet").read_bytes() == (ran[0].out / "sectors.parquet").read_bytes()
+
+
+def test_a_complete_run_is_recognised(ran, bag, tmp_path):
+    assert scan_frames(ran[0]).already_done
+    moved = tmp_path / "away.mcap"
+    shutil.move(ran[0].bag, moved)
+    with pytest.raises(OutputError, match=r"its bag .* is missing"):
+        scan_frames(ran[0])
+    shutil.move(moved, ran[0].bag)
+    with pytest.raises(OutputError, match="topic was not given, is /points"):
+        scan_frames(replace(ran[0], topic="/points"))
+
+
+class _Ends:
+    def __init__(self, after):
+        self.left = after
+
+    def start(self, stage, total):
+        pass
+
+    def advance(self, steps):
+        self.left -= steps
+        if self.left <= 0:
+            raise KeyboardInterrupt
+
+
+def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(ran, tmp_path):
+    config = replace(ran[0], out=tmp_path / "out", bag=tmp_path / "out.mcap")
+    with pytest.raises(KeyboardInterrupt):
+        scan_frames(config, _Ends(2))
+    assert not config.bag.exists()
+    scan_frames(replace(config, resume=True))
+    assert config.bag.read_bytes() == ran[0].bag.read_bytes()
+    for name in ("sectors.parquet", "gathered.laz"):
+        assert (config.out / name).read_bytes() == (ran[0].out / name).read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "out.mcap"]
+
+
+def test_a_bag_that_changed_is_another_input(bag, tmp_path):
+    copy = shutil.copytree(bag, tmp_path / "copy")
+    config = ScanConfig((copy,), tmp_path / "out", method="filter", products=("table",))
+    with pytest.raises(KeyboardInterrupt):
+        scan_frames(config, _Ends(1))
+    file = copy / "drive.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(UsageError, match=r"drive\.mcap has changed"):
+        scan_frames(replace(config, resume=True))
+
+
+def test_a_bad_message_is_skipped(tmp_path):
+    messages = [("/points", stamp, cloud(lidar_rows(seen(stamp)), stamp)) for stamp in STAMPS[:3]]
+    messages[1][2].point_step = 5
+    folder = write_bag(tmp_path / "drive", messages)
+    config = ScanConfig(
+        (folder,), tmp_path / "out", skip_bad=True, method="filter", products=("table",), bag=tmp_path / "g.mcap"
+    )
+    result = scan_frames(config)
+    ((origin, why),) = result.skipped.items()
+    assert origin == f"{folder}, message 1 of /points"
+    assert "outside of its 5 bytes" in why
+    assert [time for time, _ in messages_of(config.bag)["/ground/occupancy"]] == [STAMPS[0], STAMPS[2]]
+    assert scan_frames(config).already_done
+    with pytest.raises(UsageError, match="needs the pose of every frame"):
+        scan_frames(replace(config, out=tmp_path / "other", bag=None, crs="EPSG:32614"))
+
+
+def test_frames_of_files_have_a_made_up_time(tmp_path):
+    for number in range(2):
+        points = seen(STAMPS[number])
+        np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(tmp_path / f"{number}.bin")
+    scan_frames(
+        ScanConfig((tmp_path,), tmp_path / "out", method="filter", products=("table",), bag=tmp_path / "g.mcap")
+    )
+    found = messages_of(tmp_path / "g.mcap")["/ground/occupancy"]
+    assert [(time, message.header.frame_id) for time, message in found] == [(0, "sensor"), (100_000_000, "sensor")]
+
+
+def test_where_the_grids_cannot_be_written(bag, tmp_path):
+    config = ScanConfig((bag,), tmp_path / "out", method="filter", products=("table",), bag=tmp_path / "g.mcap")
+    (tmp_path / "g.mcap").write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        scan_frames(config)
+    with pytest.raises(OutputError, match="no folder"):
+        scan_frames(replace(config, bag=tmp_path / "none" / "g.mcap"))
+    with pytest.raises(OutputError, match="input"):
+        scan_frames(replace(config, bag=bag / "new.mcap", overwrite=True))
+    with pytest.raises(UsageError, match=r"ends in \.mcap"):
+        replace(config, bag=tmp_path / "g.db3")
+    assert (tmp_path / "g.mcap").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["g.mcap"]
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "g.mcap")
+    scan_frames(replace(config, bag=tmp_path / "link.mcap", overwrite=True))
+    assert not (tmp_path / "link.mcap").is_symlink()
+    assert (tmp_path / "g.mcap").read_text() == "mine"
+
+
+def test_stripe_classes_are_fitted_to_a_bag(bag, tmp_path):
+    pytest.importorskip("sklearn")
+    model, skipped = fit_frames(ScanConfig((bag,), tmp_path / "own.json", topic="/points"))
+    assert (model.scans, skipped) == (4, {})
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ([], 0, "Grids of the frames in"),
+        (["--topic", "/none"], 3, "--topic NAME"),
+        (["--odometry", "/none"], 3, "--odometry NAME"),
+        (["--odometry", "/odom", "--poses", "poses.txt"], 2, "--poses and --odometry"),
+        (["--fit", "own.json", "--out"], 2, "leave out --out"),
+    ],
+)
+def test_the_command_line(bag, tmp_path, words, code, said):
+    place = ["--out", str(tmp_path / "out"), "--bag", str(tmp_path / "g.mcap")]
+    if "--fit" in words:
+        words = ["--fit", str(tmp_path / "own.json")]
+    done = CliRunner().invoke(main, ["scan", str(bag), *place, "--method", "filter", "--products", "table", *words])
+    assert done.exit_code == code, done.output
+    assert said in done.output
+    assert (tmp_path / "g.mcap").exists() == (code == 0)

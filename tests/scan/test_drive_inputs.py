@@ -1,0 +1,104 @@
+"""A drive from files as sensors and odometry write them: columns, clocks and motion do not change the map."""
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from ply_files import write_ply
+from scipy.spatial.transform import Rotation
+
+from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.pipeline import scan_frames
+
+START = 1_700_000_000.0
+SPEED_MPS, TURN_RADPS = 9.0, 1.0
+POSTS = np.random.default_rng(1).uniform(-20.0, 20.0, (40, 2))
+
+
+def motion(times):
+    """Rotations and places of a LiDAR 1.5 m above the ground, on a circle."""
+    angle = TURN_RADPS * (np.asarray(times) - START)
+    radius = SPEED_MPS / TURN_RADPS
+    places = np.column_stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), np.full(len(angle), 1.5)])
+    return Rotation.from_euler("z", angle[:, None]), places
+
+
+def sweep(time, seed):
+    """World points of posts and flat ground that one turn of 0.1 s sees, and the time of each after ``time``."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-25.0, 25.0, (6_000, 2)), np.zeros(6_000)])
+    posts = np.column_stack([np.repeat(POSTS, 100, axis=0), np.tile(np.linspace(0.1, 2.0, 100), len(POSTS))])
+    world = np.concatenate([ground, posts])
+    _, place = motion([time])
+    azimuth = np.arctan2(*(world - place)[:, 1::-1].T)
+    offset = (azimuth + np.pi) * 0.1 / (2 * np.pi)
+    order = np.argsort(offset)
+    return world[order], offset[order]
+
+
+@pytest.fixture(name="drive", scope="module")
+def drive_fixture(tmp_path_factory):
+    """Five frames with the time of each point in nanoseconds, and poses at 50 Hz."""
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "frames").mkdir()
+    for number in range(5):
+        time = START + 0.1 * number
+        world, offset = sweep(time, number)
+        turns, places = motion(time + offset)
+        rows = np.zeros(len(world), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+        for axis, values in zip("xyz", turns.inv().apply(world - places).T, strict=True):
+            rows[axis] = values
+        rows["t"] = np.rint(offset * 1e9)
+        write_ply(folder / "frames" / f"{time:.3f}.ply", rows)
+    times = START + np.arange(-5, 40) / 50.0
+    turns, places = motion(times)
+    np.savetxt(folder / "tum.txt", np.column_stack([times, places, turns.as_quat()]), fmt="%.9f")
+    return folder
+
+
+def off_posts(out):
+    """Distance of the points above the ground to the nearest post, m."""
+    points = laspy.read(out / "gathered.laz").xyz
+    high = points[points[:, 2] > 0.3, :2]
+    return np.linalg.norm(high[:, None] - POSTS[None], axis=2).min(axis=1)
+
+
+def test_a_drive_is_deskewed_by_the_poses_between_its_frames(drive, tmp_path):
+    config = ScanConfig(
+        (drive / "frames",), tmp_path / "out", poses=drive / "tum.txt", method="filter", products=("table",)
+    )
+    scan_frames(config)
+    assert off_posts(config.out).max() < 0.01
+    record = json.loads((config.out / "scan.json").read_text(encoding="utf-8"))
+    assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": True}
+    raw = ScanConfig(
+        (drive / "frames",),
+        tmp_path / "raw",
+        poses=drive / "tum.txt",
+        method="filter",
+        products=("table",),
+        deskew=False,
+    )
+    scan_frames(raw)
+    assert off_posts(raw.out).max() > 0.5
+    assert not json.loads((raw.out / "scan.json").read_text(encoding="utf-8"))["poses"]["deskew"]
+
+
+def test_a_drive_is_the_same_whatever_the_columns_of_its_files(tmp_path):
+    rng = np.random.default_rng(3)
+    sectors = set()
+    for width in (4, 5, 6):
+        folder = tmp_path / str(width)
+        folder.mkdir()
+        for number in range(2):
+            distance, azimuth = rng.uniform(3.0, 40.0, 12_000), np.linspace(-3.1, 3.1, 12_000)
+            rng = np.random.default_rng(number)
+            rows = [distance * np.cos(azimuth), distance * np.sin(azimuth), -1.0 + 0.01 * rng.normal(size=12_000)]
+            rows += [rng.uniform(size=12_000), np.arange(12_000) % 32, np.linspace(0.0, 0.1, 12_000)]
+            np.column_stack(rows[:width]).astype("<f4").tofile(folder / f"{number}.bin")
+        rng = np.random.default_rng(3)
+        result = scan_frames(ScanConfig((folder,), folder / "out", method="filter", products=("table",)))
+        sectors.add(tuple(frame.sectors for frame in result.frames))
+    assert len(sectors) == 1
+    assert sum(map(sum, *sectors)) > 0

@@ -1,0 +1,260 @@
+"""Merging the frames of a drive: what stays, what goes, and poses that cannot be right."""
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.layers import open_accumulated
+from bumpymap.scan import merge
+from bumpymap.scan.align import MOST_METRES, GroundHeights, align_frames
+from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, open_merge
+
+CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+PARKED, TRUCK = (12.07, 8.57, 0.0, 4.0, 1.8, 1.5), (22.0, -1.5, 0.6, 6.0, 2.4, 3.0)
+"""Boxes: middle x and y, lower edge, length, width, upper edge, m."""
+WALLS = [(x, y, 0.0, 3.0, 0.5, 2.5) for x, y in ((2.0, 11.0), (9.0, -8.0), (17.0, 12.0), (26.0, -9.0), (35.0, 10.0))]
+FRAMES = 12
+
+
+def seen(pose, boxes):
+    """Points (n, 3) of a sensor of 48 lines on level ground among boxes, in its frame, and which are ground."""
+    up, around = np.radians(np.linspace(-28.0, 12.0, 48))[:, None], np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    rays = np.stack(np.broadcast_arrays(np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)), axis=-1)
+    rays = rays.reshape(-1, 3)
+    way, eye = rays @ pose[:3, :3].T, pose[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = np.where(way[:, 2] < 0.0, -eye[2] / way[:, 2], np.inf)
+        ground = np.isfinite(away)
+        for x, y, low, long, wide, high in boxes:
+            near = (np.array([x - long / 2, y - wide / 2, low]) - eye) / way
+            far = (np.array([x + long / 2, y + wide / 2, high]) - eye) / way
+            enter, leave = np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
+            hit = (enter > 0.0) & (enter < leave) & (enter < away)
+            away, ground = np.where(hit, enter, away), ground & ~hit
+    kept = away < 60.0
+    return (rays * away[:, None])[kept].astype(np.float32), ground[kept]
+
+
+def way_along(count=FRAMES, step=3.0):
+    """Poses along a bend."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    turn = 0.3 * np.sin(np.arange(count) / 4.0 + 0.5)
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(turn)
+    poses[:, 1, 0] = np.sin(turn)
+    poses[:, 0, 1] = -np.sin(turn)
+    poses[:, :2, 3] = np.cumsum(step * np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0) - [3.0, 0.0]
+    poses[:, 2, 3] = 1.5
+    return poses
+
+
+def car(number):
+    """The box of a car that comes towards the sensor."""
+    return (38.0 - 4.0 * number, 2.0 - 0.1 * number, 0.2, 4.0, 1.8, 1.5)
+
+
+@pytest.fixture(name="frames", scope="module")
+def frames_fixture():
+    """Frames of a drive past things that stand and one that moves."""
+    return [seen(pose, [PARKED, TRUCK, *WALLS, car(number)]) for number, pose in enumerate(way_along())]
+
+
+def merged(folder, frames, poses, is_ground=None):
+    """Merge frames; return the points, which are ground, and the record."""
+    folder.mkdir(exist_ok=True)
+    with open_merge(folder, poses[0]) as drive:
+        for number, ((points, ground), pose) in enumerate(zip(frames, poses, strict=True)):
+            drive.add_points(str(number), points, pose, ground if is_ground is None else is_ground(number, points))
+        with open_accumulated(folder / "a.laz", poses[0], None) as survey:
+            drive.write(survey)
+    las = laspy.read(folder / "a.laz")
+    return np.asarray(las.xyz), np.asarray(las.classification) == 2, drive.record()
+
+
+def in_box(xyz, box, margin=0.05):
+    x, y, low, long, wide, high = box
+    inside = np.abs(xyz - [x, y, 0.5 * (low + high)]) <= np.array([long, wide, high - low]) / 2 + margin
+    return inside.all(axis=1)
+
+
+@pytest.fixture(name="drive", scope="module")
+def drive_fixture(frames, tmp_path_factory):
+    return merged(tmp_path_factory.mktemp("merge") / "out", frames, way_along())
+
+
+def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
+    xyz, ground, record = drive
+    poses = way_along()
+    world = [points @ pose[:3, :3].T + pose[:3, 3] for (points, _), pose in zip(frames, poses, strict=True)]
+    moving = sum(int(in_box(points, car(number)).sum()) for number, points in enumerate(world))
+    assert moving > 1000
+    of_cars = np.any([in_box(xyz, car(number)) for number in range(FRAMES)], axis=0) & (xyz[:, 2] > 0.3)
+    elsewhere = np.any([in_box(xyz, box, 0.3) for box in (PARKED, TRUCK, *WALLS)], axis=0)
+    assert (of_cars & ~elsewhere & ~ground).sum() < 0.02 * moving
+    for box in (PARKED, *WALLS):
+        voxels = {
+            tuple(v) for points in world for v in np.floor(points[in_box(points, box)] / 0.2).astype(int).tolist()
+        }
+        left = {tuple(v) for v in np.floor(xyz[in_box(xyz, box)] / 0.2).astype(int).tolist()}
+        assert len(voxels & left) > 0.97 * len(voxels) > 50
+    assert record["seen"] == sum(len(points) for points in world)
+    assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
+    assert record["moving"] > 0
+
+
+def test_density_is_even(drive):
+    xyz, ground, _ = drive
+    whole = np.round(1000.0 * xyz).astype(np.int64)
+    pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
+    assert pixels.max() == MOST_GROUND
+    assert np.unique(whole[~ground] // 200, axis=0, return_counts=True)[1].max() <= MOST_OTHERS
+    assert np.abs(xyz[ground, 2]).max() < 0.01
+
+
+def test_ground_below_a_truck_is_not_ground_to_drive_on(frames, drive):
+    xyz, ground, _ = drive
+    x, y, _, long, wide, _ = TRUCK
+    below = (np.abs(xyz[:, 0] - x) < long / 2 - 0.4) & (np.abs(xyz[:, 1] - y) < wide / 2 - 0.4)
+    poses = way_along()
+    world = np.concatenate([p @ pose[:3, :3].T + pose[:3, 3] for (p, _), pose in zip(frames, poses, strict=True)])
+    came = (
+        (np.abs(world[:, 0] - x) < long / 2 - 0.4) & (np.abs(world[:, 1] - y) < wide / 2 - 0.4) & (world[:, 2] < 0.05)
+    )
+    assert came.sum() > 100
+    assert not (below & ground).any()
+
+
+@pytest.mark.parametrize("by", [(15.0, -9.0, 4.0), (-100_020.0, 3_999_996.0, 0.0)])
+def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path, by):
+    poses = way_along()
+    poses[:, :3, 3] += by
+    xyz, ground, record = merged(tmp_path / "out", frames, poses)
+    rows = [np.column_stack([np.round(1000.0 * p).astype(np.int64), g]) for p, g in ((xyz - by, ground), drive[:2])]
+    first, second = (each[np.lexsort(each.T)] for each in rows)
+    assert len(first) == len(second)
+    assert (np.abs(first - second).max(axis=1) > 0).mean() < 1e-3  # a half millimetre may round to either side
+    assert record["moving"] == pytest.approx(drive[2]["moving"], abs=5)
+
+
+def test_the_same_frames_give_the_same_bytes(frames, tmp_path):
+    for name in ("a", "b"):
+        merged(tmp_path / name, frames[:4], way_along(4))
+    assert (tmp_path / "a" / "a.laz").read_bytes() == (tmp_path / "b" / "a.laz").read_bytes()
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["a.laz"]
+
+
+def test_a_table_that_grows_is_the_one_that_was_large(frames, drive, tmp_path, monkeypatch):
+    made = merge._empty_table
+    monkeypatch.setattr(merge, "_empty_table", lambda rows: made(rows if rows != 1 << 16 else 4))
+    xyz, ground, _ = merged(tmp_path / "out", frames, way_along())
+    np.testing.assert_array_equal(xyz, drive[0])
+    np.testing.assert_array_equal(ground, drive[1])
+
+
+def test_what_most_frames_do_not_take_for_ground_is_no_ground(frames, tmp_path):
+    def roofs(number, points):
+        high = way_along()[number, 2, 3] + points[:, 2] > 0.3
+        return frames[number][1] | (high & (number in {2, 7}))
+
+    xyz, ground, _ = merged(tmp_path / "out", frames, way_along(), roofs)
+    high = xyz[:, 2] > 0.3
+    assert (high & ground).sum() < 0.1 * high.sum()
+
+
+def test_poses_with_errors_give_level_ground_again(frames, tmp_path):
+    rng = np.random.default_rng(3)
+    poses = way_along()
+    poses[:, 2, 3] += rng.normal(0.0, 0.05, FRAMES)
+    for pose in poses:
+        roll, pitch = rng.normal(0.0, np.radians(0.3), 2)
+        pose[:3, :3] = np.array([[1, 0, pitch], [0, 1, -roll], [-pitch, roll, 1]]) @ pose[:3, :3]
+    xyz, ground, record = merged(tmp_path / "out", frames, poses)
+    agree = record["poses"]
+    assert 0.02 < agree["before_m"] < 0.2
+    assert agree["after_m"] < 0.005
+    assert 0.03 < agree["largest_shift_m"] < 0.3
+    near = ground & (np.abs(xyz[:, 0] - 15.0) < 10.0) & (np.abs(xyz[:, 1] - 2.0) < 3.0)
+    plane = np.column_stack([xyz[near, :2], np.ones(near.sum())])
+    rest = xyz[near, 2] - plane @ np.linalg.lstsq(plane, xyz[near, 2], rcond=None)[0]
+    assert rest.std() < 0.01
+    json.dumps(record)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_corrections_are_those_that_were_put_in(seed):
+    """The frames agree with each other; what they have in common cannot be known."""
+    rng = np.random.default_rng(seed)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-10.0, 10.0, 0.5), np.arange(-10.0, 10.0, 0.5)))
+    surface = rng.normal(0.0, 0.2, (60, 40))
+    frames, wrong = [], np.column_stack([rng.normal(0, 0.05, 8), rng.normal(0, 0.005, (8, 2))])
+    for number, (up, east, north) in enumerate(wrong):
+        column, row = np.meshgrid(np.arange(40) + 2 * number, np.arange(40))
+        z = surface[column.ravel() % 60, row.ravel()] + rng.normal(0, 0.003, x.size) - (up + east * x + north * y)
+        square = (column.ravel() << 31) + row.ravel()
+        order = np.argsort(square)
+        frames.append(GroundHeights(square[order], *(v[order].astype(np.float32) for v in (x, y, z - 1.0)), 1.0))
+    found = align_frames(frames)
+    assert found.before_m > 0.02
+    assert found.after_m == pytest.approx(0.003, abs=0.001)
+    off = found.shift - wrong
+    assert np.ptp(off[:, 1:], axis=0).max() < 3e-4
+    # A tilt that all frames have in common lifts one against the next, which stands 1 m on.
+    steps = np.diff(off[:, 0]) - off[1:, 1]
+    assert np.abs(steps).max() < 3e-3
+
+
+def test_corrections_are_bounded_and_frames_apart_have_none():
+    x, y = (axis.ravel().astype(np.float32) for axis in np.meshgrid(np.arange(20.0), np.arange(20.0)))
+    square = np.arange(400)
+    frames = [GroundHeights(square + 1000 * (n == 2), x, y, 0 * x, 5.0 * n) for n in range(3)]
+    found = align_frames(frames)
+    assert np.abs(found.shift[:, 0]).max() == MOST_METRES
+    np.testing.assert_array_equal(found.shift[2], 0.0)
+    alone = align_frames(frames[2:])
+    assert (alone.squares, np.isnan(alone.before_m)) == (0, True)
+    assert alone.record()["before_m"] is None
+
+
+def scaled(by):
+    poses = way_along()
+    poses[:, :3, 3] *= by
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        (np.linalg.inv(way_along()), "agree when the poses are inverted"),
+        (CAMERA @ way_along() @ np.linalg.inv(CAMERA), "camera's axes"),
+        (scaled(1000.0), "millimetres"),
+        (scaled(100.0), "centimetres"),
+        (scaled(1 / 0.3048), "feet"),
+        (way_along()[::-1], "last to first"),
+        (way_along()[sorted(range(FRAMES), key=str)], "sorted as text"),
+    ],
+)
+def test_wrong_poses_are_refused_with_what_is_likely_wrong(frames, tmp_path, poses, words):
+    with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`poses`"):
+        merged(tmp_path / "out", frames, poses)
+
+
+def test_poses_that_smear_the_ground_are_refused_without_a_reason_too(frames, tmp_path):
+    poses = way_along()
+    poses[:, 2, 3] += np.random.default_rng(1).normal(0.0, 3.0, FRAMES)
+    with pytest.raises(BadInputError, match=r"the same ground differs by \d\.\d m between frames\. Are `poses` those"):
+        merged(tmp_path / "out", frames, poses)
+
+
+def test_a_frame_on_another_continent_is_refused(frames, tmp_path):
+    far = np.eye(4)
+    far[0, 3] = 3e6
+    with open_merge(tmp_path, np.eye(4)) as drive, pytest.raises(BadInputError, match="more than 2,000 km"):
+        drive.add_points("1", *frames[0][:1], far, frames[0][1])
+
+
+def test_frames_without_points_leave_none(tmp_path):
+    nothing = (np.empty((0, 3), np.float32), np.empty(0, np.bool_))
+    xyz, _, record = merged(tmp_path / "out", [nothing, nothing], way_along(2))
+    assert (len(xyz), record["points"], record["poses"]["before_m"]) == (0, 0, None)
