@@ -27,7 +27,7 @@ from bumpymap.core import (
 from bumpymap.readers import Robot, read_scan, scene_points
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
-from bumpymap.scan.polar import SectorBuffers
+from bumpymap.scan.buffers import SectorBuffers
 
 __all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
 
