@@ -77,7 +77,9 @@ def main() -> None:
                 poses = noisy_poses(true, seed, 0.05 * noise, 0.3 * noise)
                 np.savetxt(folder / "poses.txt", poses[:, :3].reshape(-1, 12))
                 out = folder / f"out{noise:.0f}"
-                config = ScanConfig((folder / "drive",), out, poses=folder / "poses.txt", products=("table",))
+                config = ScanConfig(
+                    (folder / "drive",), out, poses=folder / "poses.txt", products=("table",), method="filter"
+                )
                 merged = scan_frames(config).merged["poses"]
                 found = {"street": seed, "noise": noise, "disagree": merged["before_m"], "after": merged["after_m"]}
                 found |= judge(out, street, true[-1, 0, 3] + 6.0)

@@ -62,6 +62,7 @@ RULES = (
     Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
     Rule(r"^python tests/benchmarks/nights\.py", "kills batches for minutes", None),
     Rule(r"^python tests/benchmarks/race\.py", "races runs for a quarter of an hour", None),
+    Rule(r"^python tests/benchmarks/scan_frames\.py", "scans 100 frames a dozen times", None),
     Rule(r"^python tests/benchmarks/wide_site\.py", "half a gigabyte", "--width 1 --height 1"),
     Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite", None),
     Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
