@@ -80,7 +80,7 @@ passes a neighbouring part of the ground at less than this; its ground points ar
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
-_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.4, 0.2, 1.5, 0.035
+_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.03
 """Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
 on it spread by more than this multiple of the scan's noise and more than this, m."""
 
