@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._evaluate_routes import evaluate_routes_over, summarise_routes
+from bumpymap.cli._evaluate_scans import summarise_scans
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, merge_settings, option_name, output_options, workers_option
 from bumpymap.cli._progress import show_progress
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from bumpymap.lab import EvaluateSettings, Findings, Subject
 
 _OF_ALL = ("surveys", "library", "scans", "routes", "out", "seed", "overwrite", "quiet", "log_json")
-_OF_SCANS = ("scenes", "model", "stripes")
+_OF_SCANS = ("scenes", "labels", "model", "stripes")
 _OF_ROUTES = ("pairs", "repeats")
 _OF_VEHICLES = ("vehicle", "calibration", "workers")
 _OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
@@ -65,7 +66,12 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
     help="Points per m2 for the test with thinned surveys.",
 )
 @click.option(
-    "--scenes", type=int, default=35, show_default=True, metavar="N", help="With --scans: number of simulated scenes."
+    "--labels",
+    metavar="NAME_OR_FILE",
+    help="With --scans: label set: kitti, semantic-kitti, rellis, or a file of ids and classes [default: by the ids].",
+)
+@click.option(
+    "--scenes", type=int, default=44, show_default=True, metavar="N", help="With --scans: number of simulated scenes."
 )
 @click.option("--model", type=PATH, metavar="FILE", help="With --scans: your own scan network.")
 @click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: your own stripe classes.")
@@ -85,6 +91,7 @@ def command(*, surveys: tuple[Any, ...], library: bool, scans: bool, routes: boo
     bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
     bumpymap evaluate --library --out trust
     bumpymap evaluate --scans --out trust
+    bumpymap evaluate --scans drive --labels kitti --out trust
     bumpymap evaluate --routes site_layers --out trust_routes
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=given["log_json"])
@@ -140,6 +147,8 @@ def _refuse_other_options(*, places: bool, scans: bool, routes: bool) -> None:
             raise UsageError(f"{option_name(name)} applies to routes: add --routes, or leave it out")
     if scans and places and "scenes" in given:
         raise UsageError("--scenes applies to simulated scenes: leave out --scenes or the frames")
+    if scans and not places and "labels" in given:
+        raise UsageError("--labels applies to frames: give frames, or leave it out")
     if routes and not places:
         raise UsageError("evaluate --routes takes the folder of layers that `bumpymap map` wrote, such as site_layers")
 
@@ -193,7 +202,10 @@ def _evaluate_scans(
 ) -> None:
     from bumpymap.lab import (
         ScanEvaluateSettings,
+        ScanMethods,
+        compare_sensors,
         evaluate_scans,
+        labels_of,
         load_open3d,
         read_frames,
         require_libraries,
@@ -205,20 +217,23 @@ def _evaluate_scans(
 
     settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
-    stripes = load_stripes(given["stripes"])
+    methods = ScanMethods(load_stripes(given["stripes"]), network)
     require_libraries(simulates=not places)
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
+    labels = labels_of(frames, given["labels"])
     with locked(out), shown.progress() as progress:
         _check_place(out, overwrite=overwrite)
-        scans = read_frames(frames) if frames else simulated_scans(settings)
-        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, stripes, network, progress)
+        scans = read_frames(frames, labels) if frames else simulated_scans(settings)
+        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
+        if not frames:
+            progress.start("comparing two sensors", settings.pairs)
+            findings.sensors = compare_sensors(settings, methods, progress)
         files = write_scan_report(findings, out)
     if not shown.summary(out, files):
         return
-    for method, found in findings.accuracy.items():
-        print_line(f"{method:8s} right on {100 * found.right:.1f} % of {findings.facts['labelled']:,} labelled sectors")
+    summarise_scans(findings)
     for cost in findings.costs:
         print_line(f"{cost.method:8s} {cost.scan_ms:.1f} ms for a scan of {cost.points:,} points")
     print_line(f"wrote {files[0]}")

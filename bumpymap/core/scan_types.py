@@ -178,6 +178,9 @@ class SectorStack:
     """(n,) top of what stands there, above the ground, m; NaN without an obstacle."""
     clearance: NDArray[np.float32]
     """(n,) height above the ground of the lowest thing that is higher than ``height_m``, m; NaN if nothing is."""
+    things: NDArray[np.float32]
+    """(n, 2, pixels, pixels) of the points that are not ground and not higher above it than twice ``height_m``: the
+    highest in each pixel, m, and their number; zeros where there are none."""
     point_sector: NDArray[np.int32]
     """(m,) row of the sector that holds each point of the scan; -1 if none does."""
     point_ground: NDArray[np.bool_]

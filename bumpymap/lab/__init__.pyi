@@ -34,7 +34,11 @@ from .evaluate.scan.report import (
     write_scan_report as write_scan_report,
 )
 from .evaluate.scan.run import (
+    ScanFindings as ScanFindings,
+    ScanMethods as ScanMethods,
+    compare_sensors as compare_sensors,
     evaluate_scans as evaluate_scans,
+    labels_of as labels_of,
     read_frames as read_frames,
     simulated_scans as simulated_scans,
 )

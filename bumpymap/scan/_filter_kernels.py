@@ -16,8 +16,8 @@ __all__ = ["LANES", "STEP", "filter_maps"]
 
 Singles = NDArray[np.float32]
 
-LANES = 64
-"""Maps side by side."""
+LANES = 32
+"""Maps side by side: smooth ones together need few of the filters."""
 STEP = 8
 """Pixels that are added at once; maps are padded with zeros to a multiple."""
 
@@ -44,7 +44,7 @@ def filter_maps(
     sums : (``LANES``,) float32
         Scratch: one answer.
     answers : (pixels^2, ``LANES``) float32
-        Scratch: the greatest answer at each pixel.
+        Scratch: the greatest answer at each pixel, or one that is a stripe's.
     stripes : (groups, ``LANES``) float32
         Zeros. Filled: stripes up the columns, summed over all columns.
     """
@@ -69,8 +69,12 @@ def filter_maps(
                             w6 * m[6 * LANES + i] + w7 * m[7 * LANES + i]
                         )
                         sums[i] += low + high
+                least = np.float32(np.inf)
                 for lane in range(LANES):
                     greatest[lane] = max(greatest[lane], sums[lane])
+                    least = min(least, greatest[lane])
+                if least >= threshold:  # a stripe in every map already, whatever the other filters say
+                    break
         for p in range(bank.shape[0]):
             for lane in range(LANES):
                 starts = answers[p, lane] >= threshold and (p < pixels or answers[p - pixels, lane] < threshold)

@@ -19,6 +19,7 @@ __all__ = [
     "FOUND",
     "NEIGHBOURS",
     "PARTS",
+    "THINGS_HEIGHT",
     "CellGeometry",
     "CellPoints",
     "GroundLabels",
@@ -28,8 +29,8 @@ __all__ = [
     "PlaneScratch",
     "SearchRule",
     "find_planes",
-    "keep_largest",
     "gather_points",
+    "keep_largest",
     "label_points",
 ]
 
@@ -38,7 +39,6 @@ Floats2 = Annotated[NDArray[np.float64], 2]
 Singles = Annotated[NDArray[np.float32], 1]
 Integers = Annotated[NDArray[np.int32], 1]
 Flags = Annotated[NDArray[np.bool_], 1]
-Vector = NDArray[np.float32]
 Plane3 = tuple[float, float, float]
 
 PARTS = 5
@@ -47,6 +47,8 @@ NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards."""
 CARRIED, FOUND = 1, 2
 """Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
+THINGS_HEIGHT = 2.0
+"""Things on the ground are drawn up to this multiple of the vehicle's height."""
 _TAIL = 32
 """Lowest points that may be reflections below the ground."""
 _GAP = 0.3
@@ -58,10 +60,13 @@ _ABOVE_LOWEST, _FAR_BELOW = 0.15, -1.0
 """The lowest points of parts within these heights of the plane through them are its start, m."""
 _RIDGE = 0.02
 """Weight of the expected slope against the points', m^2 per root of their number: it decides if they lie on a line."""
-_PASSES = 4
+_FIRST_PASSES, _PASSES = 2, 4
+"""How often a plane is fitted again to the points near it, in the first round and in the second."""
 _STEEPEST = math.tan(math.radians(38.0))
 _LEAST_POINTS = 8
 """Fewest points of a plane."""
+_MOST_FITTED = 512
+"""A plane is fitted to every second, third ... point of a cell that has this many points twice, three times ..."""
 _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
@@ -180,6 +185,9 @@ class GroundLabels(NamedTuple):
     """(cells,) the highest obstacle point, m; comes as -inf."""
     clearance: Singles
     """(cells,) lowest point from ``height`` on, m; comes as inf."""
+    things: Annotated[NDArray[np.float32], 3]
+    """(cells, 2, pixels^2) of the points that are not ground, up to ``THINGS_HEIGHT`` times ``height``: the highest in
+    each pixel above the ground, m, and their number; zeros."""
     starts: Annotated[NDArray[np.int64], 1]
     """(cells + 2,) ground points by cell, as in `CellOrder`."""
     order: Integers
@@ -193,14 +201,14 @@ class LabelScratch(NamedTuple):
     """(points,) by cell."""
     kept: Flags
     """(points,) by cell."""
+    mixed: Flags
+    """(cells,) whether some points are not on the plane."""
     sums: Floats2
-    """(6, parts) zeros: number, sum and sum of squares of the heights of its points, and of those that are ground."""
-    between: Floats
-    """(parts,) zeros: points above the ground that may be plants."""
+    """(parts, 4) number, sum and sum of squares of the heights of its points, and how many are ground."""
     level: Floats
     """(parts,) height of its ground above the plane, m; NaN where it has none."""
     state: Integers
-    """(parts,) zeros."""
+    """(parts,) 1 may continue the ground, 2 does, 3 is part of it; 4 plants."""
 
 
 @kernel
@@ -246,15 +254,14 @@ def _expect(
 
 @helper
 def _refit(
-    x: Vector,
-    y: Vector,
-    z: Vector,
+    xyz: Annotated[NDArray[np.float32], 2],
+    some: tuple[int, int, int],
     plane: Plane3,
     within: tuple[float, float, float],
     origin: tuple[float, float],
     slope: tuple[float, float],
 ) -> tuple[float, float, Plane3]:
-    """Fit a plane to the points between two heights above another one, by least squares of z.
+    """Fit a plane to those of ``some`` points (first, end, step) between two heights above another plane.
 
     Returns their number, the root mean square of the heights of those nearer to the other plane than ``within[2]``, and
     the plane.
@@ -263,9 +270,11 @@ def _refit(
     low, high, reach = within
     ox, oy = origin
     n = su = sv = sh = suu = suv = svv = suh = svh = near = square = 0.0
-    for i in range(len(x)):
-        u, v = x[i] - ox, y[i] - oy
-        h = z[i] - (a * x[i] + b * y[i] + c)
+    first, last, step = some
+    for i in range(first, last, step):
+        x, y = np.float64(xyz[0, i]), np.float64(xyz[1, i])
+        u, v = x - ox, y - oy
+        h = xyz[2, i] - (a * x + b * y + c)
         if low < h < high:
             n += 1.0
             su += u
@@ -293,7 +302,7 @@ def _refit(
 
 @helper
 def _lowest(
-    points: CellPoints, first: int, n: int, plane: Plane3, floor: float, scratch: PlaneScratch, most: int
+    points: CellPoints, some: tuple[int, int, int], plane: Plane3, floor: float, scratch: PlaneScratch, most: int
 ) -> None:
     """Find the lowest point of each part that is not below ``floor``, and the lowest heights of all."""
     a, b, c = plane
@@ -301,7 +310,8 @@ def _lowest(
         scratch.lowest[0, k] = np.inf
     for k in range(most):
         scratch.tail[k] = np.inf
-    for i in range(first, first + n):
+    first, last, step = some
+    for i in range(first, last, step):
         x, y, z = np.float64(points.xyz[0, i]), np.float64(points.xyz[1, i]), np.float64(points.xyz[2, i])
         h = z - (a * x + b * y + c)
         if h < floor:
@@ -321,22 +331,22 @@ def _lowest(
 @helper
 def _start(
     points: CellPoints,
-    first: int,
-    n: int,
-    expected: tuple[bool, float, float, float],
+    some: tuple[int, int, int],
+    expected: Plane3,
     origin: tuple[float, float],
     scratch: PlaneScratch,
 ) -> tuple[bool, Plane3]:
     """Find a plane through the lowest points of the cell's parts; False if there are fewer than three."""
-    _, a, b, c = expected
-    most = min(max(n // 50, 3), _TAIL - 1) + 1
-    _lowest(points, first, n, (a, b, c), -np.inf, scratch, most)
+    a, b, c = expected
+    first, last, step = some
+    most = min(max((last - first) // (50 * step), 3), _TAIL - 1) + 1
+    _lowest(points, some, (a, b, c), -np.inf, scratch, most)
     floor = -np.inf
     for k in range(most - 1):
         if scratch.tail[k + 1] - scratch.tail[k] > _GAP:
             floor = scratch.tail[k + 1]
     if floor > -np.inf:
-        _lowest(points, first, n, (a, b, c), floor, scratch, most)
+        _lowest(points, some, (a, b, c), floor, scratch, most)
     count = 0
     for k in range(PARTS * PARTS):
         h = scratch.lowest[0, k]
@@ -353,10 +363,9 @@ def _start(
     if count < 3:
         return False, (a, b, c)
     median = 0.5 * (scratch.heights[(count - 1) // 2] + scratch.heights[count // 2])
-    x, y, z = scratch.low[0, :count], scratch.low[1, :count], scratch.low[2, :count]
     plane, within = (a, b, c), (-np.inf, median + 0.05, 0.0)
     for _ in range(3):
-        held, _, plane = _refit(x, y, z, plane, within, origin, (a, b))
+        held, _, plane = _refit(scratch.low, (0, count, 1), plane, within, origin, (a, b))
         if held < 3.0:
             return False, plane
         within = (_FAR_BELOW, _ABOVE_LOWEST, 0.0)
@@ -366,8 +375,7 @@ def _start(
 @helper
 def _settle(
     points: CellPoints,
-    first: int,
-    n: int,
+    some: tuple[int, int, int],
     plane: Plane3,
     reach: float,
     passes: int,
@@ -378,10 +386,9 @@ def _settle(
 
     With a ``reach`` of zero the distance follows the spread of the points.
     """
-    x, y, z = points.xyz[0, first : first + n], points.xyz[1, first : first + n], points.xyz[2, first : first + n]
     distance = reach if reach > 0.0 else _START_REACH
     for _ in range(passes):
-        held, spread, plane = _refit(x, y, z, plane, (-2.0 * distance, distance, distance), origin, slope)
+        held, spread, plane = _refit(points.xyz, some, plane, (-2.0 * distance, distance, distance), origin, slope)
         if held < 5.0:
             return False, distance, plane
         if reach == 0.0:
@@ -390,11 +397,14 @@ def _settle(
 
 
 @helper
-def _describe(points: CellPoints, first: int, n: int, plane: Plane3, reach: float) -> tuple[float, float, float, float]:
+def _describe(
+    points: CellPoints, some: tuple[int, int, int], plane: Plane3, reach: float
+) -> tuple[float, float, float, float]:
     """Return number, mean x and y, and spread in height of the points near a plane."""
     a, b, c = plane
     count = sx = sy = sh = square = 0.0
-    for i in range(first, first + n):
+    first, last, step = some
+    for i in range(first, last, step):
         x, y = points.xyz[0, i], points.xyz[1, i]
         h = points.xyz[2, i] - (a * x + b * y + c)
         if abs(h) < reach:
@@ -451,9 +461,11 @@ def find_planes(
     scratch : PlaneScratch
     """
     neighbours, slope = rule.neighbours, rule.slope
+    passes = _PASSES if neighbours else _FIRST_PASSES
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
+        some = (first, first + n, max(n // _MOST_FITTED, 1))
         origin = (geometry.x[cell], geometry.y[cell])
         other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch)
         a = b = c = 0.0
@@ -462,18 +474,18 @@ def find_planes(
         width = rule.reach[geometry.zone[cell]]
         done = False
         if n > rule.least_points:
-            there, plane = _start(points, first, n, (other >= 0, a, b, c), origin, scratch)
+            there, plane = _start(points, some, (a, b, c), origin, scratch)
             if there:
-                there, near, plane = _settle(points, first, n, plane, width, _PASSES, origin, (a, b))
+                there, near, plane = _settle(points, some, plane, width, passes, origin, (a, b))
                 if there:
-                    found = _describe(points, first, n, plane, near)
+                    found = _describe(points, some, plane, near)
                     done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
             if not done and other >= 0:
-                there, near, plane = _settle(points, first, n, (a, b, c), _WIDEST_REACH, 1, origin, (a, b))
+                there, near, plane = _settle(points, some, (a, b, c), _WIDEST_REACH, 1, origin, (a, b))
                 if there:
-                    there, near, plane = _settle(points, first, n, plane, width, _PASSES - 1, origin, (a, b))
+                    there, near, plane = _settle(points, some, plane, width, _PASSES - 1, origin, (a, b))
                 if there:
-                    found = _describe(points, first, n, plane, near)
+                    found = _describe(points, some, plane, near)
                     done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
         if not done:
             planes.kind[cell] = CARRIED if other >= 0 else 0
@@ -503,7 +515,7 @@ def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
     dc = planes.plane[cell, 2] - planes.plane[other, 2]
     here = abs(da * planes.centre[cell, 0] + db * planes.centre[cell, 1] + dc)
     there = abs(da * planes.centre[other, 0] + db * planes.centre[other, 1] + dc)
-    return max(here, there) <= limit
+    return bool(max(here, there) <= limit)
 
 
 @kernel
@@ -544,11 +556,15 @@ def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, wei
 
 
 @helper
-def _sum_parts(
+def _measure_heights(
     points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, s: LabelScratch
 ) -> None:
-    """Find the height of every point above its cell's plane, those near it, and the sums of both by part."""
+    """Find the height of every point above its cell's plane, and which lie on it; where not all do, sum by part."""
     for cell in range(len(geometry.x)):
+        base = cell * PARTS * PARTS
+        for part in range(base, base + PARTS * PARTS):
+            s.level[part] = np.nan
+        s.mixed[cell] = False
         if planes.kind[cell] == 0:
             continue
         a, b, c = planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2]
@@ -557,21 +573,29 @@ def _sum_parts(
         below = -_BELOW if planes.kind[cell] == FOUND else -reach
         if planes.kind[cell] == CARRIED and last - first > rule.least_points:
             reach = -np.inf
-        base = cell * PARTS * PARTS
+        held = 0
         for i in range(first, last):
             h = points.xyz[2, i] - (a * points.xyz[0, i] + b * points.xyz[1, i] + c)
             s.heights[i] = h
             kept = below < h < reach
             s.kept[i] = kept
-            part = base + points.part[i]
+            held += kept
+        s.mixed[cell] = held < last - first
+        if held == last - first:
+            for i in range(first, last):
+                s.level[base + points.part[i]] = 0.0
+            continue
+        for part in range(base, base + PARTS * PARTS):
+            s.state[part] = 0
+            for k in range(s.sums.shape[1]):
+                s.sums[part, k] = 0.0
+        for i in range(first, last):
+            part, h = base + points.part[i], s.heights[i]
             if abs(h) < _LAYER:
-                s.sums[0, part] += 1.0
-                s.sums[1, part] += h
-                s.sums[2, part] += h * h
-            if kept:
-                s.sums[3, part] += 1.0
-                s.sums[4, part] += h
-                s.sums[5, part] += h * h
+                s.sums[part, 0] += 1.0
+                s.sums[part, 1] += h
+                s.sums[part, 2] += h * h
+                s.sums[part, 3] += s.kept[i]
 
 
 @helper
@@ -591,61 +615,71 @@ def _beside(part: int, down: int, right: int, geometry: CellGeometry) -> int:
 @helper
 def _grow(geometry: CellGeometry, s: LabelScratch) -> None:
     """Give a level to parts that are ground, and to thin ones that continue them: kerbs, banks, terraces."""
-    for part in range(len(s.level)):
-        n, low = s.sums[0, part], s.sums[3, part]
-        s.level[part] = np.nan
-        if low > 0.0 and low >= 0.5 * n:
-            s.level[part] = s.sums[4, part] / low
-        elif n >= _PART_POINTS:
-            mean = s.sums[1, part] / n
-            thin = s.sums[2, part] / n - mean * mean < _PART_SPREAD * _PART_SPREAD
-            s.state[part] = 1 if thin and _PART_LOWEST < mean < _PART_HIGHEST else 0
+    inside = PARTS * PARTS
+    for cell in range(len(geometry.x)):
+        if not s.mixed[cell]:
+            continue
+        for part in range(cell * inside, (cell + 1) * inside):
+            n = s.sums[part, 0]
+            if s.sums[part, 3] > 0.0 and s.sums[part, 3] >= 0.5 * n:
+                s.level[part] = 0.0
+            elif n >= _PART_POINTS:
+                mean = s.sums[part, 1] / n
+                thin = s.sums[part, 2] / n - mean * mean < _PART_SPREAD * _PART_SPREAD
+                s.state[part] = 1 if thin and _PART_LOWEST < mean < _PART_HIGHEST else 0
     for _ in range(_ROUNDS):
         grown = 0
-        for part in range(len(s.level)):
-            if s.state[part] != 1:
+        for cell in range(len(geometry.x)):
+            if not s.mixed[cell]:
                 continue
-            mean = s.sums[1, part] / s.sums[0, part]
-            for around in range(9):
-                other = _beside(part, around // 3 - 1, around % 3 - 1, geometry)
-                if other >= 0 and abs(s.level[other] - mean) < _PART_STEP:
-                    s.state[part] = 2
-                    grown += 1
-                    break
-        for part in range(len(s.level)):
-            if s.state[part] == 2:
-                s.level[part] = s.sums[1, part] / s.sums[0, part]
-                s.state[part] = 3
+            for part in range(cell * inside, (cell + 1) * inside):
+                if s.state[part] != 1:
+                    continue
+                mean = s.sums[part, 1] / s.sums[part, 0]
+                for around in range(9):
+                    other = _beside(part, around // 3 - 1, around % 3 - 1, geometry)
+                    if other >= 0 and abs(s.level[other] - mean) < _PART_STEP:
+                        s.state[part] = 2
+                        grown += 1
+                        break
         if grown == 0:
             break
+        for cell in range(len(geometry.x)):
+            if not s.mixed[cell]:
+                continue
+            for part in range(cell * inside, (cell + 1) * inside):
+                if s.state[part] == 2:
+                    s.level[part] = s.sums[part, 1] / s.sums[part, 0]
+                    s.state[part] = 3
 
 
 @helper
-def _count_plants(
-    points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, s: LabelScratch
-) -> None:
-    """Add the points of grown parts to the ground, and count what may be plants above the ground of every part."""
-    for part in range(len(s.level)):
-        s.sums[3, part] = s.sums[5, part] = 0.0
-    for cell in range(len(geometry.x)):
-        if planes.kind[cell] == 0:
-            continue
-        reach, base = rule.reach[geometry.zone[cell]], cell * PARTS * PARTS
-        for i in range(points.starts[cell], points.starts[cell + 1]):
-            part, h = base + points.part[i], s.heights[i]
-            if s.state[part] == 3:
-                s.kept[i] = abs(h - s.level[part]) < _PART_REACH
-            if s.kept[i]:
-                s.sums[3, part] += 1.0
-                s.sums[5, part] += h * h
-            elif reach < h < reach + _PLANTS_ABOVE:
-                s.between[part] += 1.0
+def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: LabelScratch) -> None:
+    """Add the points of grown parts to the ground of a cell, and find the parts in which plants rise from it."""
+    reach, least = limits
+    base = cell * PARTS * PARTS
+    for part in range(base, base + PARTS * PARTS):
+        s.sums[part, 0] = s.sums[part, 1] = s.sums[part, 2] = 0.0
+    for i in range(points.starts[cell], points.starts[cell + 1]):
+        part, h = base + points.part[i], s.heights[i]
+        if s.state[part] == 3:
+            s.kept[i] = abs(h - s.level[part]) < _PART_REACH
+        if s.kept[i]:
+            s.sums[part, 0] += 1.0
+            s.sums[part, 1] += h * h
+        elif reach < h < reach + _PLANTS_ABOVE:
+            s.sums[part, 2] += 1.0
+    for part in range(base, base + PARTS * PARTS):
+        low = s.sums[part, 0]
+        rises = s.sums[part, 2] >= _PLANTS_SHARE * low
+        s.state[part] = 4 if rises and s.sums[part, 1] > least * least * low else 0
 
 
 @kernel
 def label_points(
     points: CellPoints,
     by_cell: CellOrder,
+    pixel: Integers,
     geometry: CellGeometry,
     planes: GroundPlanes,
     rule: GroundRule,
@@ -653,30 +687,34 @@ def label_points(
     scratch: LabelScratch,
 ) -> None:
     """Find which points are ground, and in each cell what stands on the ground and what hangs over it."""
-    _sum_parts(points, planes, geometry, rule, scratch)
+    _measure_heights(points, planes, geometry, rule, scratch)
     _grow(geometry, scratch)
-    _count_plants(points, planes, geometry, rule, scratch)
     end = 0
     for cell in range(len(geometry.x)):
         out.starts[cell] = end
         if planes.kind[cell] == 0:
             continue
-        least = max(_PLANTS_SPREAD * rule.noise[geometry.zone[cell]], _PLANTS_LEAST)
-        base = cell * PARTS * PARTS
+        zone, base, mixed = geometry.zone[cell], cell * PARTS * PARTS, scratch.mixed[cell]
+        if mixed:
+            least = max(_PLANTS_SPREAD * rule.noise[zone], _PLANTS_LEAST)
+            _mark_plants(points, cell, (rule.reach[zone], least), scratch)
         for i in range(points.starts[cell], points.starts[cell + 1]):
-            part, h, p = base + points.part[i], scratch.heights[i], by_cell.order[i]
-            low = scratch.sums[3, part]
-            plants = scratch.between[part] >= _PLANTS_SHARE * low and scratch.sums[5, part] > least * least * low
+            h, p = scratch.heights[i], by_cell.order[i]
             out.height[p] = h
-            if scratch.kept[i] and not plants:
+            if not mixed or (scratch.kept[i] and scratch.state[base + points.part[i]] != 4):
                 out.ground[p] = True
                 out.order[end] = p
                 end += 1
-            elif rule.belly <= h < rule.height:
+                continue
+            if rule.belly <= h < rule.height:
                 out.obstacles[cell] += 1
                 out.top[cell] = max(out.top[cell], h)
             elif h >= rule.height:
                 out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
+            if 0.0 < h < THINGS_HEIGHT * rule.height:
+                place = pixel[p]
+                out.things[cell, 0, place] = max(out.things[cell, 0, place], h)
+                out.things[cell, 1, place] += np.float32(1.0)
     out.starts[len(geometry.x)] = end
     out.starts[len(geometry.x) + 1] = end

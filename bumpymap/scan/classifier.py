@@ -25,9 +25,9 @@ from bumpymap.core import (
     settings_of_call,
 )
 from bumpymap.readers import Robot, read_scan, scene_points
+from bumpymap.scan.buffers import SectorBuffers
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
-from bumpymap.scan.polar import SectorBuffers
 
 __all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
 

@@ -109,7 +109,7 @@ class ScanConfig:
     @property
     def bag_topics(self) -> BagTopics:
         """Which topics of a bag are read."""
-        return BagTopics(self.topic, self.odometry)
+        return BagTopics(self.topic, self.odometry, poses=self.poses is None)
 
     def refuse_map_settings(self) -> None:
         """Raise UsageError if there are settings for the map of the drive; for runs without poses."""

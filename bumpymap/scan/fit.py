@@ -7,7 +7,7 @@ import numpy as np
 
 from bumpymap.core import OutputError, Progress, SectorStack, SilentProgress, UsageError, atomic
 from bumpymap.layers import name_frames, sample_evenly
-from bumpymap.readers import find_sources
+from bumpymap.readers import BagTopics, find_sources
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import FrameReader, naming_frame
 from bumpymap.scan.polar import polar_sectors
@@ -35,7 +35,7 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
     """
     progress = progress or SilentProgress()
     _check(config)
-    frames = sample_evenly(name_frames(find_sources(config.frames, config.bag_topics)), _MOST_FITTED)
+    frames = sample_evenly(name_frames(find_sources(config.frames, BagTopics(config.topic, poses=False))), _MOST_FITTED)
     reader = FrameReader(config)
     stacks: list[SectorStack] = []
     progress.start("measuring frames", len(frames))

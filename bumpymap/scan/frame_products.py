@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from bumpymap.core import BadInputError, ClassedSectors, Scan, move_together, remove_path
@@ -33,12 +34,29 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.merge import DriveMerge, open_merge
+from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 
-__all__ = ["FrameProducts", "drop_empty_folder", "frame_products", "move_products", "open_products", "staging_folder"]
+__all__ = [
+    "FinishedFrame",
+    "FrameProducts",
+    "drop_empty_folder",
+    "frame_products",
+    "move_products",
+    "open_products",
+    "staging_folder",
+]
 
 _STAGED = "products"
 """Folder for the products, inside the folder of the run, until all are complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedFrame:
+    """A frame whose own files are written."""
+
+    part: FramePart
+    placed: PlacedPoints | None
+    """Its points at its pose; None if they are not merged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +78,25 @@ class FrameProducts:
     grids: GridBag | None
     """Grids of all frames; None if no bag is wanted."""
 
-    def load(self, frame: Frame, number: int) -> FramePart | None:
-        """Return a frame that an earlier run has finished; None if it is not finished."""
+    def load(self, frame: Frame, number: int) -> FinishedFrame | None:
+        """Return a frame that an earlier run has finished; None if it is not finished. Raises as `write`."""
         part = load_part(part_path(self.run_folder, number), frame)
-        return part if part is not None and part.files == file_sizes(self._files(frame, number)) else None
+        if part is None or part.files != file_sizes(self._files(frame, number)):
+            return None
+        return FinishedFrame(part, self._place(frame, number, part.points, part.is_ground))
 
-    def write(self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors) -> FramePart:
-        """Write the files of a frame's own, and its checkpoint; return what it adds to the files of the run."""
+    def write(
+        self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors
+    ) -> FinishedFrame:
+        """Write the files of a frame's own, and its checkpoint.
+
+        Raises
+        ------
+        BadInputError
+            Its points cannot be placed at its pose; there are no files of its own then.
+        """
         products, stack = frame_products(self.config, number), classed.sectors
+        placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
         write_frame(frame.name, scan, classed, self.staged, products, self.config.range_m)
         if self.grids is not None:
             self.grids.add(frame, number, scan, classed)
@@ -83,25 +112,27 @@ class FrameProducts:
             file_sizes(self._files(frame, number)) or {},
         )
         save_part(part, part_path(self.run_folder, number))
-        return part
+        return FinishedFrame(part, placed)
 
-    def add(self, frame: Frame, number: int, part: FramePart) -> None:
-        """Add a frame to the files of the run.
+    def add(self, finished: FinishedFrame) -> None:
+        """Add a frame to the files of the run."""
+        if self.accumulated is not None and finished.placed is not None:
+            self.accumulated.add_points(finished.placed)
+        if self.table is not None and finished.part.rows is not None:
+            self.table.add_rows(finished.part.rows)
 
-        Raises
-        ------
-        BadInputError
-            Its points cannot be placed at its pose; the files of its own are removed then.
-        """
+    def _place(
+        self, frame: Frame, number: int, points: NDArray[np.float32], is_ground: NDArray[np.bool_]
+    ) -> PlacedPoints | None:
+        """Place points (n, 3) at the pose of the frame; if that is refused, remove the files of its own."""
+        if self.accumulated is None or frame.pose is None:
+            return None
         try:
-            if self.accumulated is not None and frame.pose is not None:
-                self.accumulated.add_points(frame.name, part.points, frame.pose, part.is_ground)
+            return self.accumulated.place_points(frame.name, points, frame.pose, is_ground)
         except BadInputError:
             for path in (part_path(self.run_folder, number), *self._files(frame, number)):
                 path.unlink(missing_ok=True)
             raise
-        if self.table is not None and part.rows is not None:
-            self.table.add_rows(part.rows)
 
     def merged(self) -> dict[str, Any] | None:
         """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""

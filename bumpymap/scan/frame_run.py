@@ -13,7 +13,6 @@ from pyproj import CRS
 from bumpymap.core import Kept, Progress, RunFolder, Stopwatch, in_threads, utf8_path
 from bumpymap.layers import (
     Frame,
-    FramePart,
     FrameReport,
     describe_file,
     explain_empty_scan,
@@ -24,6 +23,7 @@ from bumpymap.layers import (
 )
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frame_products import (
+    FinishedFrame,
     FrameProducts,
     drop_empty_folder,
     move_products,
@@ -96,7 +96,7 @@ class FrameRun:
         for _ in range(min(self.config.threads, len(self.frames)) - 1):
             methods.put(choose_method(self.config))  # each thread needs its own
 
-        def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, str]:
+        def finish(numbered: tuple[int, Frame]) -> tuple[FinishedFrame, str]:
             method = methods.get()
             try:
                 return self._finish(*numbered, reader, products, method)
@@ -106,20 +106,20 @@ class FrameRun:
         reports: list[FrameReport] = []
         progress.start("scanning frames", len(self.frames))
         with in_threads(finish, enumerate(self.frames), self.config.threads) as results:
-            for number, (frame, result) in enumerate(zip(self.frames, results, strict=True)):
+            for frame, result in zip(self.frames, results, strict=True):
                 with reader.skipping(frame):
-                    part, empty = result()
+                    finished, empty = result()
                     if empty:
                         _log.warning("no ground was classified in %s: %s", frame.origin, empty)
-                    products.add(frame, number, part)
-                    reports.append(part.report)
+                    products.add(finished)
+                    reports.append(finished.part.report)
                 progress.advance(1)
         reader.require_any(len(reports))
         return reports
 
     def _finish(
         self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts, method: Method
-    ) -> tuple[FramePart, str]:
+    ) -> tuple[FinishedFrame, str]:
         """Read and class a frame and write its files, unless an earlier run has; also return why it has no ground."""
         finished = products.load(frame, number)
         if finished is not None:

@@ -26,8 +26,9 @@ from bumpymap.scan._ground_kernels import (
     label_points,
 )
 from bumpymap.scan._place_kernels import CellOrder, PointPlaces
+from bumpymap.scan.buffers import SectorBuffers
 
-__all__ = ["Ground", "all_ground", "find_ground"]
+__all__ = ["ScanGround", "all_ground", "find_ground"]
 
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 3.5, (0.12, 0.3), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
@@ -35,7 +36,7 @@ spread where a zone has no plane."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class ScanGround:
     """The ground of a scan; (cells,) by cell of the polar grid, (m,) by point."""
 
     found: NDArray[np.bool_]
@@ -54,11 +55,18 @@ class Ground:
     """(cells,) the highest obstacle point above the ground, m; -inf without any."""
     clearance: NDArray[np.float32]
     """(cells,) lowest point above the vehicle's height, m; inf without any."""
+    things: NDArray[np.float32]
+    """(cells, 2, pixels, pixels) highest point that is not ground in each pixel, m, and the number of such points."""
 
 
 def find_ground(
-    points: NDArray[np.float32], places: PointPlaces, by_cell: CellOrder, settings: PolarSettings, start: float
-) -> Ground:
+    points: NDArray[np.float32],
+    places: PointPlaces,
+    by_cell: CellOrder,
+    settings: PolarSettings,
+    start: float,
+    buffers: SectorBuffers | None = None,
+) -> ScanGround:
     """Find the ground of a scan that was placed on the polar grid.
 
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
@@ -75,10 +83,14 @@ def find_ground(
     settings : PolarSettings
     start : float
         Azimuth of sector 0, rad.
+    buffers : SectorBuffers, optional
+        Hold ``things`` and the order of the ground points until the next call.
     """
+    buffers = buffers or SectorBuffers()
     geometry = _geometry(settings, start)
     cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
-    held = CellPoints(np.empty((3, count), np.float32), np.empty(count, np.int32), by_cell.starts)
+    xyz = buffers.empty("gathered", count, np.float32, rows=3)
+    held = CellPoints(xyz, buffers.empty("part", count, np.int32), by_cell.starts)
     gather_points(points, places.pixel, _part_of_pixel(settings.pixels), by_cell, held)
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
     scratch = PlaneScratch(
@@ -97,6 +109,8 @@ def find_ground(
     slope = np.median(planes.plane[planes.kind == FOUND, :2], axis=0) if planes.kind.any() else level
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
     find_planes(held, geometry, rule, planes, scratch)
+    things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
+    things[:] = 0.0
     labels = GroundLabels(
         np.full(len(points), np.nan, np.float32),
         np.zeros(len(points), np.bool_),
@@ -104,26 +118,28 @@ def find_ground(
         np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
+        things.reshape(cells, 2, -1),
         np.zeros(cells + 2, np.int64),
-        np.empty(len(points), np.int32),
+        buffers.empty("ground", len(points), np.int32),
     )
     label_points(
         held,
         by_cell,
+        places.pixel,
         geometry,
         planes,
         GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m),
         labels,
         LabelScratch(
-            np.empty(count, np.float32),
-            np.zeros(count, np.bool_),
-            np.zeros((6, parts)),
-            np.zeros(parts),
-            np.empty(parts),
-            np.zeros(parts, np.int32),
+            buffers.empty("heights", count, np.float32),
+            buffers.empty("kept", count, np.bool_),
+            np.empty(cells, np.bool_),
+            buffers.empty("sums", 4, np.float64, rows=parts),
+            buffers.empty("level", parts, np.float64),
+            buffers.empty("state", parts, np.int32),
         ),
     )
-    return Ground(
+    return ScanGround(
         planes.kind == FOUND,
         CellOrder(labels.starts, labels.order),
         labels.ground,
@@ -132,15 +148,16 @@ def find_ground(
         labels.overhead,
         labels.top,
         labels.clearance,
+        labels.things.reshape(cells, 2, settings.pixels, settings.pixels),
     )
 
 
-def all_ground(by_cell: CellOrder, points: NDArray[np.float32]) -> Ground:
+def all_ground(by_cell: CellOrder, points: NDArray[np.float32], pixels: int) -> ScanGround:
     """Take every point inside the grid for ground, as the paper does; heights above it are not known."""
     cells, count = len(by_cell.starts) - 2, len(points)
     inside = np.zeros(count, np.bool_)
     inside[by_cell.order[: by_cell.starts[-2]]] = True
-    return Ground(
+    return ScanGround(
         np.ones(cells, np.bool_),
         by_cell,
         inside,
@@ -149,6 +166,7 @@ def all_ground(by_cell: CellOrder, points: NDArray[np.float32]) -> Ground:
         np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
+        np.zeros((cells, 2, pixels, pixels), np.float32),
     )
 
 
@@ -171,13 +189,14 @@ def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
 
 
 def _geometry(settings: PolarSettings, start: float) -> CellGeometry:
-    distance, azimuth, near, *rest = _layout(settings)
-    return CellGeometry(distance * np.cos(azimuth + start), distance * np.sin(azimuth + start), near, *rest)
+    layout = _layout(settings)
+    azimuth = layout.y + start
+    return layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
 
 
 @cache
-def _layout(settings: PolarSettings) -> tuple[NDArray[np.float64] | NDArray[np.int32], ...]:
-    """Return distance, azimuth from sector 0, neighbours, zone, ring and sector of the cells; first, rings, sectors."""
+def _layout(settings: PolarSettings) -> CellGeometry:
+    """Return the cells with distances in the place of x, and azimuths from sector 0 in the place of y."""
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
     first = np.concatenate([[0], np.cumsum(sectors * rings)[:-1]]).astype(np.int32)
@@ -200,4 +219,6 @@ def _layout(settings: PolarSettings) -> tuple[NDArray[np.float64] | NDArray[np.i
         opposite = ((sector[there] + 0.5) / counts[line[there]] * counts[to]).astype(np.int64)
         for k in range(3):
             near[there, column + k] = starts[to] + (opposite + k - 1) % counts[to]
-    return distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
+    return CellGeometry(
+        distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
+    )

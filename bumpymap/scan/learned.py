@@ -1,8 +1,8 @@
 """The learned method: a small network classifies each sector by the heightmap of its ground and by what stands on it.
 
-The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of
-other sectors in the ring. The result for a sector does not depend on the others in the batch: batches have a fixed size, the
-last one is padded, inference runs on one thread, and the graph treats each sector separately.
+The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of other
+sectors in the ring. The result for a sector does not depend on others in the batch: batches have a fixed size, the last
+one is padded, inference runs on one thread, and the graph treats each sector separately.
 """
 
 import hashlib
@@ -42,8 +42,9 @@ __all__ = [
 
 SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
-CHANNELS = 2
-"""Image channels of a sector: heights scaled by their own range, and heights on a fixed scale."""
+CHANNELS = 4
+"""Image channels of a sector: ground heights scaled by their own range, and on a fixed scale; the top of what is not
+ground, and the number of its points."""
 MEASURES = (
     "count",
     "beside",
@@ -136,8 +137,9 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     Returns
     -------
     patches : array (n, CHANNELS, pixels, pixels) float32
-        Heights above the sector's plane: scaled to [-1, 1] by their own range (0 if it is zero), and as
-        asinh(h / 5 cm) / 3, which resolves both centimetres and metres.
+        Heights of the ground above the sector's plane: scaled to [-1, 1] by their own range (0 if it is zero), and as
+        asinh(h / 5 cm) / 3, which resolves both centimetres and metres. Of what is not ground: the top of each pixel in
+        heights of the vehicle, and ln(1 + points) / 3.
     measures : array (n, len(MEASURES)) float32
         Each about -1 to 1.
     """
@@ -146,7 +148,11 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     low = heights.min(axis=(1, 2), keepdims=True)
     span = heights.max(axis=(1, 2), keepdims=True) - low
     scaled = np.divide(heights - low, span, out=np.full_like(heights, 0.5), where=span > 0)
-    patches = np.stack([2.0 * scaled - 1.0, np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)], axis=1)
+    patches = np.empty((len(asked), CHANNELS, *heights.shape[1:]), np.float32)
+    patches[:, 0] = 2.0 * scaled - 1.0
+    patches[:, 1] = np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)
+    patches[:, 2] = stack.things[asked, 0] / np.float32(stack.settings.height_m)
+    patches[:, 3] = np.log1p(stack.things[asked, 1]) / np.float32(3.0)
     ground, points = stack.ground_count[asked], stack.count[asked]
     distance, width, depth = _sizes(stack, asked)
     measures = np.column_stack(
@@ -167,7 +173,7 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
             2.0 * np.nan_to_num(stack.settings.height_m / stack.clearance[asked]) - 1.0,
         ]
     )
-    return np.ascontiguousarray(patches, np.float32), measures.astype(np.float32)
+    return patches, measures.astype(np.float32)
 
 
 def _usual_count(stack: SectorStack, asked: NDArray[np.int64]) -> NDArray[np.float64]:

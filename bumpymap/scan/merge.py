@@ -23,7 +23,7 @@ from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places
 from bumpymap.scan.agreement import LIMITS, LOWEST, REACH_M, refuse_wrong_poses
 from bumpymap.scan.align import Alignment, GroundHeights, align_frames, ground_heights
 
-__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "open_merge"]
+__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "open_merge"]
 
 MOST_GROUND, MOST_OTHERS = 8, 3
 """Ground points per pixel of the map, and other points per voxel, that are kept."""
@@ -47,6 +47,22 @@ class _MergeFrame:
     heights: GroundHeights
     rows: tuple[int, int]
     """Where its points lie in the file: from, to."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPoints:
+    """The points of a frame in the world."""
+
+    pose: NDArray[np.float64]
+    rows: NDArray[Any]
+    """(n,) points as in the file, sorted by block."""
+    blocks: NDArray[np.int64]
+    """(k,) blocks that hold points, in order."""
+    counts: NDArray[np.int64]
+    """(k,) points in each."""
+    image: NDArray[np.uint16]
+    """Nearest ranges by direction, see `range_image`."""
+    heights: GroundHeights
 
 
 @dataclass
@@ -90,10 +106,10 @@ class DriveMerge:
             "poses": poses,
         }
 
-    def add_points(
+    def place_points(
         self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
-    ) -> None:
-        """Take the points of a frame.
+    ) -> PlacedPoints:
+        """Prepare the points of a frame for `add_points`; several threads may do so at a time.
 
         Parameters
         ----------
@@ -110,7 +126,8 @@ class DriveMerge:
         BadInputError
             The frame lies too far from the first one.
         """
-        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
+        # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
+        world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
         whole = np.round(1000.0 * world)
         if np.abs(whole).max(initial=0.0) > _FAR_MM:
             raise BadInputError(
@@ -122,19 +139,25 @@ class DriveMerge:
         rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
         rows["kind"] = is_ground
         column, row = np.floor((whole[:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
-        block = (column + _SIDE * row).astype(np.int64)
-        places, number = np.unique(block, return_inverse=True)
-        order = np.argsort(number.astype(np.min_scalar_type(len(places))), kind="stable")
-        ends = self.seen + np.cumsum(np.bincount(number, minlength=len(places)))
-        for place, begin, end in zip(places.tolist(), [self.seen, *ends[:-1].tolist()], ends.tolist(), strict=False):
-            self.blocks.setdefault(place, []).append((len(self.frames), begin, end))
-        rows[order].tofile(self.points)
+        blocks, number = np.unique((column + _SIDE * row).astype(np.int64), return_inverse=True)
+        order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
         range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
-        image.tofile(self.images)
-        heights = ground_heights(points, is_ground, pose)
-        self.frames.append(_MergeFrame(pose, heights, (self.seen, self.seen + len(points))))
-        self.seen += len(points)
+        counts = np.bincount(number, minlength=len(blocks))
+        return PlacedPoints(pose, rows[order], blocks, counts, image, ground_heights(points, is_ground, pose))
+
+    def add_points(self, placed: PlacedPoints) -> None:
+        """Take the points of the next frame."""
+        ends = self.seen + np.cumsum(placed.counts)
+        for block, begin, end in zip(
+            placed.blocks.tolist(), (ends - placed.counts).tolist(), ends.tolist(), strict=True
+        ):
+            self.blocks.setdefault(block, []).append((len(self.frames), begin, end))
+        placed.rows.tofile(self.points)
+        placed.image.tofile(self.images)
+        count = len(placed.rows)
+        self.frames.append(_MergeFrame(placed.pose, placed.heights, (self.seen, self.seen + count)))
+        self.seen += count
 
     def write(self, survey: AccumulatedSurvey) -> None:
         """Align the frames, and write what is left of their points, block by block."""

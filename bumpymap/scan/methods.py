@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, UsageError
+from bumpymap.scan.buffers import SectorBuffers
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.paper import classify_paper
-from bumpymap.scan.polar import SectorBuffers, polar_sectors
+from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
 
 __all__ = ["Method", "choose_method"]

@@ -23,9 +23,10 @@ from bumpymap.scan._place_kernels import (
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
+from bumpymap.scan.buffers import SectorBuffers
 from bumpymap.scan.ground import all_ground, find_ground
 
-__all__ = ["RANSAC_THRESHOLD_M", "SectorBuffers", "anchor_of", "polar_sectors"]
+__all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -34,22 +35,6 @@ _LEAST_GROUND_POINTS = 10
 """Fewest ground points of a sector that has ground."""
 _LEAST_OBSTACLE_POINTS = 2
 """Fewest points that are an obstacle: a single one may be an insect, or an error."""
-
-
-class SectorBuffers:
-    """Scratch arrays that are reused from scan to scan and grow to the largest one; for one thread at a time."""
-
-    def __init__(self) -> None:
-        self._arrays: dict[str, NDArray[Any]] = {}
-
-    def empty(self, name: str, length: int, dtype: type, rows: int = 1) -> NDArray[Any]:
-        """Return an uninitialised array (length,), or (rows, length) if ``rows`` is more than one."""
-        size = rows * length
-        kept = self._arrays.get(name)
-        if kept is None or len(kept) < size:
-            kept = self._arrays[name] = np.empty(size, dtype)
-        part = kept[:size]
-        return part if rows == 1 else part.reshape(rows, length)
 
 
 def polar_sectors(
@@ -90,7 +75,9 @@ def polar_sectors(
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     ground = (
-        find_ground(points, places, by_cell, settings, start) if settings.ground_only else all_ground(by_cell, points)
+        find_ground(points, places, by_cell, settings, start, buffers)
+        if settings.ground_only
+        else all_ground(by_cell, points, settings.pixels)
     )
     ground_count = np.diff(ground.by_cell.starts[:-1])[cells]
     there = ground.found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
@@ -123,6 +110,7 @@ def polar_sectors(
         obstacle=stands,
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=_finite(ground.clearance[cells]),
+        things=ground.things[cells],
         point_sector=rows[cell],
         point_ground=ground.point_ground,
         point_height=ground.point_height,

@@ -10,12 +10,15 @@ The filters find the stripes that remain. Each of the 8 orientations responds wi
 direction and with 0 to no pattern. The largest response is used, so that long undulations, which only turn the
 stripes, do not matter, while short bumps break them. Counted are the runs of pixels, along each column, with a response
 of ``threshold`` or more.
+
+Stripes tell the relief of the ground, not what stands on it. Where most points of a sector are not ground, its class is
+1 at least; it is 2 where most of those stand in the vehicle's way: a wall, a car, a fence. Plants reach higher.
 """
 
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -41,7 +44,10 @@ __all__ = [
     "stripes_in",
 ]
 
-_FORMAT = "bumpymap stripes 1"
+_FORMAT = "bumpymap stripes 2"
+_OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
+"""Least share of ground among the points of a sector whose class is its relief's alone; least share of obstacles among
+the others of a sector of class 2."""
 _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
 """Standard deviation of a Gabor filter of one octave, in wavelengths."""
 
@@ -120,15 +126,31 @@ def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.
         Mean number of stripes along a column.
     """
     count, pixels = maps.shape[:2]
-    bank = gabor_bank(pixels, settings)
-    padded = np.zeros((-(-count // LANES) * LANES, bank.shape[2]), np.float32)
-    padded[:count, : pixels * pixels] = maps.reshape(count, pixels * pixels)
+    bank = _bank_for_stripes(pixels, settings)
+    order = np.argsort(_unevenness(maps), kind="stable")
+    rows = np.concatenate([order, np.broadcast_to(order[-1:], -count % LANES)])
+    padded = np.zeros((len(rows), bank.shape[2]), np.float32)
+    padded[:, : pixels * pixels] = maps.reshape(count, pixels * pixels)[rows]
     side_by_side = padded.reshape(-1, LANES, bank.shape[2]).transpose(0, 2, 1).reshape(-1, bank.shape[2] * LANES)
     stripes = np.zeros((len(side_by_side), LANES), np.float32)
     scratch = np.empty(LANES, np.float32), np.empty((pixels * pixels, LANES), np.float32)
     filter_maps(side_by_side, bank, np.float32(settings.threshold), *scratch, stripes)
-    mean: NDArray[np.float32] = stripes.reshape(-1)[:count] / np.float32(pixels)
+    mean = np.empty(count, np.float32)
+    mean[order] = stripes.reshape(-1)[:count] / np.float32(pixels)
     return mean
+
+
+def _unevenness(maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return how much the rows of maps differ along them: 0 for straight stripes."""
+    uneven: NDArray[np.float32] = np.abs(np.diff(maps, axis=2)).sum(axis=(1, 2))
+    return uneven
+
+
+@cache
+def _bank_for_stripes(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
+    """Return the filters of `gabor_bank`, those of straight stripes along rows first: smooth maps need no others."""
+    turned = np.abs(np.arange(settings.orientations) - settings.orientations / 2)
+    return np.ascontiguousarray(gabor_bank(pixels, settings)[:, np.argsort(turned, kind="stable")])
 
 
 @cache
@@ -204,6 +226,8 @@ def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[fl
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
     """Assign to every traversable sector the class whose centre is nearest to its stripe count.
 
+    What stands on the ground may raise it.
+
     Parameters
     ----------
     stack : SectorStack
@@ -221,8 +245,19 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
             f"the stripe classes were fitted on heightmaps of {model.pixels} pixels; this scan was cut into "
             f"{stack.settings.pixels}. Fit them again with: bumpymap scan --fit"
         )
-    stripes = count_stripes(stack.heights, model.filter)
-    return nearest_class(stack, stripes, model.centres)
+    stripes = np.full(len(stack.zone), np.nan, np.float32)
+    stripes[stack.traversable] = count_stripes(stack.heights[stack.traversable], model.filter)
+    classed = nearest_class(stack, stripes, model.centres)
+    rougher = np.maximum(classed.class_id, _class_of_things(stack))
+    return replace(classed, class_id=np.where(stack.traversable, rougher, classed.class_id))
+
+
+def _class_of_things(stack: SectorStack) -> NDArray[np.uint8]:
+    """Return the class of what stands on the ground of sectors: 0 nothing much, 1 plants, 2 obstacles."""
+    things = stack.count - stack.ground_count
+    is_covered = stack.ground_count < _OPEN_SHARE * stack.count
+    is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * things)
+    return is_covered.astype(np.uint8) + is_blocked.astype(np.uint8)
 
 
 def nearest_class(

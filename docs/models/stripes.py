@@ -1,6 +1,6 @@
 """Make bumpymap/scan/data/models/stripes.json anew, and print the tables of stripes.md: python docs/models/stripes.py.
 
-Takes some minutes and open3d. Scenes are those of seed 5150, each seen by one of the 64- and 128-line sensors.
+Takes some minutes and open3d. Scenes are those of seed 5150: twelve of every theme, each seen by another sensor.
 """
 
 from pathlib import Path
@@ -8,49 +8,35 @@ from pathlib import Path
 import numpy as np
 
 import bumpymap
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, Scan, SectorStack
-from bumpymap.lab import SENSORS, Label, make_scene, simulate_scan
-from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE
+from bumpymap.lab.train.scan.data import crowns_as_bushes, scene_scan
+from bumpymap.lab.worlds.scans.scene import THEMES
+from bumpymap.scan import classes_of_labels, classify_filter, fit_stripes, polar_sectors, save_stripes
 
-SEED, TURNS, IN_A_ROW = 5150, 2, 7
-"""Seven scenes, one of each theme, go to each sensor in turn, twice."""
+SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"
-
-
-def look(index: int, name: str) -> SectorStack:
-    """Cut the scan of one scene into sectors."""
-    seen = simulate_scan(make_scene(SEED, index), SENSORS[name], index)
-    there = (seen.points != 0).any(axis=1)
-    return polar_sectors(Scan(seen.points[there], label=seen.label[there].astype(np.uint16)))
 
 
 def main() -> None:
     """Fit, write, print."""
-    names = [name for name in SENSORS if name.startswith(("64", "128"))]
-    places = [(i, names[i // IN_A_ROW % len(names)]) for i in range(TURNS * IN_A_ROW * len(names))]
-    stacks = [look(*place) for place in places]
+    stacks = [polar_sectors(crowns_as_bushes(scene_scan(SEED, i))) for i in range(OF_A_THEME * len(THEMES))]
     model = fit_stripes(stacks)
     save_stripes(model, OUT)
-    print(f"{model.sectors:,} traversable sectors of {model.scans} scans")
-    classed = [classify_filter(stack, model) for stack in stacks]
-    class_id = np.concatenate([one.class_id for one in classed])
+    print(f"{model.sectors:,} sectors with ground of {model.scans} scans; centres {model.centres}")
+    class_id = np.concatenate([classify_filter(stack, model).class_id for stack in stacks])
     variance, residual, label = (
         np.concatenate([getattr(stack, column) for stack in stacks]) for column in ("variance", "residual", "label")
     )
-    for number in (*range(CLASSES), NOT_TRAVERSABLE):
+    for number in range(CLASSES):
         own = class_id == number
-        centre = "" if number == NOT_TRAVERSABLE else f"{model.centres[number]:.2f}"
-        print(f"| {number} | {centre} | {own.sum():,} | {variance[own].mean():.4f} | {np.nanmean(residual[own]):.4f} |")
-    for name in (Label.TREE, Label.ASPHALT):
-        counts = [int(((class_id == number) & (label == name)).sum()) for number in (*range(CLASSES), NOT_TRAVERSABLE)]
-        print(f"{name.name}: of class 0, 1, 2, not traversable: {counts}")
-    for name in names:
-        own = [(stack, one) for (_, sensor), stack, one in zip(places, stacks, classed, strict=True) if sensor == name]
-        alone = fit_stripes([stack for stack, _ in own])
-        same = np.concatenate(
-            [(classify_filter(stack, alone).class_id == one.class_id)[stack.traversable] for stack, one in own]
+        print(
+            f"| {number} | {model.centres[number]:.2f} | {own.sum():,} | {variance[own].mean():.4f} "
+            f"| {np.nanmean(residual[own]):.4f} |"
         )
-        print(f"| {name} | {' | '.join(f'{centre:.2f}' for centre in alone.centres)} | {100 * same.mean():.1f} % |")
+    truth = classes_of_labels(label)
+    for number in range(CLASSES):
+        own = (truth == number) & (class_id != NOT_TRAVERSABLE)
+        print(f"labelled {number}: of class 0, 1, 2: {[int((own & (class_id == k)).sum()) for k in range(CLASSES)]}")
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def model():
 
 def _rows(stack, rows):
     """Some rows of a stack, in any order."""
-    return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-1]})
+    return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-3]})
 
 
 def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):
@@ -83,11 +83,10 @@ def test_a_scan_without_sectors_has_no_classes(model):
 
 
 def test_probabilities_add_up_and_repeat(stack, model):
-    which = np.arange(len(stack.zone)) != 3
-    found = probabilities(stack, model, which)
-    assert np.isnan(found[3]).all()
-    assert_allclose(found[which].sum(axis=1), 1.0, atol=1e-5)
-    assert_array_equal(found, probabilities(stack, model, which))
+    found = probabilities(stack, model)
+    assert np.isnan(found[~stack.traversable]).all()
+    assert_allclose(found[stack.traversable].sum(axis=1), 1.0, atol=1e-5)
+    assert_array_equal(found, probabilities(stack, model))
 
 
 def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
@@ -112,51 +111,60 @@ def test_turning_the_scan_keeps_the_classes(stack, model):
 
 def test_what_the_network_sees(stack):
     patches, measures = network_input(stack)
-    assert patches.shape == (len(stack.zone), CHANNELS, 15, 15)
-    assert measures.shape == (len(stack.zone), len(MEASURES))
+    asked = stack.traversable
+    assert patches.shape == (asked.sum(), CHANNELS, 15, 15)
+    assert measures.shape == (asked.sum(), len(MEASURES))
     assert patches.dtype == measures.dtype == np.float32
     assert np.isfinite(patches).all()
     assert np.isfinite(measures).all()
     assert_allclose(patches[:, 0].min(axis=(1, 2)), -1)
     assert_allclose(patches[:, 0].max(axis=(1, 2)), 1)
-    assert_allclose(0.05 * np.sinh(3 * patches[:, 1]), stack.heights, atol=1e-5)
-    assert_allclose(10 ** measures[:, MEASURES.index("count")] * 200, stack.count, rtol=1e-5)
-    inner = (stack.zone == 0) & (stack.ring == 0)
+    assert_allclose(0.05 * np.sinh(3 * patches[:, 1]), stack.heights[asked], atol=1e-5)
+    assert_allclose(patches[:, 2] * stack.settings.height_m, stack.things[asked, 0], rtol=1e-5)
+    assert_allclose(np.expm1(3 * patches[:, 3]), stack.things[asked, 1], rtol=1e-4)
+    ground, count = stack.ground_count[asked], stack.count[asked]
+    for name, wanted in (("count", ground / 200), ("ground", None)):
+        column = measures[:, MEASURES.index(name)]
+        assert_allclose(
+            *((10**column, wanted) if wanted is not None else ((column + 1) / 2, ground / count)), rtol=1e-5
+        )
+    inner = ((stack.zone == 1) & (stack.ring == 0))[asked]
     assert_allclose(10 ** measures[inner, MEASURES.index("distance")] * 20, 5.0, rtol=1e-5)
-    beside = stack.count[inner] / np.median(stack.count[inner & stack.traversable])
-    assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
+    assert_allclose(10 ** measures[inner, MEASURES.index("depth")] * 4, 2.0, rtol=1e-5)
+    assert_allclose(10 ** measures[inner, MEASURES.index("width")] * 4, 5.0 * 2 * np.pi / 24, rtol=1e-5)
+    assert_allclose(
+        10 ** measures[inner, MEASURES.index("beside")], ground[inner] / np.median(ground[inner]), rtol=1e-5
+    )
+    blocked = (stack.obstacle & asked)[asked]
+    assert blocked.any()
+    height = (measures[:, MEASURES.index("obstacle_height")] + 1) / 2 * stack.settings.height_m
+    assert_allclose(height[blocked], stack.obstacle_height[asked][blocked], rtol=1e-5)
+    assert_allclose(height[~blocked], 0, atol=1e-6)
 
 
 def test_walls_do_not_make_the_ground_beside_them_look_wet(stack):
     """However many points obstacles catch, ground is compared with ground."""
     _, before = network_input(stack)
-    crowded = replace(stack, count=np.where(stack.traversable, stack.count, 50 * stack.count))
-    _, after = network_input(crowded)
-    column, ground = MEASURES.index("beside"), stack.traversable
-    assert 0 < ground.sum() < len(ground)
-    assert_array_equal(after[ground, column], before[ground, column])
-    lost = replace(stack, count=np.where(np.arange(len(ground)) == np.flatnonzero(ground)[0], 1, stack.count))
-    assert network_input(lost)[1][np.flatnonzero(ground)[0], column] < -1
-
-
-def test_a_ring_of_nothing_but_walls_is_compared_with_them(stack):
-    _, measures = network_input(replace(stack, traversable=np.zeros(len(stack.zone), bool)))
-    inner = (stack.zone == 0) & (stack.ring == 0)
-    beside = stack.count[inner] / np.median(stack.count[inner])
-    assert_allclose(10 ** measures[inner, MEASURES.index("beside")], beside, rtol=1e-5)
+    crowded = replace(stack, count=stack.count + 50 * (stack.count - stack.ground_count))
+    column = MEASURES.index("beside")
+    assert_array_equal(network_input(crowded)[1][:, column], before[:, column])
+    first = np.arange(len(stack.zone)) == np.flatnonzero(stack.traversable)[0]
+    lost = replace(stack, ground_count=np.where(first, 1, stack.ground_count))
+    assert network_input(lost)[1][0, column] < -1
 
 
 def test_dead_level_sectors_are_no_division_by_zero(stack):
     level = replace(stack, heights=np.zeros_like(stack.heights), variance=np.zeros_like(stack.variance))
     patches, measures = network_input(replace(level, residual=np.zeros_like(stack.residual)))
-    assert (patches == 0).all()
+    assert (patches[:, :2] == 0).all()
     assert np.isfinite(measures).all()
 
 
 def test_sectors_may_come_in_any_order(stack):
     order = np.random.default_rng(1).permutation(len(stack.zone))
+    place = np.cumsum(stack.traversable) - 1
     for whole, part in zip(network_input(stack), network_input(_rows(stack, order)), strict=True):
-        assert_array_equal(part, whole[order])
+        assert_array_equal(part, whole[place[order][stack.traversable[order]]])
 
 
 def test_labels_have_the_classes_of_the_paper():
@@ -169,11 +177,13 @@ def test_labels_have_the_classes_of_the_paper():
     assert found.tolist() == [-1, -1, 0, 1, -1, -1, 2, -1, -1]
 
 
-def test_other_grids_are_refused(model):
-    for settings in (PolarSettings(pixels=9), PolarSettings(end_m=80.0), PolarSettings(sectors=(24, 32, 48, 30))):
-        with pytest.raises(UsageError, match="was trained for"):
-            classify_learned(polar_sectors(Scan(_world(count=5000)), settings), model)
-    classify_learned(polar_sectors(Scan(_world(count=5000)), PolarSettings(anchored=False, least_points=10)), model)
+def test_any_grid_is_classified_but_not_heightmaps_of_another_size(model):
+    scan = Scan(_world())
+    with pytest.raises(UsageError, match="was trained on heightmaps of 15"):
+        classify_learned(polar_sectors(scan, PolarSettings(pixels=9)), model)
+    grid = PolarSettings(zone_starts_m=(2.0, 10.0), end_m=26.0, sectors=(18, 36), rings=(3, 5), anchored=False)
+    classed = classify_learned(polar_sectors(scan, grid), model)
+    assert set(classed.class_id.tolist()) >= {0, 2}
 
 
 def test_other_files_are_refused(tmp_path, model):
@@ -193,7 +203,7 @@ def test_other_files_are_refused(tmp_path, model):
         if prop.key == "sector_version":
             prop.value = "0"
     (tmp_path / "old.onnx").write_bytes(old.SerializeToString())
-    with pytest.raises(BadInputError, match="of version 0; this bumpymap uses version 2"):
+    with pytest.raises(BadInputError, match="of version 0; this bumpymap uses version 3"):
         ScanModel.load(tmp_path / "old.onnx")
 
 

@@ -66,7 +66,8 @@ def merged(folder, frames, poses, is_ground=None):
     folder.mkdir(exist_ok=True)
     with open_merge(folder, poses[0]) as drive:
         for number, ((points, ground), pose) in enumerate(zip(frames, poses, strict=True)):
-            drive.add_points(str(number), points, pose, ground if is_ground is None else is_ground(number, points))
+            own = ground if is_ground is None else is_ground(number, points)
+            drive.add_points(drive.place_points(str(number), points, pose, own))
         with open_accumulated(folder / "a.laz", poses[0], None) as survey:
             drive.write(survey)
     las = laspy.read(folder / "a.laz")
@@ -251,7 +252,7 @@ def test_a_frame_on_another_continent_is_refused(frames, tmp_path):
     far = np.eye(4)
     far[0, 3] = 3e6
     with open_merge(tmp_path, np.eye(4)) as drive, pytest.raises(BadInputError, match="more than 2,000 km"):
-        drive.add_points("1", *frames[0][:1], far, frames[0][1])
+        drive.place_points("1", *frames[0][:1], far, frames[0][1])
 
 
 def test_frames_without_points_leave_none(tmp_path):

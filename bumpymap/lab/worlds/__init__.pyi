@@ -8,6 +8,7 @@ from .scans.scene import (
     make_scene as make_scene,
 )
 from .scans.sensor import (
+    SENSORS as SENSORS,
     draw_sensor as draw_sensor,
 )
 from .terrains.library import (

@@ -17,6 +17,8 @@ __all__ = ["BAG_SUFFIXES", "CLOUD", "BagReader", "BagRecord", "bag_files", "is_b
 BAG_SUFFIXES = (".mcap", ".db3")
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _METADATA = "metadata.yaml"
+_NOT_IN_A_URI = "%?#"
+"""rosbags opens databases as URIs, and leaves these as they are."""
 _AHEAD = 8
 """A message at most so many places further on is reached by reading on, which needs no index. Else it is looked up."""
 
@@ -86,7 +88,7 @@ class BagReader:
         self._streams: list[Generator[BagRecord, None, None]] = []  # at most one: where `read` has got to
         self._next: tuple[str, int] = ("", 0)
         for file in self._versions:
-            _refuse_truncated(file)
+            _refuse_database(file)
         with _reading(path):
             from rosbags.rosbag2 import Reader
 
@@ -173,10 +175,13 @@ def _damaged(path: Path, why: str) -> BadInputError:
     )
 
 
-def _refuse_truncated(file: Path) -> None:
-    """Compare the size of a database with the number of its pages; SQLite does not, and reads zeros."""
+def _refuse_database(file: Path) -> None:
+    """Refuse a database that would not be found, or that is shorter than its pages: SQLite would read zeros."""
     if file.suffix.lower() != ".db3":
         return
+    odd = next((letter for letter in _NOT_IN_A_URI if letter in str(file.absolute())), None)
+    if odd is not None:
+        raise BadInputError(f"{file} cannot be opened by rosbags because of the '{odd}' in its path. Rename it")
     head = read_range(file, 0, 32).tobytes()
     if head.startswith(b"SQLite format 3"):
         page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")

@@ -28,6 +28,8 @@ class BagTopics:
     """Of the scans; None: the only one of its type."""
     odometry: str | None = None
     """Of the odometry; None: the only one of its type, or else the transforms."""
+    poses: bool = True
+    """Whether poses are read at all."""
 
 
 def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
@@ -45,13 +47,13 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
     bags = [BagReader(path) for path in paths]
     counts = _counts(bags)
     cloud = _choose(counts, CLOUD, topics.cloud, "topic")
-    recorded = _Poses(counts, topics.odometry)
+    recorded = _Poses(counts if topics.poses else {}, topics.odometry)
     sources = [
         FrameSource(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes
     ]
     if not sources:
         raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
-    return recorded.add_poses(sources)
+    return recorded.add_poses(sources) if topics.poses else sources
 
 
 def _counts(bags: Iterable[BagReader]) -> dict[str, dict[str, int]]:
@@ -148,16 +150,22 @@ class _Poses:
             return list(sources)
         known, poses = track.covers(times), track.at(times)
         if not known.all():
-            _log.warning(
-                "%d of %d frames have no pose, as they lie in a gap or outside of the recorded poses; they are "
-                "classified, but not mapped",
-                int((~known).sum()),
-                len(known),
-            )
+            self._tell_unknown(track, times, known)
         return [
             replace(source, pose=pose, motion=track.around(time, SCAN_S)) if ok else source
             for source, time, pose, ok in zip(sources, times.tolist(), poses, known, strict=True)
         ]
+
+    def _tell_unknown(self, track: PoseTrack, times: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
+        """Say that some frames have no pose; raise BadInputError if none has one, and the odometry was named."""
+        lost = len(known) - int(known.sum())
+        what = (
+            f"{lost:,} of {len(known):,} frames have no pose: relative to the first frame, frames span 0 "
+            f"to {times[-1]:.1f} s, the recorded poses {track.times[0]:.1f} to {track.times[-1]:.1f} s"
+        )
+        if self._wanted is not None and not known.any():
+            raise BadInputError(f"{what}. Are their headers from different clocks?")
+        _log.warning("%s. Frames without a pose are classified, but not mapped", what)
 
     def _by_odometry(self, sensor: str, origin_ns: int) -> PoseTrack | None:
         if self._base is None:

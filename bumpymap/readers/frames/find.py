@@ -41,7 +41,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
     """
     bags = [bag for path in paths for bag in bags_at(path)]
     if not bags:
-        if topics != BagTopics():
+        if (topics.cloud, topics.odometry) != (None, None):
             raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
         return [FrameSource(path) for path in find_frames(paths)]
     files = [path for path in paths if not bags_at(path)]

@@ -173,7 +173,25 @@ def test_frames_outside_of_the_poses_have_none(tmp_path, caplog):
     folder = write_bag(tmp_path / "drive", by_time(mounted(), clouds(11), moves(7, spare=7)))  # 0.35 to 0.65 s
     known = [source.pose is not None for source in found_in(folder)]
     assert known == [False, False, True, True, True, True, True, True, True, False, False]
-    assert "4 of 11 frames have no pose" in caplog.text
+    assert "4 of 11 frames have no pose: relative to the first frame, frames span 0 to 1.0 s" in caplog.text
+
+
+def test_odometry_of_another_clock_is_refused_where_it_was_named(tmp_path, caplog):
+    late = [(topic, t, odometry(t + 10**12, pose(0.0))) for topic, t, _ in moves()]
+    folder = write_bag(tmp_path / "drive", by_time(mounted(), clouds(), late))
+    assert all(source.pose is None for source in found_in(folder))
+    assert "6 of 6 frames have no pose" in caplog.text
+    with pytest.raises(BadInputError, match="different clocks"):
+        found_in(folder, odometry="/odom")
+
+
+def test_broken_poses_do_no_harm_where_none_are_wanted(tmp_path):
+    broken = moves()
+    broken[3][2].pose.pose.orientation.w = 7.0
+    folder = write_bag(tmp_path / "drive", by_time(mounted(), clouds(), broken))
+    with pytest.raises(BadInputError, match=r"poses in .*drive cannot be used: pose \d+ of /odom .* a quaternion"):
+        found_in(folder)
+    assert [source.pose for source in found_in(folder, poses=False)] == [None] * 6
 
 
 def test_without_poses_there_are_only_frames(tmp_path, caplog):
@@ -224,6 +242,17 @@ def test_a_bag_that_was_cut_off_is_refused(storage, cut, tmp_path):
     for path in (file, folder):
         with pytest.raises(BadInputError, match=r"cannot read the bag .*ros2 bag reindex"):
             found_in(path)
+
+
+@pytest.mark.parametrize("name", ["drive #1", "50%41", "a?b"])
+def test_a_path_that_rosbags_cannot_open_is_told(name, tmp_path):
+    folder = write_bag(tmp_path / "drive", clouds(1), "sqlite3")
+    odd = tmp_path / name
+    folder.rename(odd)
+    for path in (odd, odd / "drive.db3"):
+        with pytest.raises(BadInputError, match=r"Rename it"):
+            found_in(path)
+    assert len(found_in(write_bag(tmp_path / "own" / name, clouds(1)))) == 1  # mcap has no such limit
 
 
 def test_damage_inside_a_bag_is_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""Statistics of the sectors of each class (the paper's Tables IV and V), and agreement with labels."""
+"""Statistics of the sectors of each class (the paper's Tables IV and V)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, ClassedSectors
-from bumpymap.lab.evaluate.agreement import confusion
-from bumpymap.scan import classes_of_labels
+from bumpymap.core import CLASSES, ClassedSectors, Scan, SectorStack
+from bumpymap.readers import LabelSet
 
-__all__ = ["Accuracy", "ClassedSectorTable", "ScanClassRow", "accuracy_of", "class_rows", "join_sectors"]
+__all__ = ["ClassedSectorTable", "ScanClassRow", "class_rows", "join_sectors", "z_deviation"]
 
 Floats = NDArray[np.float64]
 _MEASURES = ("stripes", "variance", "residual")
@@ -18,18 +17,22 @@ _MEASURES = ("stripes", "variance", "residual")
 
 @dataclass(frozen=True, slots=True)
 class ClassedSectorTable:
-    """The traversable sectors of many scans, one row each."""
+    """The sectors of many scans, one row each."""
 
     class_id: dict[str, NDArray[np.uint8]]
     """Method -> (n,) class."""
     truth: NDArray[np.int16]
     """(n,) class of the most frequent label; -1 without a label."""
+    traversable: NDArray[np.bool_]
+    """(n,) whether the sector has ground, and so a class."""
     stripes: Floats
     """(n,)"""
     variance: Floats
     """(n,) m^2"""
     residual: Floats
     """(n,) m"""
+    deviation: Floats
+    """(n,) standard deviation of z over all points of the sector, ground or not, m"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,39 +51,44 @@ class ScanClassRow:
     """m"""
 
 
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """Agreement of classes with labels."""
-
-    confusion: list[list[int]]
-    """``[class of the label][predicted class]``, number of sectors."""
-    right: float
-    """Accuracy; NaN without labels."""
-    even: float
-    """Balanced accuracy over the classes that occur; NaN without labels."""
+def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
+    """Return the standard deviation of z over all points of each sector (n,), m."""
+    inside = stack.point_sector >= 0
+    place, z = stack.point_sector[inside], scan.points[inside, 2].astype(np.float64)
+    count = np.maximum(np.bincount(place, minlength=len(stack.zone)), 1)
+    off = z - (np.bincount(place, z, len(stack.zone)) / count)[place]
+    deviation: Floats = np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
+    return deviation
 
 
-def join_sectors(classed: Sequence[dict[str, ClassedSectors]]) -> ClassedSectorTable:
-    """Collect the traversable sectors of one or more scans, classified by the same methods, one of them the filter."""
+def join_sectors(
+    classed: Sequence[dict[str, ClassedSectors]], deviations: Sequence[Floats], labels: LabelSet | None
+) -> ClassedSectorTable:
+    """Collect the sectors of one or more scans, classified by the same methods, one of them the filter.
+
+    Parameters
+    ----------
+    classed : sequence of dict
+        Method -> sectors, for each scan.
+    deviations : sequence of arrays
+        ``z_deviation`` of each scan.
+    labels : LabelSet or None
+        The meaning of the labels of the scans; None if they have none.
+    """
     stacks = [next(iter(methods.values())).sectors for methods in classed]
-    open_to = [stack.traversable for stack in stacks]
+    label = np.concatenate([stack.label for stack in stacks])
 
     def gathered(values: Sequence[NDArray[np.generic]]) -> NDArray[np.float64]:
-        return np.concatenate([value[gate] for value, gate in zip(values, open_to, strict=True)]).astype(np.float64)
+        return np.concatenate(values).astype(np.float64)
 
     return ClassedSectorTable(
-        class_id={
-            method: np.concatenate(
-                [methods[method].class_id[gate] for methods, gate in zip(classed, open_to, strict=True)]
-            )
-            for method in classed[0]
-        },
-        truth=np.concatenate(
-            [classes_of_labels(stack.label[gate]) for stack, gate in zip(stacks, open_to, strict=True)]
-        ),
+        class_id={method: np.concatenate([methods[method].class_id for methods in classed]) for method in classed[0]},
+        truth=np.full(len(label), -1, np.int16) if labels is None else labels.classes_of(label),
+        traversable=np.concatenate([stack.traversable for stack in stacks]),
         stripes=gathered([_stripes(methods) for methods in classed]),
         variance=gathered([stack.variance for stack in stacks]),
         residual=gathered([stack.residual for stack in stacks]),
+        deviation=gathered(deviations),
     )
 
 
@@ -90,27 +98,16 @@ def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
 
 
 def class_rows(table: ClassedSectorTable, method: str) -> list[ScanClassRow]:
-    """Summarise the sectors of each class."""
+    """Summarise the traversable sectors of each class."""
     class_id = table.class_id[method]
+    total = int(table.traversable.sum())
     rows = []
     for number in range(CLASSES):
-        own = class_id == number
+        own = table.traversable & (class_id == number)
         values = [_middle(getattr(table, name)[own]) for name in _MEASURES]
-        rows.append(ScanClassRow(number, int(own.sum()), float(own.mean()) if len(own) else float("nan"), *values))
+        rows.append(ScanClassRow(number, int(own.sum()), float(own.sum() / total) if total else float("nan"), *values))
     return rows
 
 
 def _middle(values: Floats) -> tuple[float, float]:
     return (float(np.median(values)), float(values.mean())) if len(values) else (float("nan"), float("nan"))
-
-
-def accuracy_of(table: ClassedSectorTable, method: str) -> Accuracy:
-    """Compare classes with labels over the sectors that have one."""
-    known = table.truth >= 0
-    truth, found = table.truth[known].astype(np.int64), table.class_id[method][known].astype(np.int64)
-    counts = confusion(truth, found, CLASSES)
-    totals = counts.sum(axis=1)
-    there = totals > 0
-    right = float(np.trace(counts) / totals.sum()) if there.any() else float("nan")
-    even = float((np.diag(counts)[there] / totals[there]).mean()) if there.any() else float("nan")
-    return Accuracy(counts.tolist(), right, even)

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.lab.evaluate.document import number, percent, report_text, section, table, write_document
+from bumpymap.lab.evaluate.scan.answers import DEVIATION, Accuracy
 from bumpymap.lab.evaluate.scan.class_stats import ScanClassRow
+from bumpymap.lab.evaluate.scan.points import RANGE_M
 from bumpymap.lab.evaluate.scan.run import ScanFindings
 from bumpymap.lab.evaluate.scan.timing import PAPER_SECTOR_MS
 from bumpymap.lab.evaluate.tables import confusion_lines
@@ -25,8 +27,13 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
 def scan_markdown(findings: ScanFindings) -> str:
     """Return the text of the report."""
     sections = [
+        section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
+        section("Ground", _GROUND, _ground_lines(findings) if findings.ground else []),
+        section(
+            "Obstacles in sectors called free", _OBSTACLES, _obstacle_lines(findings) if findings.obstacles else []
+        ),
+        section("One place, two sensors", _SENSORS, _sensor_lines(findings) if findings.sensors else []),
         section("Statistics of the classes", "The paper's Tables IV and V.", _class_lines(findings)),
-        section("Compared with labels", "", _accuracy_lines(findings) if findings.accuracy else []),
         section("Rotated scans", _TURNED, _turned_lines(findings)),
         section("What a scan costs", _COSTS, _cost_lines(findings)),
     ]
@@ -36,11 +43,33 @@ def scan_markdown(findings: ScanFindings) -> str:
 def _opening(facts: dict[str, Any]) -> str:
     centres = ", ".join(f"{centre:.2f}" for centre in facts["filter"]["centres"])
     return (
-        f"{facts['scans']} scans, {facts['sectors']:,} traversable sectors, {facts['labelled']:,} of them "
-        f"labelled. Filter method: centres at {centres} stripes. Learned method: network {facts['network']}."
+        f"{facts['scans']} scans, {facts['sectors']:,} sectors with ground, {facts['labelled']:,} of them "
+        f"labelled{_set_name(facts)}. Filter method: centres at {centres} stripes. Learned method: network "
+        f"{facts['network']}."
     )
 
 
+def _set_name(facts: dict[str, Any]) -> str:
+    return f" (label set `{facts['labels']}`)" if facts["labels"] else ""
+
+
+_ANSWERS = (
+    "A method is of use if it beats the constant answers in accuracy *and* in balanced accuracy (the mean of the "
+    f"recalls). *{DEVIATION}* sets two limits on the standard deviation of z of all points of a sector, chosen to suit "
+    "these very scans, which no method in use can do. The class of a sector's most frequent label counts as true."
+)
+_GROUND = (
+    f"Points {RANGE_M[0]:g} to {RANGE_M[1]:g} m away, against the ground ids of the label set; points without a label "
+    "are left out."
+)
+_OBSTACLES = (
+    f"Points {RANGE_M[0]:g} to {RANGE_M[1]:g} m away with an obstacle's label. A sector is called free if its class is "
+    "0 or 1 and no obstacle stands on it. *Low*: points not known to be higher than the vehicle, such as a crown."
+)
+_SENSORS = (
+    "Synthetic scenes, scanned at the same place by a sensor of 64 lines, 1.7 m above the ground, and by one of 32 "
+    "lines, 1 m above it: cells of 0.5 m within 30 m that have a class in both scans."
+)
 _TURNED = "Share of the points that keep their class if the scan is rotated about z by random angles."
 _COSTS = (
     "From points in memory to classified sectors, medians; times per sector are CPU times. *Plain* is the filter "
@@ -77,14 +106,52 @@ def _order(method: str, rows: list[ScanClassRow]) -> str:
 
 
 def _accuracy_lines(findings: ScanFindings) -> list[str]:
+    facts = findings.facts
+    lines = [f"{facts['labelled']:,} sectors with ground:", "", *_answer_table(findings.accuracy)]
+    lines += [f"All {facts['all_labelled']:,} sectors; to a method, one without ground is of class 2:", ""]
+    lines += _answer_table(findings.accuracy_all)
+    for method in findings.classes:
+        lines += confusion_lines(method, findings.accuracy[method].confusion, "labelled", "found")
+    return [*lines, f"The paper reports {percent(_PAPER_ACCURACY)} on its own patches of RELLIS-3D.", ""]
+
+
+def _answer_table(answers: dict[str, Accuracy]) -> list[str]:
     rows = [
-        [method, percent(found.right), percent(found.even), percent(_PAPER_ACCURACY) if method == "learned" else "-"]
-        for method, found in findings.accuracy.items()
+        [name, percent(found.right), percent(found.even), *map(percent, found.recall)]
+        for name, found in answers.items()
     ]
-    lines = table(("method", "accuracy", "balanced accuracy", "the paper's, on RELLIS-3D"), rows)
-    for method, found in findings.accuracy.items():
-        lines += confusion_lines(method, found.confusion, "labelled", "found")
-    return lines
+    return table(("answer", "accuracy", "balanced accuracy", "recall of 0", "of 1", "of 2"), rows)
+
+
+def _ground_lines(findings: ScanFindings) -> list[str]:
+    rows = [
+        [score.frame, f"{score.points:,}", *(percent(value) for value in (score.precision, score.recall, score.f1))]
+        for score in findings.ground
+    ]
+    return table(("frame", "points", "precision", "recall", "F1"), rows)
+
+
+def _obstacle_lines(findings: ScanFindings) -> list[str]:
+    rows = [
+        [
+            method,
+            f"{score.points:,}",
+            *(
+                percent(part / score.points if score.points else math.nan)
+                for part in (score.in_free, score.in_free_low, score.in_free_class)
+            ),
+        ]
+        for method, score in findings.obstacles.items()
+    ]
+    return table(("method", "points", "in free sectors", "low", "in sectors of class 0 or 1"), rows)
+
+
+def _sensor_lines(findings: ScanFindings) -> list[str]:
+    rows = [
+        [method, f"{found.cells:,}", percent(found.same / found.cells if found.cells else math.nan)]
+        for method, found in findings.sensors.items()
+    ]
+    return table(("method", "cells", "same class"), rows)
 
 
 def _turned_lines(findings: ScanFindings) -> list[str]:

@@ -19,8 +19,10 @@ class ScanEvaluateSettings:
     """Number of rotations about z of every scan."""
     repeats: int = 50
     """Number of repeats of each measured time; the median is reported."""
+    pairs: int = 11
+    """Number of synthetic scenes that two sensors see; one of every theme. Not used with scans from files."""
 
     def __post_init__(self) -> None:
-        for name, least in (("scenes", 1), ("seed", 0), ("turns", 1), ("repeats", 3)):
+        for name, least in (("scenes", 1), ("seed", 0), ("turns", 1), ("repeats", 3), ("pairs", 1)):
             if getattr(self, name) < least:
                 raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")

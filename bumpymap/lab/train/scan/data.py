@@ -89,6 +89,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         The scan is cut once more after rotating it about z by each of these angles [rad], which puts the same ground
         into other sectors.
     """
+    scan = crowns_as_bushes(scan)
     stacks = [polar_sectors(scan)]
     for turn, grid in cuts:
         cos, sin = np.cos(turn), np.sin(turn)
@@ -159,7 +160,7 @@ def simulated_sectors(
             with np.load(file) as kept:
                 parts.append(Sectors(**kept))
         else:
-            parts.append(labelled_sectors(crowns_as_bushes(scene_scan(seed, index)), cuts))
+            parts.append(labelled_sectors(scene_scan(seed, index), cuts))
             if file is not None:
                 _save(file, parts[-1])
         if progress:

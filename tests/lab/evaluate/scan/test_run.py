@@ -1,6 +1,7 @@
 """A whole evaluation of scans on a small drive; turned scans; the plain way beside ours."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from bumpymap.cli import main
 from bumpymap.core import Scan
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.evaluate.scan.plain import plain_classes
-from bumpymap.lab.evaluate.scan.timing import require_libraries
+from bumpymap.lab.evaluate.scan.timing import PlainCost, require_libraries
 from bumpymap.lab.evaluate.scan.turning import kept_share, turn_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 
@@ -50,10 +51,74 @@ def test_a_report_holds_both_methods(drive, tmp_path):
     assert all(cost["points"] == 131_072 and cost["scan_ms"] > 0 for cost in record["costs"])
     text = (out / "report.md").read_text()
     assert "Compared with labels" not in text
+    assert "## Ground" not in text
+    assert "two sensors" not in text
     assert "nan" not in text
     again = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)])
     assert again.exit_code != 0
     assert "--overwrite" in again.output
+
+
+def label_drive(folder, ids):
+    """Label the left side of frames from ``ground`` with one id, the right with another."""
+    for frame in folder.glob("*.bin"):
+        left = np.fromfile(frame, "<f4").reshape(-1, 4)[:, 1] > 0
+        np.where(left, *ids).astype("<u4").tofile(frame.with_suffix(".label"))
+
+
+@pytest.fixture
+def _no_timing(monkeypatch):
+    monkeypatch.setattr("bumpymap.lab.evaluate.scan.run.method_costs", lambda *_: [])
+    monkeypatch.setattr("bumpymap.lab.evaluate.scan.run.plain_cost", lambda *_: PlainCost(1, 1.0))
+
+
+@pytest.mark.usefixtures("_no_timing")
+def test_labels_set_both_methods_beside_constant_answers(drive, tmp_path):
+    label_drive(drive, (14, 9))  # a fence all over the left side, road on the right
+    out = tmp_path / "out"
+    words = ["evaluate", "--scans", str(drive), "--labels", "kitti", "--out", str(out)]
+    run = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert run.exit_code == 0, run.output
+    record = json.loads((out / "report.json").read_text())
+    names = ["filter", "learned", "always 0", "always 1", "always 2", "deviation of z"]
+    assert list(record["accuracy"]) == list(record["accuracy_all"]) == names
+    assert record["facts"]["labels"] == "kitti"
+    constant = record["accuracy"]["always 2"]
+    assert constant["recall"] == [0.0, None, 1.0]
+    assert constant["even"] == 0.5
+    assert [row["frame"] for row in record["ground"]] == ["000000", "000001", "mean"]
+    assert all(0 < row["precision"] < 1 and row["recall"] > 0.95 for row in record["ground"])
+    assert set(record["obstacles"]) == {"filter", "learned"}
+    assert record["sensors"] == {}
+    text = (out / "report.md").read_text()
+    for name in names:
+        assert f"| {name} |" in text
+        assert name in run.output
+    assert "nan" not in text
+
+
+@pytest.mark.parametrize(
+    ("ids", "words", "code", "message"),
+    [
+        ((70, 40), ("--labels", "kitti"), 3, "--labels 'semantic-kitti'|semantic-kitti"),
+        ((500, 501), (), 3, "fit no label set"),
+        ((14, 9), ("--labels", "nuscenes"), 2, "it must be kitti"),
+        (None, ("--labels", "kitti"), 3, "has no labels"),
+    ],
+)
+def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, message):
+    if ids:
+        label_drive(drive, ids)
+    run = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), *words, "--out", str(tmp_path / "out")])
+    assert run.exit_code == code, run.output
+    assert re.search(message, run.output.replace("\n", " "))
+    assert not (tmp_path / "out" / "report.md").exists()
+
+
+def test_labels_of_scenes_are_not_asked_for(tmp_path):
+    run = CliRunner().invoke(main, ["evaluate", "--scans", "--labels", "kitti", "--out", str(tmp_path / "out")])
+    assert run.exit_code == 2
+    assert "--labels applies to frames" in run.output
 
 
 def test_an_empty_drive_says_so(tmp_path):

@@ -14,6 +14,7 @@ from bumpymap.lab.train.scan.data import (
     GRIDS,
     SWAPPED_MEASURES,
     Sectors,
+    crowns_as_bushes,
     draw_cuts,
     draw_epoch,
     folder_frames,
@@ -86,6 +87,20 @@ def test_sectors_without_ground_are_left_out():
     wall = _ring(18, lambda rng, n: rng.uniform(-1, 3, n))
     stack = polar_sectors(wall)
     assert len(labelled_sectors(wall).class_id) == stack.traversable.sum() < len(stack.zone)
+
+
+def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
+    floor = _ring(3, lambda rng, n: rng.normal(-1.5, 0.001, n))
+    rng = np.random.default_rng(2)
+    height = np.repeat([0.5, 4.0], 4000)
+    above = floor.points + np.column_stack([np.zeros((8000, 2)), height]).astype(np.float32)
+    label = np.full(8000, 4, np.uint16)
+    points = np.concatenate([floor.points, above[rng.permutation(8000)]])
+    found = crowns_as_bushes(Scan(points, None, np.concatenate([floor.label, label])))
+    up = points[8000:, 2] + 1.5
+    assert (found.label[:8000] == 3).all()
+    assert (found.label[8000:][up < 1] == 4).mean() > 0.99
+    assert (found.label[8000:][up > 3] == 19).mean() > 0.99
 
 
 def test_turned_cuts_see_the_same_ground_in_other_sectors():
