@@ -126,8 +126,7 @@ class DriveMerge:
         BadInputError
             The frame lies too far from the first one.
         """
-        # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
-        world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
+        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
         whole = np.round(1000.0 * world)
         if np.abs(whole).max(initial=0.0) > _FAR_MM:
             raise BadInputError(
@@ -139,7 +138,8 @@ class DriveMerge:
         rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
         rows["kind"] = is_ground
         column, row = np.floor((whole[:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
-        blocks, number = np.unique((column + _SIDE * row).astype(np.int64), return_inverse=True)
+        block = (column + _SIDE * row).astype(np.int64)
+        blocks, number = np.unique(block, return_inverse=True)
         order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
         range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
