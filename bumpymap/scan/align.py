@@ -79,7 +79,7 @@ def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], po
         Transform from the sensor's frame to the world, m.
     """
     chosen = points[is_ground & (np.hypot(points[:, 0], points[:, 1]) <= _REACH_M)]
-    turned = chosen.astype(np.float64) @ pose[:3, :3].T
+    turned = np.einsum("nj,ij->ni", chosen.astype(np.float64), pose[:3, :3])
     at = np.floor((turned[:, :2] + pose[:2, 3]) / _SQUARE_M).astype(np.int64)
     square, place, count = np.unique(at[:, 0] * _SIDE + at[:, 1], return_inverse=True, return_counts=True)
     east, north, z = (np.bincount(place, turned[:, axis], len(square)) / count for axis in range(3))
