@@ -84,9 +84,9 @@ class _EveryNth(click.types.IntParamType):
 )
 @click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
 @click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")
-@click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 4,12,28,60,100].")
-@click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 24,32,48,32].")
-@click.option("--rings", metavar="LIST", help="Rings of each zone [default: 4,4,4,2].")
+@click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 1,4,12,28,60,100].")
+@click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 16,24,32,48,32].")
+@click.option("--rings", metavar="LIST", help="Rings of each zone [default: 2,4,4,4,2].")
 @click.option(
     "--robot-radius", type=float, metavar="M", help="Exclude returns nearer than this, as on the robot [default: 0.5]."
 )
@@ -164,10 +164,10 @@ def _polar(settings: "PolarSettings", given: dict[str, str]) -> "PolarSettings":
     from dataclasses import replace
 
     changed: dict[str, Any] = {
-        name: _numbers(name, given[name], int, "24,32,48,32") for name in ("sectors", "rings") if name in given
+        name: _numbers(name, given[name], int, "16,24,32,48,32") for name in ("sectors", "rings") if name in given
     }
     if "zones" in given:
-        *starts, end = _numbers("zones", given["zones"], float, "4,12,28,60,100")
+        *starts, end = _numbers("zones", given["zones"], float, "1,4,12,28,60,100")
         changed |= {"zone_starts_m": tuple(starts), "end_m": end}
     return replace(settings, **changed)
 

@@ -159,4 +159,7 @@ def align_frames(frames: list[GroundHeights]) -> Alignment:
     most = np.array([MOST_METRES, *2 * [np.tan(np.radians(MOST_DEGREES))]])
     shift = np.clip(shift, -most, most)
     z = rows.z + (rows.sides * shift[rows.frame]).sum(axis=1)
-    return Alignment(shift, before, _spread(rows, z), len(rows.number))
+    after = _spread(rows, z)
+    if after > before:  # frames that contradict each other beyond any correction
+        return Alignment(np.zeros((count, 3)), before, before, len(rows.number))
+    return Alignment(shift, before, after, len(rows.number))

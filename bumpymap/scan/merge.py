@@ -138,7 +138,8 @@ class DriveMerge:
         rows["place"] = whole
         rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
         rows["kind"] = is_ground
-        block = np.floor_divide(rows["place"][:, :2] + self._whole_offset(), _BLOCK_MM) @ [1, _SIDE]
+        column, row = np.floor((whole[:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
+        block = (column + _SIDE * row).astype(np.int64)
         blocks, number = np.unique(block, return_inverse=True)
         order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)

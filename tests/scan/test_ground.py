@@ -39,7 +39,7 @@ def box(rng, x, y, side, low, high, count=400):
     place[edge == 0, 0] = np.sign(place[edge == 0, 0]) * side / 2
     place[edge == 1, 1] = np.sign(place[edge == 1, 1]) * side / 2
     z = np.where(edge == 2, high, rng.uniform(low, high, count))
-    return np.column_stack([place + (x, y), z])
+    return np.column_stack([place + np.array([x, y]), z])
 
 
 @settings(max_examples=12, deadline=None)
@@ -168,7 +168,8 @@ def test_without_ground_first_every_point_is_measured_and_nothing_is_known_of_he
     assert stack.point_ground[stack.point_sector >= 0].all()
     assert np.isnan(stack.point_height).all()
     assert (stack.ground_count == stack.count).all()
-    assert not (stack.obstacle.any() or stack.things.any())
+    assert not stack.obstacle.any()
+    assert not stack.things.any()
 
 
 # Folder, label set, least mean F1 of ground between 4 and 80 m.

@@ -441,8 +441,8 @@ def test_nothing_but_bad_frames_is_a_failure_that_names_some(tmp_path):
         (np.full((40, 3), np.nan), r"40 returns at \(0, 0, 0\) or NaN"),
         (np.tile([np.nan, 6.0, -1.0], (400, 1)), "400 not finite"),
         (np.array([[0.1, 0.1, -1.0]]), "1 on the robot"),
-        (np.array([[6.0, 0.0, -1.0]]), "1 of 1 points lie 4 to 100 m"),
-        (np.array([[2.0, 0.0, -1.0]] * 60), "0 of 60 points lie 4 to 100 m"),
+        (np.array([[6.0, 0.0, -1.0]]), "1 of 1 points lie 1 to 100 m"),
+        (np.array([[0.7, 0.0, -1.0]] * 60), "0 of 60 points lie 1 to 100 m"),
         (np.column_stack([np.full(200, 6.0), np.linspace(-0.5, 0.5, 200), np.linspace(-1, 3, 200)]), "z axis point up"),
     ],
 )
