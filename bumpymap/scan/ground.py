@@ -30,7 +30,7 @@ from bumpymap.scan.buffers import SectorBuffers
 
 __all__ = ["ScanGround", "all_ground", "find_ground"]
 
-_REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.5, (0.12, 0.3), 0.03
+_REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
 
