@@ -54,7 +54,7 @@ _OF_SCANS = ("scenes", "sectors_per_class")
 )
 @click.option("--tile-size", type=float, metavar="M", help="Texture network: tile size in metres [default: 3].")
 @click.option("--pixels", type=int, metavar="N", help="Texture network: pixels along a side of a tile [default: 15].")
-@click.option("--scenes", type=int, metavar="N", help="With --scans simulated: training scenes [default: 300].")
+@click.option("--scenes", type=int, metavar="N", help="With --scans simulated: training scenes [default: 440].")
 @click.option(
     "--sectors-per-class", type=int, metavar="N", help="With --scans: sectors per class and epoch [default: 10000]."
 )

@@ -113,7 +113,7 @@ class PolarSettings:
         if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
             raise UsageError(
                 f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts, "
-                f"{len(self.sectors)} sectors and {len(self.rings)} rings were given"
+                f"{len(self.sectors)} sectors and {len(self.rings)} rings were given. Set all three"
             )
         if not all(math.isfinite(e) for e in edges) or edges[0] < 0.0 or any(np.diff(edges) <= 0.0):
             raise UsageError(f"zones must start at 0 m or further out and grow outwards; {edges} m were given")

@@ -24,7 +24,7 @@ from bumpymap.lab.train.scan.data import (
     overhead_sectors,
     simulated_sectors,
 )
-from bumpymap.scan.learned import CLASS_OF_LABEL, MEASURES
+from bumpymap.scan.learned import CHANNELS, CLASS_OF_LABEL, MEASURES
 from bumpymap.scan.polar import polar_sectors
 
 pytestmark = pytest.mark.slow
@@ -66,7 +66,7 @@ def test_the_most_frequent_label_decides_the_class(label):
     assert len(sectors.class_id) == 96
     assert (sectors.class_id == CLASS_OF_LABEL[label]).all()
     assert (sectors.label == label).all()
-    assert sectors.patches.shape == (96, 2, 15, 15)
+    assert sectors.patches.shape == (96, CHANNELS, 15, 15)
     assert sectors.measures.shape == (96, len(MEASURES))
 
 
@@ -162,7 +162,7 @@ def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
 def _made(counts):
     class_id = np.repeat(np.arange(3), counts)
     number = np.arange(len(class_id))
-    patches = np.zeros((len(class_id), 2, 15, 15), np.float32)
+    patches = np.zeros((len(class_id), CHANNELS, 15, 15), np.float32)
     patches[:, 0, 0, 0] = number
     return Sectors(
         patches,
