@@ -28,7 +28,7 @@ from bumpymap.scan._ground_kernels import (
 from bumpymap.scan._place_kernels import CellOrder, PointPlaces
 from bumpymap.scan.buffers import SectorBuffers
 
-__all__ = ["ScanGround", "all_ground", "find_ground"]
+__all__ = ["ScanGround", "all_ground", "cell_layout", "find_ground"]
 
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
@@ -189,13 +189,13 @@ def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
 
 
 def _geometry(settings: PolarSettings, start: float) -> CellGeometry:
-    layout = _layout(settings)
+    layout = cell_layout(settings)
     azimuth = layout.y + start
     return layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
 
 
 @cache
-def _layout(settings: PolarSettings) -> CellGeometry:
+def cell_layout(settings: PolarSettings) -> CellGeometry:
     """Return the cells with distances in the place of x, and azimuths from sector 0 in the place of y."""
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)

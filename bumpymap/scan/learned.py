@@ -1,8 +1,10 @@
 """The learned method: a small network classifies each sector by the heightmap of its ground and by what stands on it.
 
 The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of other
-sectors in the ring. The result for a sector does not depend on others in the batch: batches have a fixed size, the last
-one is padded, inference runs on one thread, and the graph treats each sector separately.
+sectors in the ring. The network's answer for a sector does not depend on others in the batch: batches have a fixed
+size, the last one is padded, inference runs on one thread, and the graph treats each sector separately. Of open ground
+a sector shows few points, and much the same ground as the sectors around it: there, what the neighbours say counts
+between smooth and fair.
 """
 
 import hashlib
@@ -27,6 +29,8 @@ from bumpymap.core import (
     session,
     shipped_network,
 )
+from bumpymap.scan.ground import cell_layout
+from bumpymap.scan.stripes import OPEN_SHARE
 
 __all__ = [
     "CHANNELS",
@@ -71,6 +75,8 @@ CLASS_OF_LABEL = {
 """RELLIS-3D id -> class. 0: grass, asphalt, dirt, concrete; 1: water, puddle, mud, bush, rubble; 2: tree, person,
 vehicle, fence, barrier."""
 
+_NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
+"""Weight of the mean log-odds of the neighbours against the sector's own; least probability that they are taken of."""
 _BATCH = 32
 _FORMAT = "bumpymap-scan"
 _KIND = "scan network"
@@ -218,10 +224,32 @@ def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> Clas
     UsageError
         The network was trained on heightmaps of another size.
     """
-    probability = probabilities(stack, model or ScanModel.shipped())
+    probability = _with_neighbours(stack, probabilities(stack, model or ScanModel.shipped()))
     class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
     class_id[stack.traversable] = probability[stack.traversable].argmax(axis=1)
     return ClassedSectors(stack, class_id, None, "learned", probability.max(axis=1))
+
+
+def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return probabilities (n, CLASSES) in which open sectors share the odds of class 1 against 0 with neighbours.
+
+    The odds of class 2 stay: a single obstacle must not be outvoted.
+    """
+    layout = cell_layout(stack.settings)
+    cell = layout.first[stack.zone] + stack.ring * layout.sectors[stack.zone] + stack.sector
+    smooth, fair = np.maximum(probability[:, :2], _LEAST_PROBABILITY).T
+    own = np.log(fair / smooth)
+    is_open = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
+    odds = np.zeros(len(layout.zone) + 1, np.float32)  # the last one is for neighbours that do not exist
+    counts = np.zeros(len(odds), np.bool_)
+    odds[cell[is_open]], counts[cell[is_open]] = own[is_open], True
+    near = layout.near[cell[is_open]]
+    mean = odds[near].sum(axis=1) / np.maximum(counts[near].sum(axis=1), 1)
+    shared = probability.copy()
+    either = probability[is_open, 0] + probability[is_open, 1]
+    shared[is_open, 0] = either / (1.0 + np.exp(own[is_open] + _NEIGHBOURS_WEIGHT * mean))
+    shared[is_open, 1] = either - shared[is_open, 0]
+    return shared
 
 
 def probabilities(stack: SectorStack, model: ScanModel) -> NDArray[np.float32]:

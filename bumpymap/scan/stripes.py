@@ -31,6 +31,7 @@ from bumpymap.core import CLASSES, NOT_TRAVERSABLE, BadInputError, ClassedSector
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
 
 __all__ = [
+    "OPEN_SHARE",
     "StripeFilter",
     "StripeModel",
     "classify_filter",
@@ -45,7 +46,7 @@ __all__ = [
 ]
 
 _FORMAT = "bumpymap stripes 2"
-_OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
+OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
 """Least share of ground among the points of a sector whose class is its relief's alone; least share of obstacles among
 the others of a sector of class 2."""
 _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
@@ -255,7 +256,7 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
 def _class_of_things(stack: SectorStack) -> NDArray[np.uint8]:
     """Return the class of what stands on the ground of sectors: 0 nothing much, 1 plants, 2 obstacles."""
     things = stack.count - stack.ground_count
-    is_covered = stack.ground_count < _OPEN_SHARE * stack.count
+    is_covered = stack.ground_count < OPEN_SHARE * stack.count
     is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * things)
     return is_covered.astype(np.uint8) + is_blocked.astype(np.uint8)
 

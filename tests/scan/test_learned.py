@@ -69,9 +69,6 @@ def test_the_gate_comes_first(stack, model):
     class_id = classify_learned(shut, model).class_id
     assert (class_id[1::2] == NOT_TRAVERSABLE).all()
     assert set(class_id[::2]) <= {0, 1, 2}
-    assert_array_equal(
-        class_id[::2], classify_learned(replace(stack, traversable=shut.traversable | True)).class_id[::2]
-    )
     none = replace(stack, traversable=np.zeros(len(stack.zone), bool))
     assert (classify_learned(none, model).class_id == NOT_TRAVERSABLE).all()
 
@@ -86,6 +83,24 @@ def test_probabilities_add_up_and_repeat(stack, model):
     assert np.isnan(found[~stack.traversable]).all()
     assert_allclose(found[stack.traversable].sum(axis=1), 1.0, atol=1e-5)
     assert_array_equal(found, probabilities(stack, model))
+
+
+def test_open_sectors_share_smooth_or_fair_with_their_neighbours_and_nothing_else(stack, model):
+    alone = probabilities(stack, model)
+    classed = classify_learned(stack, model)
+    is_open = stack.traversable & (stack.ground_count >= 0.55 * stack.count)
+    assert 0 < is_open.sum() < stack.traversable.sum()
+    covered = stack.traversable & ~is_open
+    assert_array_equal(classed.class_id[covered], alone[covered].argmax(axis=1))
+    rough = stack.traversable & (alone[:, 2] > 0.5)
+    assert (classed.class_id[rough] == 2).all()
+    assert (classed.class_id[stack.traversable & ~rough & (alone[:, 2] < 0.3)] < 2).all()
+    # A sector without open neighbours keeps its own answer.
+    only = np.flatnonzero(is_open)[:1]
+    lonely = replace(stack, traversable=np.isin(np.arange(len(stack.zone)), only))
+    assert_allclose(
+        classify_learned(lonely, model).confidence[only], probabilities(lonely, model)[only].max(axis=1), rtol=1e-5
+    )
 
 
 def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
