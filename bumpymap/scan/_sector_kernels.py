@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NO_PLANE, Plane, best_candidate, fill_holes
+from bumpymap.core import NO_PLANE, Plane, best_candidate
 from bumpymap.scan._place_kernels import CellOrder
 from bumpytiles import helper, kernel
 
@@ -67,6 +67,8 @@ class SectorScratch(NamedTuple):
     """(pixels^2,) empty pixels."""
     values: Annotated[Singles, 1]
     """(pixels^2,) what fills them."""
+    padded: Annotated[Singles, 2]
+    """(2, (pixels + 2)^2) zeros at the margin: heights, and 1 where they are known."""
 
 
 def sector_scratch(xyz: Floats, pixels: int) -> SectorScratch:
@@ -77,6 +79,7 @@ def sector_scratch(xyz: Floats, pixels: int) -> SectorScratch:
         np.empty((2, pixels * pixels)),
         np.empty(pixels * pixels, np.int32),
         np.empty(pixels * pixels, np.float32),
+        np.zeros((2, (pixels + 2) ** 2), np.float32),
     )
 
 
@@ -218,16 +221,49 @@ def _sum_by_pixel(
 
 @helper
 def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
-    """Write the mean height of every pixel, holes filled; returns the share of pixels with points."""
-    size, known = heights.shape[0], 0
+    """Write the mean height of every pixel, holes filled; returns the share of pixels with points.
+
+    Holes are filled as `bumpymap.core.fill_holes` does, to the same bits, but in images with a margin of a pixel: all
+    neighbours exist.
+    """
+    size = heights.shape[0]
+    wide = size + 2
+    height, known = scratch.padded[0], scratch.padded[1]
+    missing = 0
     for r in range(size):
         for q in range(size):
-            count = scratch.sums[0, r * size + q]
-            known += count > 0.0
-            heights[r, q] = scratch.sums[1, r * size + q] / count if count > 0.0 else np.nan
-    if known < size * size:
-        fill_holes(heights, size * size, scratch.holes, scratch.values)
-    return known / (size * size)
+            count, p = scratch.sums[0, r * size + q], (r + 1) * wide + q + 1
+            if count > 0.0:
+                height[p], known[p] = np.float32(scratch.sums[1, r * size + q] / count), np.float32(1.0)
+            else:
+                height[p] = known[p] = np.float32(0.0)
+                scratch.holes[missing] = p
+                missing += 1
+    held = size * size - missing
+    while missing > 0 and held > 0:
+        for k in range(missing):
+            p = scratch.holes[k]
+            up, down = p - wide, p + wide
+            total = height[up - 1] + height[up] + height[up + 1] + height[p - 1] + height[p + 1]
+            total += height[down - 1]
+            total += height[down]
+            total += height[down + 1]
+            count = known[up - 1] + known[up] + known[up + 1] + known[p - 1] + known[p + 1]
+            count += known[down - 1] + known[down] + known[down + 1]
+            scratch.values[k] = total / count if count > np.float32(0.0) else np.float32(np.nan)
+        left = 0
+        for k in range(missing):
+            p, value = scratch.holes[k], scratch.values[k]
+            if math.isnan(value):
+                scratch.holes[left] = p
+                left += 1
+            else:
+                height[p], known[p] = value, np.float32(1.0)
+        missing = left
+    for r in range(size):
+        for q in range(size):
+            heights[r, q] = height[(r + 1) * wide + q + 1]
+    return held / (size * size)
 
 
 @kernel

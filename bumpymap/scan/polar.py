@@ -111,7 +111,7 @@ def polar_sectors(
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=_finite(ground.clearance[cells]),
         things=ground.things[cells],
-        point_sector=rows[cell],
+        point_sector=rows.take(cell, mode="wrap"),
         point_ground=ground.point_ground,
         point_height=ground.point_height,
     )
