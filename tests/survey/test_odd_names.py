@@ -132,7 +132,7 @@ def test_scan(folder, locale):
     frames = [write_frame(folder / f"{NAME}.bin"), write_frame(folder / "b.bin")]
     poses, out = folder / "poses.txt", folder / f"{NAME} out"
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
-    arguments = [*frames, "--poses", poses, "--crs", "EPSG:32614", "--method", "filter", "--out", out]
+    arguments = [*frames, "--poses", poses, "--crs", "EPSG:32614", "--method", "filter", "--pictures", "--out", out]
     ended(run("scan", *arguments, env=LOCALES[locale]), 0)
     record = json.loads((out / "scan.json").read_text(encoding="utf-8"))
     by_path = {Path(frame["path"]): frame["name"] for frame in record["frames"]}

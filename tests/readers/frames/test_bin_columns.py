@@ -187,9 +187,9 @@ def test_real_scans_have_four_columns(shared_data, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.open3d
 @pytest.mark.parametrize("sensor", ["32_sparse", "64_down", "128_wide"])
 def test_simulated_scenes_are_told(sensor):
-    pytest.importorskip("open3d")
     from bumpymap.lab.worlds.scans.lidar import simulate_scan
     from bumpymap.lab.worlds.scans.scene import make_scene
     from bumpymap.lab.worlds.scans.sensor import SENSORS
