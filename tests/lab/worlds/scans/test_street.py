@@ -26,6 +26,7 @@ def drive_fixture(street):
     return drive_street(street, SENSOR, FRAMES)
 
 
+@pytest.mark.open3d
 def test_true_poses_put_the_ground_where_it_is(street, drive):
     scans, poses = drive
     for scan, pose in zip(scans, poses, strict=True):
@@ -39,6 +40,7 @@ def test_true_poses_put_the_ground_where_it_is(street, drive):
         assert (scan.label[near][lanes] == Label.ASPHALT).all()
 
 
+@pytest.mark.open3d
 def test_what_stands_is_where_it_is_said_and_cars_move(street, drive):
     scans, poses = drive
     blocked = binary_dilation(street.blocked(0.25, 1.38, 0.1), iterations=2)
@@ -69,6 +71,7 @@ def test_errors_of_poses_are_as_large_as_asked():
     np.testing.assert_array_equal(noisy_poses(true[:2], 1, 0.0, 0.0), true[:2])
 
 
+@pytest.mark.open3d
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_the_lanes_of_a_drive_are_smooth_and_passable(drive, tmp_path, noise):
     scans, poses = drive
