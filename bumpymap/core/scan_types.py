@@ -21,6 +21,7 @@ __all__ = [
     "PolarSettings",
     "Scan",
     "ScanMethod",
+    "SectorRide",
     "SectorStack",
     "point_classes",
 ]
@@ -196,6 +197,20 @@ class SectorStack:
 
 
 @dataclass(frozen=True, slots=True)
+class SectorRide:
+    """What a vehicle feels on the ground of sectors, in the unit of a survey's map; unknown where points are too few."""
+
+    c_r: NDArray[np.float32]
+    """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""
+    c_r_low: NDArray[np.float32]
+    """(n,) lower end of its 80 % interval, rad/m."""
+    c_r_high: NDArray[np.float32]
+    """(n,) upper end, rad/m."""
+    class_id: NDArray[np.uint8]
+    """(n,) class of a survey's map, 0 (flattest) to 3 (roughest, or the vehicle fails); ``NO_CLASS`` if unknown."""
+
+
+@dataclass(frozen=True, slots=True)
 class ClassedSectors:
     """Measured sectors with their classes."""
 
@@ -208,6 +223,8 @@ class ClassedSectors:
     """Method that classified the sectors."""
     confidence: NDArray[np.float32] | None = None
     """(n,) class probability from the learned method, NaN if not traversable; None from the filter method."""
+    ride: SectorRide | None = None
+    """The ride of a vehicle on them; None if none was named."""
 
 
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:

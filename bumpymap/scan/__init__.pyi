@@ -26,6 +26,9 @@ from .paper import (
     classify_paper as classify_paper,
     paper_settings as paper_settings,
 )
+from .ride import (
+    SectorRater as SectorRater,
+)
 from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
