@@ -7,6 +7,7 @@ with 100 points per square metre and 1 cm of noise. A sector's reference is the 
 """
 
 import argparse
+import math
 import tempfile
 import time
 from dataclasses import replace
@@ -14,11 +15,12 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from bumpymap.core import NO_CLASS, Scan, SectorRide, SectorStack, sector_bounds
-from bumpymap.lab.worlds.scans.lidar import posture, simulate_scan
+from bumpymap.lab.worlds.scans.lidar import _World, posture, simulate_scan
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor
 from bumpymap.rating import find_calibration
@@ -27,34 +29,42 @@ from bumpymap.survey import map_survey
 
 THEMES = ("meadow", "mire", "quarry", "bushland")
 HALF_M, DENSITY, NOISE_M = 45.0, 100.0, 0.01
+HIGH_M = 100.0
+SEED = 1
 RANGES_M = ((1.0, 4.0), (4.0, 12.0), (12.0, 28.0), (28.0, 60.0))
 
 
 def bare_ground(number: int) -> Scene:
     """Draw a scene without anything on its ground."""
-    scene = make_scene(23, number, THEMES[number % len(THEMES)])
+    scene = make_scene(31, number, THEMES[number % len(THEMES)])
     return replace(scene, things=(), ground=replace(scene.ground, grass_m=0.001), wet=0.0, mirror=0.0)
 
 
 def survey_ground(scene: Scene, sensor: Sensor, path: Path) -> None:
-    """Write a dense survey of the ground, in the frame of the sensor."""
+    """Write a dense survey of the ground, seen from above, in the frame of the sensor.
+
+    It is the mesh that the scan is simulated with.
+    """
     rng = np.random.default_rng(7)
     x, y = rng.uniform(-HALF_M, HALF_M, (2, round(DENSITY * 4 * HALF_M**2)))
-    z = scene.ground.sample(x, y).z
+    start = np.column_stack([x, y, np.full(len(x), HIGH_M)])
+    world = _World.of(scene, sensor, np.random.default_rng([*scene.seed, SEED, 1]))
+    z = HIGH_M - world.first_hit(start, np.tile([0.0, 0.0, -1.0], (len(x), 1)))["t_hit"].numpy().astype(np.float64)
     eye = float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m
     points = np.column_stack([x, y, z - eye]) @ (posture(scene) @ sensor.to_level())
     points[:, 2] += NOISE_M * rng.standard_normal(len(points))
     survey = laspy.LasData(laspy.LasHeader(point_format=0, version="1.2"))
     survey.header.scales = [0.0001] * 3
-    survey.x, survey.y, survey.z = points.T
+    survey.x, survey.y, survey.z = points[np.isfinite(z)].T
     survey.write(path)
 
 
 def surveyed_ride(folder: Path, survey: Path, vehicle: str) -> dict[tuple[int, int], float]:
     """Map the survey; return C_r by column and row of the tile."""
-    with map_survey(survey, folder, vehicle=vehicle, local=True) as layers:
-        tiles = layers.table()
-    return dict(zip(zip(tiles["col"], tiles["row"], strict=True), tiles["c_r"], strict=True))
+    map_survey(survey, folder, vehicle=vehicle, local=True)
+    tiles = pq.read_table(folder / "tiles.parquet", columns=["col", "row", "c_r"]).to_pydict()
+    c_r = [math.nan if value is None else value for value in tiles["c_r"]]
+    return dict(zip(zip(tiles["col"], tiles["row"], strict=True), c_r, strict=True))
 
 
 def reference(stack: SectorStack, mapped: dict[tuple[int, int], float], tile_m: float) -> NDArray[np.float64]:
@@ -105,7 +115,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 survey_ground(scene, sensor, Path(folder) / "survey.las")
                 mapped = surveyed_ride(Path(folder) / "map", Path(folder) / "survey.las", given.vehicle)
-            points = simulate_scan(scene, sensor, 1).points
+            points = simulate_scan(scene, sensor, SEED).points
             scan = Scan(points[np.abs(points).sum(axis=1) > 0])
             stack = polar_sectors(scan)
             rater(scan, stack)
@@ -126,8 +136,6 @@ def main() -> None:
         for near, far in RANGES_M:
             report(f"  {near:g} to {far:g} m", found[(found[:, 0] >= near) & (found[:, 0] < far)])
         print(f"  {rated:,} of {traversable:,} sectors rated, {1000 * np.median(seconds):.0f} ms a scan")
-        if (dump := Path("/tmp/ph")).is_dir():
-            np.save(dump / f"{name}.npy", found)
 
 
 if __name__ == "__main__":
