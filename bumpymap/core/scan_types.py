@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.types import NO_CLASS
 
 __all__ = [
     "CLASSES",
@@ -198,7 +199,7 @@ class SectorStack:
 
 @dataclass(frozen=True, slots=True)
 class SectorRide:
-    """What a vehicle feels on the ground of sectors, in the unit of a survey's map; unknown where points are too few."""
+    """What a vehicle feels on the ground of sectors, as in a survey's map; unknown where points are too few."""
 
     c_r: NDArray[np.float32]
     """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""
@@ -208,6 +209,12 @@ class SectorRide:
     """(n,) upper end, rad/m."""
     class_id: NDArray[np.uint8]
     """(n,) class of a survey's map, 0 (flattest) to 3 (roughest, or the vehicle fails); ``NO_CLASS`` if unknown."""
+
+    @classmethod
+    def unknown(cls, sectors: int) -> "SectorRide":
+        """Return the ride on so many sectors of which none could be rated."""
+        nothing = np.full(sectors, np.nan, np.float32)
+        return cls(nothing, nothing, nothing, np.full(sectors, NO_CLASS, np.uint8))
 
 
 @dataclass(frozen=True, slots=True)

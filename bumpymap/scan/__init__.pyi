@@ -3,7 +3,6 @@ from ._place_kernels import (
 )
 from .classifier import (
     ScanClassifier as ScanClassifier,
-    ScanResult as ScanResult,
     classify_scan as classify_scan,
 )
 from .config import (
@@ -26,15 +25,18 @@ from .paper import (
     classify_paper as classify_paper,
     paper_settings as paper_settings,
 )
-from .ride import (
-    SectorRater as SectorRater,
-)
 from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
 )
 from .polar import (
     polar_sectors as polar_sectors,
+)
+from .result import (
+    ScanResult as ScanResult,
+)
+from .ride import (
+    SectorRater as SectorRater,
 )
 from .stripes import (
     StripeFilter as StripeFilter,

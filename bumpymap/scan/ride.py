@@ -157,7 +157,7 @@ class SectorRater:
 
         def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
             total = np.bincount(sectors, values.ravel()[tile], count)
-            return np.divide(total, area, out=np.full(count, np.nan), where=rated).astype(np.float32)
+            return np.where(rated, total / np.maximum(area, 1), np.nan).astype(np.float32)
 
         c_r, fails = mean(tiles.c_r), mean(tiles.p_fail)
         limits = np.array(self._calibration.class_limits)
