@@ -49,7 +49,7 @@ _LEAST_SHARE = 0.5
 """A sector is rated if at least this share of its area is."""
 _CELLS = 6
 """Cells along the side of a tile whose centres stand for the area of sectors."""
-_BELOW, _ABOVE = 0.22, (0.45, 0.15)
+_BELOW, _ABOVE = 0.35, (0.45, 0.15)
 """What scan lines add to the 80 % interval of ln C_r: below; above in tiles of a coverage of 0.75 and less, and of 0.9
 and more. Measured in made-up scans of ground whose dense survey was mapped."""
 _LEAST_STEP_PIXELS = 10
