@@ -37,7 +37,7 @@ ROOMS = {
     ),
     "survey": ({"core", "readers", "patches", "rating", "layers"}, {"numpy"}),
     "scan": (
-        {"core", "readers", "rating", "layers", "survey"},
+        {"core", "readers", "patches", "rating", "layers", "survey"},
         {"numpy", "pyproj", "sklearn"},
     ),
     "route": ({"core", "layers"}, {"numpy", "scipy", "xarray"}),

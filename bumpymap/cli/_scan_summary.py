@@ -34,6 +34,11 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
         f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
         f"{states['rough']:,} rough, {states['not ground']:,} not ground"
     )
+    if record["sectors_by_ride"] is not None:
+        *rated, unknown = record["sectors_by_ride"].values()
+        classes = ", ".join(f"{count:,} of class {number}" for number, count in enumerate(rated))
+        name = config.vehicle if config.calibration is None else config.calibration
+        print_line(f"ride of {name}: {classes}; unknown in {unknown:,} of {unknown + sum(rated):,} sectors")
     print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
     if result.skipped:
         print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
@@ -90,6 +95,7 @@ def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:
         "frames": len(frames),
         "points": sum(frame["points"] for frame in frames),
         **{name: _sum(frames, name) for name in ("dropped", "sectors", "sector_states", "points_by_class")},
+        "sectors_by_ride": None if frames[0]["sectors_by_ride"] is None else _sum(frames, "sectors_by_ride"),
         "skipped": result.skipped,
         "gathered": result.merged,
         "map": None if result.drive is None else [str(path) for path in result.drive.files],

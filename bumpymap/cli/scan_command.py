@@ -90,8 +90,8 @@ class _EveryNth(click.types.IntParamType):
 @click.option(
     "--robot-radius", type=float, metavar="M", help="Exclude returns nearer than this, as on the robot [default: 0.5]."
 )
-@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle for the map: name or TOML file [default: warthog].")
-@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle, for the map.")
+@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle whose ride is told: name or TOML file.")
+@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
 @click.option("--skip-bad", is_flag=True, help="Skip frames that cannot be read (exit code 4).")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run.")

@@ -164,6 +164,7 @@ from .scan_types import (
     PolarSettings as PolarSettings,
     Scan as Scan,
     ScanMethod as ScanMethod,
+    SectorRide as SectorRide,
     SectorStack as SectorStack,
     point_classes as point_classes,
 )

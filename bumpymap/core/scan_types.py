@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.types import NO_CLASS
 
 __all__ = [
     "CLASSES",
@@ -21,6 +22,7 @@ __all__ = [
     "PolarSettings",
     "Scan",
     "ScanMethod",
+    "SectorRide",
     "SectorStack",
     "point_classes",
 ]
@@ -196,6 +198,26 @@ class SectorStack:
 
 
 @dataclass(frozen=True, slots=True)
+class SectorRide:
+    """What a vehicle feels on the ground of sectors, as in a survey's map; unknown where points are too few."""
+
+    c_r: NDArray[np.float32]
+    """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""
+    c_r_low: NDArray[np.float32]
+    """(n,) lower end of its 80 % interval, rad/m."""
+    c_r_high: NDArray[np.float32]
+    """(n,) upper end, rad/m."""
+    class_id: NDArray[np.uint8]
+    """(n,) class of a survey's map, 0 (flattest) to 3 (roughest, or the vehicle fails); ``NO_CLASS`` if unknown."""
+
+    @classmethod
+    def unknown(cls, sectors: int) -> "SectorRide":
+        """Return the ride on so many sectors of which none could be rated."""
+        nothing = np.full(sectors, np.nan, np.float32)
+        return cls(nothing, nothing, nothing, np.full(sectors, NO_CLASS, np.uint8))
+
+
+@dataclass(frozen=True, slots=True)
 class ClassedSectors:
     """Measured sectors with their classes."""
 
@@ -208,6 +230,8 @@ class ClassedSectors:
     """Method that classified the sectors."""
     confidence: NDArray[np.float32] | None = None
     """(n,) class probability from the learned method, NaN if not traversable; None from the filter method."""
+    ride: SectorRide | None = None
+    """The ride of a vehicle on them; None if none was named."""
 
 
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:

@@ -3,7 +3,6 @@ from ._place_kernels import (
 )
 from .classifier import (
     ScanClassifier as ScanClassifier,
-    ScanResult as ScanResult,
     classify_scan as classify_scan,
 )
 from .config import (
@@ -32,6 +31,12 @@ from .pipeline import (
 )
 from .polar import (
     polar_sectors as polar_sectors,
+)
+from .result import (
+    ScanResult as ScanResult,
+)
+from .ride import (
+    SectorRater as SectorRater,
 )
 from .stripes import (
     StripeFilter as StripeFilter,

@@ -2,97 +2,47 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bumpymap.core import (
-    CLASS_NAMES,
-    CLASSES,
     NOT_TRAVERSABLE,
-    ClassedSectors,
+    VEHICLE_OR_CALIBRATION,
     Compat,
     PolarSettings,
     Scan,
     ScanMethod,
-    SectorBounds,
     UsageError,
     point_classes,
-    sector_bounds,
+    refuse_clashes,
     settings_of_call,
 )
 from bumpymap.readers import Robot, read_scan, scene_points
 from bumpymap.scan.buffers import SectorBuffers
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
+from bumpymap.scan.result import ScanResult
 
-__all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
+__all__ = ["ScanClassifier", "classify_scan"]
 
 ScanSource: TypeAlias = ArrayLike | str | os.PathLike[str]
 """Points (n, 3 or more columns: x, y, z first) in the sensor's frame, m, or the path of a file with them."""
 
-_NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traversable"}
 
+class ClassifierSettings(TypedDict, total=False):
+    """Settings of `ScanClassifier`: fields of ``ScanConfig``; paths may be strings, tables dicts."""
 
-@dataclass(frozen=True, slots=True, repr=False)
-class ScanResult:
-    """The classified ground of one scan: arrays with one row per point, and arrays with one row per sector."""
-
-    points: NDArray[np.float32]
-    """(n, 3) m. The given points (not copied if they are float32); of a file, those without returns on the robot."""
-    point_class: NDArray[np.uint8]
-    """(n,) 0 smooth, 1 fair, 2 rough; 255 not traversable, or in no measured sector."""
-    point_sector: NDArray[np.int32]
-    """(n,) row of the point's sector in the arrays of sectors; -1 if it is in no measured sector."""
-    sectors: ClassedSectors
-    """All measures of the sectors; the most important ones are also properties of this object."""
-
-    @property
-    def class_names(self) -> dict[int, str]:
-        """Name of each class: 0 to 2, and 255."""
-        return dict(_NAMES)
-
-    @property
-    def method(self) -> ScanMethod:
-        """How the classes were found: ``learned`` or ``filter``."""
-        return self.sectors.method
-
-    @property
-    def sector_class(self) -> NDArray[np.uint8]:
-        """(m,) class of each sector: 0 to 2, or 255 where it is not traversable."""
-        return self.sectors.class_id
-
-    @property
-    def sector_confidence(self) -> NDArray[np.float32]:
-        """(m,) probability of the class; NaN where the sector is not traversable, everywhere by the filter method."""
-        confidence = self.sectors.confidence
-        return np.full(len(self.sector_class), np.nan, np.float32) if confidence is None else confidence
-
-    @property
-    def sector_bounds(self) -> SectorBounds:
-        """``near`` and ``far`` (distance from the sensor, m), ``right`` and ``left`` (azimuth, rad), (m,) each."""
-        return sector_bounds(self.sectors.sectors)
-
-    @property
-    def sector_points(self) -> NDArray[np.int32]:
-        """(m,) number of points in each sector."""
-        return self.sectors.sectors.count
-
-    @property
-    def point_confidence(self) -> NDArray[np.float32]:
-        """(n,) confidence of each point's sector; NaN if it is in none."""
-        padded: NDArray[np.float32] = np.append(self.sector_confidence, np.float32(np.nan))
-        return padded[self.point_sector]
-
-    def __repr__(self) -> str:
-        counts = {name: int((self.sector_class == value).sum()) for value, name in _NAMES.items()}
-        shares = ", ".join(f"{name} {count}" for name, count in counts.items())
-        return (
-            f"<ScanResult: {len(self.points):,} points, {len(self.sector_class):,} sectors: {shares} ({self.method})>"
-        )
+    method: ScanMethod | None
+    model: str | os.PathLike[str] | None
+    stripes: str | os.PathLike[str] | None
+    compat: Compat
+    polar: PolarSettings | Mapping[str, Any] | None
+    robot: Robot | Mapping[str, Any] | None
+    vehicle: str | os.PathLike[str] | None
+    calibration: str | os.PathLike[str] | None
 
 
 class ScanClassifier:
@@ -114,6 +64,11 @@ class ScanClassifier:
         The polar grid, with the names and values of ``[polar]`` in a settings file.
     robot : dict, optional
         Which returns are on the robot itself, with the names and values of ``[robot]`` in a settings file.
+    vehicle : str or path, optional
+        Vehicle whose ride on the sectors is told: the name of an included one, or a TOML file with its calibration
+        beside it. Its belly and height say what an obstacle is.
+    calibration : path, optional
+        A calibration file, instead of ``vehicle``.
     reuse : bool
         Give the arrays with a row per point in memory that the next call overwrites: for a loop that is done with a
         result before it asks for the next one.
@@ -121,9 +76,11 @@ class ScanClassifier:
     Raises
     ------
     UsageError
-        Settings are invalid, or contradict each other.
+        Settings are invalid, or contradict each other; or there is no such vehicle.
     BadInputError
-        The network or the stripe classes cannot be read.
+        The network, the stripe classes or the calibration of the vehicle cannot be read.
+    TypeError
+        There is no setting of this name.
 
     Examples
     --------
@@ -139,20 +96,16 @@ class ScanClassifier:
     True
     """
 
-    def __init__(
-        self,
-        *,
-        method: ScanMethod | None = None,
-        model: str | os.PathLike[str] | None = None,
-        stripes: str | os.PathLike[str] | None = None,
-        compat: Compat = "none",
-        polar: PolarSettings | Mapping[str, Any] | None = None,
-        robot: Robot | Mapping[str, Any] | None = None,
-        reuse: bool = False,
-    ) -> None:
-        given = {"method": method, "model": model, "stripes": stripes, "compat": compat, "polar": polar, "robot": robot}
-        settings = settings_of_call(given, ScanConfig, "ScanClassifier")
-        config = ScanConfig(frames=(), out=Path(), **settings)  # these two are not used
+    def __init__(self, *, reuse: bool = False, **settings: Unpack[ClassifierSettings]) -> None:
+        unknown = ", ".join(set(settings) - set(ClassifierSettings.__annotations__))
+        if unknown:
+            raise TypeError(
+                f"ScanClassifier has no setting {unknown}; it has {', '.join(ClassifierSettings.__annotations__)}"
+            )
+        given = {name: value for name, value in settings.items() if value is not None}
+        refuse_clashes(given, [VEHICLE_OR_CALIBRATION])
+        own = settings_of_call(given, ScanConfig, "ScanClassifier")
+        config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
         self._robot = config.robot
         self._blind = config.robot.box_m is None and config.robot.radius_m <= config.polar.zone_starts_m[0]
         self._method = choose_method(config)
@@ -211,25 +164,16 @@ class ScanClassifier:
         return points.take(rows, axis=0, out=out, mode="clip")
 
 
-def classify_scan(
-    points: ScanSource,
-    /,
-    *,
-    method: ScanMethod | None = None,
-    model: str | os.PathLike[str] | None = None,
-    stripes: str | os.PathLike[str] | None = None,
-    compat: Compat = "none",
-    polar: PolarSettings | Mapping[str, Any] | None = None,
-    robot: Robot | Mapping[str, Any] | None = None,
-) -> ScanResult:
+def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings]) -> ScanResult:
     """Classify the ground of one scan.
 
     Parameters
     ----------
     points : array (n, 3 or more) or path
         As for a call of `ScanClassifier`.
-    method, model, stripes, compat, polar, robot
-        As for `ScanClassifier`, which is faster for several scans.
+    **settings
+        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``stripes``, ``compat``,
+        ``polar``, ``robot``, ``vehicle``, ``calibration``.
 
     Returns
     -------
@@ -239,9 +183,10 @@ def classify_scan(
     ------
     BumpymapError
         Invalid settings or points, or a file that cannot be read.
+    TypeError
+        There is no setting of this name.
     """
-    classifier = ScanClassifier(method=method, model=model, stripes=stripes, compat=compat, polar=polar, robot=robot)
-    return classifier(points)
+    return ScanClassifier(**settings)(points)
 
 
 def _columns(points: ArrayLike, buffers: SectorBuffers) -> NDArray[np.float32]:

@@ -56,9 +56,10 @@ class ScanConfig:
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads; each works on one frame at a time."""
     vehicle: NameOrFile | None = None
-    """Vehicle of the mapped layers: a name or a TOML file, as for ``bumpymap map``; None: that of ``bumpymap map``."""
+    """Vehicle whose ride on each sector is told, and whose belly and height say what an obstacle is: a name or a TOML
+    file, as for ``bumpymap map``. It is also that of the mapped layers; None: no ride, and the map of the default."""
     calibration: Path | None = None
-    """A calibration file for the mapped layers, instead of ``vehicle``."""
+    """A calibration file, instead of ``vehicle``."""
     skip_bad: bool = False
     """Skip frames that cannot be read."""
     overwrite: bool = False
@@ -111,10 +112,25 @@ class ScanConfig:
         """Which topics of a bag are read."""
         return BagTopics(self.topic, self.odometry, poses=self.poses is None)
 
+    @property
+    def rates_ride(self) -> bool:
+        """Whether the ride of a vehicle on each sector is told."""
+        return (self.vehicle is not None or self.calibration is not None) and self.finds_ground
+
+    @property
+    def finds_ground(self) -> bool:
+        """Whether ground points are found; False: all points are taken for ground, as in the paper."""
+        return self.compat == "none" and self.polar.ground_only
+
     def refuse_map_settings(self) -> None:
-        """Raise UsageError if there are settings for the map of the drive; for runs without poses."""
-        maps = [name for name in ("crs", "vehicle", "calibration") if getattr(self, name) is not None]
-        if maps:
+        """Raise UsageError if there are settings for the map of the drive alone; for runs without poses."""
+        if self.crs is not None:
             raise UsageError(
-                f"`{maps[0]}` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
+                "`crs` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
+            )
+        names = [name for name in ("vehicle", "calibration") if getattr(self, name) is not None]
+        if names and not self.finds_ground:
+            raise UsageError(
+                f"`{names[0]}` rates the ground of a scan, and as in the paper no ground is found in it: leave out "
+                f"`compat='paper'` (and ground_only), or `{names[0]}`"
             )

@@ -1,10 +1,11 @@
 """Choosing the method that classifies sectors, and loading its network or stripe classes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
-from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, UsageError
+from bumpymap.core import ClassedSectors, PolarSettings, Scan, ScanMethod, UsageError, VehicleBody
+from bumpymap.rating import Calibration, find_calibration
 from bumpymap.scan.buffers import SectorBuffers
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.learned import ScanModel, classify_learned
@@ -24,6 +25,8 @@ class Method:
     """Description of the network or the stripe classes."""
     classify: Callable[[Scan], ClassedSectors]
     """Cuts a scan into sectors and classifies them; keeps buffers for the next scan, so use it in one thread only."""
+    calibration: Calibration | None = None
+    """Of the vehicle whose ride on the sectors is told; None: of none."""
 
 
 def choose_method(config: ScanConfig) -> Method:
@@ -35,10 +38,40 @@ def choose_method(config: ScanConfig) -> Method:
     Raises
     ------
     UsageError
-        No network is included, or the network or the stripe classes are for another grid.
+        No network is included, or the network or the stripe classes are for another grid. There is no such vehicle,
+        or the settings name another belly or height.
     BadInputError
-        The network or the stripe classes cannot be read.
+        The network, the stripe classes or the calibration of the vehicle cannot be read.
     """
+    if not config.rates_ride:
+        return _choose(config)
+    from bumpymap.scan.ride import SectorRater
+
+    calibration = find_calibration(config.vehicle or "", config.calibration)
+    rater = SectorRater(calibration)
+    method = _choose(replace(config, polar=_for_vehicle(config.polar, calibration.body)))
+
+    def classify(scan: Scan) -> ClassedSectors:
+        classed = method.classify(scan)
+        return replace(classed, ride=rater(scan, classed.sectors))
+
+    return replace(method, classify=classify, calibration=calibration)
+
+
+def _for_vehicle(polar: PolarSettings, body: VehicleBody) -> PolarSettings:
+    """Return the grid with the outline of a vehicle; raise UsageError if the settings name another one."""
+    own = {"belly_m": body.lowest_obstacle_m, "height_m": body.height_m}
+    for name, value in own.items():
+        if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
+            raise UsageError(
+                f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the vehicle: "
+                f"leave out {name}, or the vehicle"
+            )
+    return replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])
+
+
+def _choose(config: ScanConfig) -> Method:
+    """Return the method without the ride of a vehicle."""
     if config.compat == "paper":
         return Method("filter", "stripe classes found in every scan", lambda scan: classify_paper(scan, config.polar))
     if config.model is not None or config.method == "learned" or (config.method is None and _by_network(config)):

@@ -19,6 +19,7 @@ from bumpymap.layers import (
     software_versions,
     verified_record,
 )
+from bumpymap.rating import Calibration
 from bumpymap.readers import FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frame_products import frame_products
@@ -28,10 +29,9 @@ __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest
 
 _WITHOUT_EFFECT = {
     *("frames", "out", "overwrite", "resume", "skip_bad", "threads"),
-    *("poses", "labels", "vehicle", "calibration"),
+    *("poses", "labels"),
 }
-"""Settings that do not change the files of the frames: a resumed run may use other values. Those of the map of the
-drive are checked when it is made."""
+"""Settings that do not change the files of the frames: a resumed run may use other values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,17 @@ def describe_scan(
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
-        "made with": software_versions() | {"method": f"{method.name}, {method.basis}"},
+        "made with": software_versions() | _made_with(method.name, method.basis, _calibration_id(method)),
         "poses": None if all(frame.pose is None for frame in frames) else _describe_poses(config, frames, poses),
     }
+
+
+def _made_with(method: str, basis: str, calibration: str | None) -> dict[str, Any]:
+    return {"method": f"{method}, {basis}", "calibration": calibration}
+
+
+def _calibration_id(method: Method) -> str | None:
+    return None if method.calibration is None else method.calibration.id
 
 
 def _describe_poses(config: ScanConfig, frames: Sequence[Frame], poses: FramePoses | None) -> dict[str, Any]:
@@ -83,12 +91,23 @@ def scan_manifest(
     return {
         "settings": config,
         "method": {"name": method.name, "basis": method.basis},
+        "calibration": None if method.calibration is None else _describe_calibration(method.calibration),
         "poses": run_spec["poses"],
         "skipped": skipped,
         "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
         "side_files": [
             describe_file(path) | {"mtime_ns": known[str(path)]["mtime_ns"]} for path in _side_files(config, frames)
         ],
+    }
+
+
+def _describe_calibration(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "id": calibration.id,
+        "vehicle": calibration.vehicle["name"],
+        "class_limits": calibration.class_limits,
+        "belly_m": calibration.body.lowest_obstacle_m,
+        "height_m": calibration.body.height_m,
     }
 
 
@@ -104,9 +123,8 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         method = record["method"]
         inputs = [*(frame for frame in record["frames"] if frame.get("message") is None), *record["side_files"]]
         ignored = _WITHOUT_EFFECT - {"skip_bad"} if record["skipped"] else _WITHOUT_EFFECT
-        before = spec_of_manifest(
-            {**record, "inputs": inputs}, ignored, {"method": f"{method['name']}, {method['basis']}"}
-        )
+        made_with = _made_with(method["name"], method["basis"], (record.get("calibration") or {}).get("id"))
+        before = spec_of_manifest({**record, "inputs": inputs}, ignored, made_with)
         now = {**run_spec, "settings": flat_settings(config, ignored)}
         refuse_replacing(config.out, differences(before, now, same_content))
         own = {frame.name: frame for frame in frames}

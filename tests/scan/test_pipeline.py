@@ -528,7 +528,7 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
     ("settings", "words"),
     [
         ({"crs": "EPSG:32614"}, "add `poses="),
-        ({"vehicle": "warthog"}, "add `poses="),
+        ({"vehicle": "warthog", "compat": "paper"}, "leave out `compat='paper'`"),
         ({"products": ("tables",)}, "polygons, table, cloud"),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"products": ()}, "give one or more"),

@@ -141,15 +141,18 @@ class GroundGrid:
         -------
         dict
             ``class`` (0 to 2), ``obstacle_height`` (m) and ``ground`` (share of the points that are ground) of the
-            sector; ``elevation``: mean z of the ground points in the cell, m, in the sensor's frame. NaN where unknown.
+            sector; ``elevation``: mean z of the ground points in the cell, m, in the sensor's frame; if a vehicle was
+            named, ``c_r`` (rad/m) of the sector. NaN where unknown.
         """
         stack, rows = classed.sectors, self.rows(classed.sectors)
         class_id = np.where(classed.class_id == NOT_TRAVERSABLE, np.nan, classed.class_id)
         share = stack.ground_count / np.maximum(stack.count, 1)
         by_sector = {"class": class_id, "obstacle_height": stack.obstacle_height, "ground": share}
+        if classed.ride is not None:
+            by_sector["c_r"] = classed.ride.c_r
         found = {name: np.append(values, np.nan).astype(np.float32)[rows] for name, values in by_sector.items()}
         found["elevation"] = self._elevation(scan.points[stack.point_ground])
-        return {name: found[name] for name in GRID_LAYERS}
+        return {name: found[name] for name in (*GRID_LAYERS, "c_r") if name in found}
 
     def _elevation(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         column, row = np.floor((points[:, :2].T.astype(np.float64) + self.reach_m) / self.resolution_m)

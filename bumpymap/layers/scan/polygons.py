@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, SectorStack
+from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, ClassedSectors, SectorStack
 from bumpymap.layers.scan.geometry import outlines
 from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, class_index
 
@@ -67,6 +67,9 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
         "coverage": _numbers(stack.coverage),
         "label": [None if label < 0 else label for label in stack.label.tolist()],
     }
+    if classed.ride is not None:
+        columns |= {name: _numbers(getattr(classed.ride, name)) for name in ("c_r", "c_r_low", "c_r_high")}
+        columns["ride_class"] = [None if value == NO_CLASS else value for value in classed.ride.class_id.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

@@ -14,6 +14,9 @@ from bumpymap.layers.scan.style import SCAN_CLASS_NAMES, SECTOR_STATES, sector_s
 __all__ = ["FrameReport", "explain_empty_scan", "report_frame"]
 
 
+_RIDE_CLASSES = ("0", "1", "2", "3", "unknown")
+
+
 @dataclass(frozen=True, slots=True)
 class FrameReport:
     """The file of a frame, and numbers of its points and sectors."""
@@ -35,6 +38,8 @@ class FrameReport:
     """(4,) sectors by ``SECTOR_STATES``."""
     classed_points: tuple[int, ...]
     """(4,) points of class 0 to 2, then of no class."""
+    ride_classes: tuple[int, ...] | None
+    """(5,) traversable sectors of class 0 to 3 for the vehicle, then unknown; None without a vehicle."""
     seconds: float
     """Wall time from reading the file to classed sectors."""
 
@@ -51,6 +56,7 @@ class FrameReport:
             tuple(record["sectors"].values()),
             tuple(record["sector_states"].values()),
             tuple(record["points_by_class"].values()),
+            None if record["sectors_by_ride"] is None else tuple(record["sectors_by_ride"].values()),
             record["seconds"],
         )
 
@@ -69,6 +75,9 @@ class FrameReport:
             "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
             "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
             "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
+            "sectors_by_ride": None
+            if self.ride_classes is None
+            else dict(zip(_RIDE_CLASSES, self.ride_classes, strict=True)),
             "seconds": self.seconds,
         }
 
@@ -112,8 +121,17 @@ def report_frame(
         sectors,
         tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
         points,
+        _count_rides(classed),
         round(seconds, 4),
     )
+
+
+def _count_rides(classed: ClassedSectors) -> tuple[int, ...] | None:
+    if classed.ride is None:
+        return None
+    unknown = len(_RIDE_CLASSES) - 1
+    class_id = np.minimum(classed.ride.class_id[classed.sectors.traversable], unknown)
+    return tuple(np.bincount(class_id, minlength=unknown + 1).tolist())
 
 
 def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:

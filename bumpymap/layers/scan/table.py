@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, sector_bounds
+from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 
 __all__ = ["COLUMNS", "SectorTable", "open_table", "sector_rows"]
 
@@ -35,12 +35,20 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
     ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
+    ("c_r", pa.float32(), "rad/m", "ride of the vehicle, as in a survey's map; null where unknown"),
+    ("c_r_low", pa.float32(), "rad/m", "lower end of its 80 % interval"),
+    ("c_r_high", pa.float32(), "rad/m", "upper end"),
+    ("ride_class", pa.int8(), "", "0 (flattest) to 3 (roughest) for the vehicle, as in a survey's map"),
     ("variance", pa.float32(), "m2", "population variance of z over the ground points"),
     ("residual", pa.float32(), "m", "mean perpendicular distance of the ground points to the RANSAC plane"),
     ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a ground point"),
     ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
 )
 """Name, type, unit and description of each column."""
+
+
+RIDE_COLUMNS = ("c_r", "c_r_low", "c_r_high", "ride_class")
+"""Columns of the ride of a vehicle; null without one."""
 
 
 class SectorTable:
@@ -81,7 +89,7 @@ def open_table(path: Path) -> Iterator[SectorTable]:
 
 
 def _schema() -> pa.Schema:
-    nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual"}
+    nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual", *RIDE_COLUMNS}
     return pa.schema(
         [
             pa.field(
@@ -107,6 +115,12 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
         "label": pa.array(stack.label, pa.int16(), mask=stack.label < 0),
         "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
     }
+    if classed.ride is None:
+        columns |= {name: pa.nulls(count) for name in RIDE_COLUMNS}
+    else:
+        class_id = classed.ride.class_id
+        columns |= {name: getattr(classed.ride, name) for name in RIDE_COLUMNS[:3]}
+        columns["ride_class"] = pa.array(class_id, pa.int8(), mask=class_id == NO_CLASS)
     columns |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
     schema = _schema()
@@ -116,4 +130,6 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
 
 def _array(values: Any, field: pa.Field) -> pa.Array:
     """Return an array of the field's type in which NaN is null."""
+    if isinstance(values, pa.NullArray):
+        return values.cast(field.type)
     return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
