@@ -101,14 +101,11 @@ class FrameProducts:
         if self.grids is not None:
             self.grids.add(frame, number, scan, classed)
         kept = slice(None) if self.accumulated is not None else slice(0)
-        with np.errstate(over="ignore"):
-            heights = stack.point_height[kept].astype(np.float16)
         part = FramePart(
             report,
             sector_rows(frame.name, classed) if self.table is not None else None,
             scan.points[kept],
             stack.point_ground[kept],
-            heights,
             file_sizes(self._files(frame, number)) or {},
         )
         save_part(part, part_path(self.run_folder, number))
