@@ -412,6 +412,14 @@ def test_camera_poses_without_calib_are_refused(tmp_path):
         read_poses(tmp_path / "poses.txt", frames)
 
 
+def test_poses_with_a_jump_to_the_stars_take_no_memory(tmp_path):
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [0.0, 1.0, 2.0, 1e15, 1e15 + 1.0]
+    path = tmp_path / "poses.txt"
+    np.savetxt(path, poses[:, :3].reshape(5, 12))
+    assert len(read_poses(path, [tmp_path / f"{n}.bin" for n in range(5)]).poses) == 5
+
+
 def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
     """Odometry of LiDAR scans is written in KITTI's format too."""
     _, poses = drive()
