@@ -37,8 +37,8 @@ def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: 
     Raises
     ------
     OutputError
-        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of ``out``
-        that is replaced, or its folder does not exist.
+        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of
+        ``out`` that is replaced, or its folder does not exist.
     UsageError
         The extra ``ros`` is not installed.
     """
