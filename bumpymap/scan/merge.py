@@ -127,7 +127,8 @@ class DriveMerge:
         BadInputError
             The frame lies too far from the first one.
         """
-        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
+        # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
+        world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
         whole = np.round(1000.0 * world)
         if np.abs(whole).max(initial=0.0) > _FAR_MM:
             raise BadInputError(
