@@ -43,6 +43,7 @@ __all__ = [
     "frame_products",
     "move_products",
     "open_products",
+    "present_products",
     "staging_folder",
 ]
 
@@ -175,13 +176,15 @@ def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
     return staged
 
 
+def present_products(folder: Path) -> tuple[str, ...]:
+    """Return the names of the products of a run that are in a folder, without the map of the drive."""
+    names = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
+    return tuple(name for name in names if (folder / name).exists())
+
+
 def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     """Move all products to ``out``, remove those of an earlier run that they do not replace; return their names."""
-    files = tuple(
-        name
-        for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
-        if (staged / name).exists()
-    )
+    files = present_products(staged)
     sync_to_disk(path for path in staged.rglob("*") if path.is_file())
     move_together(staged, out, SCAN_MANIFEST_NAME)
     remove_stale_products(out, files)

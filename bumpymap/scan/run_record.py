@@ -7,10 +7,7 @@ from typing import Any
 
 from bumpymap.core import OutputError, ScanMethod, differences, flat_settings, same_content, spec_of_manifest
 from bumpymap.layers import (
-    ACCUMULATED_NAME,
-    FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
-    SECTOR_TABLE_NAME,
     Frame,
     FrameReport,
     describe_input,
@@ -21,7 +18,7 @@ from bumpymap.layers import (
 )
 from bumpymap.readers import LABEL_SETS, FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frame_products import frame_products
+from bumpymap.scan.frame_products import frame_products, present_products
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
@@ -121,13 +118,10 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         own = {frame.name: frame for frame in frames}
         reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, frames, reports)
-        files = tuple(
-            name
-            for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
-            if (config.out / name).exists()
-        )
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
-        return ClassifiedFrames(files, method["name"], reports, skipped, record["gathered"], record["seconds"])
+        return ClassifiedFrames(
+            present_products(config.out), method["name"], reports, skipped, record["gathered"], record["seconds"]
+        )
 
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
