@@ -31,6 +31,9 @@ CLASSES = 3
 NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
+_MOST_CELLS = 32_767
+"""Sectors in all rings of a polar grid: sectors and rings are counted in 16 bits, and each cell takes some kilobytes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
@@ -121,6 +124,9 @@ class PolarSettings:
             raise UsageError(
                 f"a zone has 3 sectors or more and 1 ring or more; {self.sectors} and {self.rings} were given"
             )
+        cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
+        if cells > _MOST_CELLS:
+            raise UsageError(f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given")
         if (
             self.least_points < 3
             or not 3 <= self.pixels <= 64
