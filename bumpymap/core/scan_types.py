@@ -127,8 +127,8 @@ class PolarSettings:
         cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
         if cells > _MOST_CELLS:
             raise UsageError(
-                f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given. Give fewer sectors "
-                "or rings"
+                f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given. Give fewer "
+                "sectors or rings"
             )
         if (
             self.least_points < 3
