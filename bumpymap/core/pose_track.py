@@ -11,6 +11,8 @@ NEAREST_S = 0.2
 """A time has a pose if one of the track is as near as this ..."""
 LONGEST_GAP_S = 1.5
 """... or if it lies between two that are no farther apart than this: poses at 1 Hz are interpolated."""
+_SPEED_S = 0.05
+"""Beyond the ends, the motion is that over at least this long: two poses a moment apart tell no speed."""
 SCAN_S = 2.0
 """Poses this long before and after a frame are kept for deskewing: no scan takes longer."""
 
@@ -28,13 +30,18 @@ class PoseTrack:
         """Return the poses at given times, (m, 4, 4).
 
         The place is interpolated along a line, the rotation at constant speed (slerp). Before the first and after the
-        last pose, the motion continues as between the two nearest ones.
+        last pose, the motion continues as between the nearest ones, see ``_SPEED_S``.
         """
         if len(self.times) == 1:
             return np.repeat(self.poses, len(times), axis=0)
-        before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
-        share = (times - self.times[before]) / (self.times[before + 1] - self.times[before])
-        first, second = self.poses[before], self.poses[before + 1]
+        end = len(self.times) - 1
+        before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, end - 1)
+        after = before + 1
+        after[times < self.times[0]] = min(int(np.searchsorted(self.times, self.times[0] + _SPEED_S)), end)
+        late = int(np.searchsorted(self.times, self.times[-1] - _SPEED_S, side="right")) - 1
+        before[times > self.times[-1]] = max(late, 0)
+        share = (times - self.times[before]) / (self.times[after] - self.times[before])
+        first, second = self.poses[before], self.poses[after]
         poses = np.tile(np.eye(4), (len(times), 1, 1))
         poses[:, :3, 3] = first[:, :3, 3] + share[:, None] * (second[:, :3, 3] - first[:, :3, 3])
         between = first[:, :3, :3].transpose(0, 2, 1) @ second[:, :3, :3]

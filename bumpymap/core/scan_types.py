@@ -33,6 +33,9 @@ CLASSES = 3
 NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
+_MOST_CELLS = 32_767
+"""Sectors in all rings of a polar grid: they are counted in 16 bits, and each takes some kilobytes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
@@ -122,6 +125,12 @@ class PolarSettings:
         if min(*self.sectors, *self.rings) < 1 or min(self.sectors) < 3:
             raise UsageError(
                 f"a zone has 3 sectors or more and 1 ring or more; {self.sectors} and {self.rings} were given"
+            )
+        cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
+        if cells > _MOST_CELLS:
+            raise UsageError(
+                f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given. Give fewer "
+                "sectors or rings"
             )
         if (
             self.least_points < 3

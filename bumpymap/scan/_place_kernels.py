@@ -107,7 +107,7 @@ def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         r = math.sqrt(x * x + y * y)
-        if reach[0] <= r < reach[1]:
+        if reach[0] <= r < reach[1] and r > 0.0:  # straight above or below has no direction
             sx += x / r
             sy += y / r
     total[0], total[1] = sx, sy

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_DEGREES", "MOST_METRES", "Alignment", "GroundHeights", "align_frames", "ground_heights"]
+__all__ = [
+    "MOST_DEGREES",
+    "MOST_METRES",
+    "Alignment",
+    "DriveHeights",
+    "GroundHeights",
+    "align_frames",
+    "ground_heights",
+]
 
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
 """A frame is corrected by at most so much in height and in tilt about each axis."""
@@ -23,6 +31,11 @@ _LEAST_M = 0.03
 _PRIOR = (1.0, 100.0, 100.0)
 """What keeps corrections small that the ground does not ask for: as one square more at a correction of 0."""
 _SIDE = 1 << 31
+_MOST_SQUARES = 2_000_000
+"""Squares of all frames together that are kept: 300 frames at least have all of theirs. They take 40 MB, and the
+corrections are found in half a minute; a frame needs a few dozen."""
+_MOST_HALVED = 32
+_SPREADING = np.uint64(0x9E3779B97F4A7C15)
 
 Floats = NDArray[np.float64]
 
@@ -65,6 +78,41 @@ class Alignment:
             "largest_shift_m": round(float(np.abs(self.shift[:, 0]).max(initial=0.0)), 4),
             "largest_tilt_deg": round(float(tilt.max(initial=0.0)), 3),
         }
+
+
+class DriveHeights:
+    """The ground heights of frame after frame.
+
+    If there are too many squares together, half of the squares of the world go, the same ones from every frame: those
+    that stay are still shared. Memory is therefore bounded, but for some bytes a frame.
+
+    Parameters
+    ----------
+    most : int
+        Squares of all frames together.
+    """
+
+    def __init__(self, most: int = _MOST_SQUARES) -> None:
+        self.frames: list[GroundHeights] = []
+        self._most, self._held, self._halved = most, 0, 0
+
+    def add(self, heights: GroundHeights) -> None:
+        """Take the heights of the next frame."""
+        self.frames.append(self._thinned(heights))
+        self._held += len(self.frames[-1].square)
+        while self._held > self._most and self._halved < _MOST_HALVED:
+            self._halved += 1
+            self.frames = [self._thinned(each) for each in self.frames]
+            self._held = sum(len(each.square) for each in self.frames)
+
+    def _thinned(self, heights: GroundHeights) -> GroundHeights:
+        """Return the heights without the squares that went."""
+        if not self._halved:
+            return heights
+        spread = (heights.square.astype(np.uint64) * _SPREADING) >> np.uint64(64 - self._halved)
+        stays = spread == 0
+        east, north, z = (values[stays] for values in (heights.east, heights.north, heights.z))
+        return GroundHeights(heights.square[stays], east, north, z, heights.up)
 
 
 def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> GroundHeights:

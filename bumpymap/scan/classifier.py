@@ -107,7 +107,8 @@ class ScanClassifier:
         own = settings_of_call(given, ScanConfig, "ScanClassifier")
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
         self._robot = config.robot
-        self._blind = config.robot.box_m is None and config.robot.radius_m <= config.polar.zone_starts_m[0]
+        nearest = config.polar.zone_starts_m[0]
+        self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
         self._method = choose_method(config)
         self._scratch = SectorBuffers()
         self._results = SectorBuffers() if reuse else None

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from importlib.util import find_spec
 
-import numpy as np
-
 from bumpymap.core import OutputError, Progress, SectorStack, SilentProgress, UsageError, atomic
 from bumpymap.layers import name_frames, sample_evenly
 from bumpymap.readers import BagTopics, find_sources
@@ -44,13 +42,19 @@ def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[St
             scan = reader.read(frame)
             with naming_frame(frame):
                 stack = polar_sectors(scan, config.polar)
-            stacks.append(replace(stack, point_sector=np.empty(0, np.int32)))  # as large as the scan, and not needed
+            stacks.append(_small(stack))
         progress.advance(1)
     reader.require_any(len(stacks))
     model = fit_stripes(stacks)
     with atomic(config.out) as temporary:
         save_stripes(model, temporary)
     return model, reader.skipped
+
+
+def _small(stack: SectorStack) -> SectorStack:
+    """Return the sectors without what a fit does not need: what is as large as the scan, and what stands on them."""
+    points = {name: getattr(stack, name)[:0].copy() for name in ("point_sector", "point_ground", "point_height")}
+    return replace(stack, things=stack.things[:, :0].copy(), **points)
 
 
 def _check(config: ScanConfig) -> None:

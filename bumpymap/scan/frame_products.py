@@ -43,6 +43,7 @@ __all__ = [
     "frame_products",
     "move_products",
     "open_products",
+    "present_products",
     "staging_folder",
 ]
 
@@ -101,14 +102,11 @@ class FrameProducts:
         if self.grids is not None:
             self.grids.add(frame, number, scan, classed)
         kept = slice(None) if self.accumulated is not None else slice(0)
-        with np.errstate(over="ignore"):
-            heights = stack.point_height[kept].astype(np.float16)
         part = FramePart(
             report,
             sector_rows(frame.name, classed) if self.table is not None else None,
             scan.points[kept],
             stack.point_ground[kept],
-            heights,
             file_sizes(self._files(frame, number)) or {},
         )
         save_part(part, part_path(self.run_folder, number))
@@ -178,13 +176,15 @@ def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
     return staged
 
 
+def present_products(folder: Path) -> tuple[str, ...]:
+    """Return the names of the products of a run that are in a folder, without the map of the drive."""
+    names = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
+    return tuple(name for name in names if (folder / name).exists())
+
+
 def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     """Move all products to ``out``, remove those of an earlier run that they do not replace; return their names."""
-    files = tuple(
-        name
-        for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
-        if (staged / name).exists()
-    )
+    files = present_products(staged)
     sync_to_disk(path for path in staged.rglob("*") if path.is_file())
     move_together(staged, out, SCAN_MANIFEST_NAME)
     remove_stale_products(out, files)

@@ -4,7 +4,7 @@ Frames come one after another. Their points are written to a file in the folder 
 world, with an image of the nearest ranges by direction. When all are there, the heights of the ground in different
 frames give small corrections of the poses, and block after block is read back: a voxel through which two other frames
 or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
-block.
+block and by a number of squares of ground.
 """
 
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
 from bumpymap.scan.agreement import LIMITS, LOWEST, REACH_M, refuse_wrong_poses
-from bumpymap.scan.align import Alignment, GroundHeights, align_frames, ground_heights
+from bumpymap.scan.align import Alignment, DriveHeights, GroundHeights, align_frames, ground_heights
 
 __all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "open_merge"]
 
@@ -44,7 +44,6 @@ class _MergeFrame:
     """A frame whose points are in the file."""
 
     pose: NDArray[np.float64]
-    heights: GroundHeights
     rows: tuple[int, int]
     """Where its points lie in the file: from, to."""
 
@@ -83,6 +82,8 @@ class DriveMerge:
     frames: list[_MergeFrame] = field(default_factory=list)
     blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
     """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
+    heights: DriveHeights = field(default_factory=DriveHeights)
+    """Of their ground."""
     seen: int = 0
     """Points that came."""
     written: int = 0
@@ -126,7 +127,8 @@ class DriveMerge:
         BadInputError
             The frame lies too far from the first one.
         """
-        world = points.astype(np.float64) @ pose[:3, :3].T + (pose[:3, 3] - self.offset)
+        # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
+        world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
         whole = np.round(1000.0 * world)
         if np.abs(whole).max(initial=0.0) > _FAR_MM:
             raise BadInputError(
@@ -156,14 +158,15 @@ class DriveMerge:
         placed.rows.tofile(self.points)
         placed.image.tofile(self.images)
         count = len(placed.rows)
-        self.frames.append(_MergeFrame(placed.pose, placed.heights, (self.seen, self.seen + count)))
+        self.frames.append(_MergeFrame(placed.pose, (self.seen, self.seen + count)))
+        self.heights.add(placed.heights)
         self.seen += count
 
     def write(self, survey: AccumulatedSurvey) -> None:
         """Align the frames, and write what is left of their points, block by block."""
         self.points.flush()
         self.images.flush()
-        self.alignment = align_frames([frame.heights for frame in self.frames])
+        self.alignment = align_frames(self.heights.frames)
         refuse_wrong_poses(self.alignment, self)
         self.shift = self.alignment.shift
         for block in sorted(self.blocks):

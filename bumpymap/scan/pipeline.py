@@ -81,7 +81,7 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         )
         if config.bag is not None:
             inputs = [frame.path for frame in frames]
-            check_bag_file(config.bag, inputs, overwrite=config.overwrite or unfinished)
+            check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
         classified = FrameRun(config, frames, method, crs, run_spec).classify(progress, clock)
         seconds = clock.seconds
     mapped = None

@@ -32,7 +32,8 @@ class ScanResult:
     point_sector: NDArray[np.int32]
     """(n,) row of the point's sector in the arrays of sectors; -1 if it is in no measured sector."""
     sectors: ClassedSectors
-    """All measures of the sectors; the most important ones are also properties of this object."""
+    """All measures of the sectors; the most important ones are also properties of this object. Where returns were left
+    out (not finite, on the robot), its arrays with a row per point have no rows for them."""
 
     @property
     def class_names(self) -> dict[int, str]:

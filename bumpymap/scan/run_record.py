@@ -7,31 +7,29 @@ from typing import Any
 
 from bumpymap.core import OutputError, ScanMethod, differences, flat_settings, same_content, spec_of_manifest
 from bumpymap.layers import (
-    ACCUMULATED_NAME,
-    FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
-    SECTOR_TABLE_NAME,
     Frame,
     FrameReport,
-    describe_file,
+    describe_input,
     has_files,
     refuse_replacing,
     software_versions,
     verified_record,
 )
 from bumpymap.rating import Calibration
-from bumpymap.readers import FramePoses, bag_files, files_beside_poses, identity, label_file
+from bumpymap.readers import LABEL_SETS, FramePoses, bag_files, files_beside_poses, identity, label_file
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frame_products import frame_products
+from bumpymap.scan.frame_products import frame_products, present_products
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
 _WITHOUT_EFFECT = {
     *("frames", "out", "overwrite", "resume", "skip_bad", "threads"),
-    *("poses", "labels"),
+    "poses",
 }
-"""Settings that do not change the files of the frames: a resumed run may use other values."""
+"""Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
+input."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +84,15 @@ def scan_manifest(
     run_spec: Mapping[str, Any],
     skipped: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return what ``scan.json`` says beside the frames."""
+    """Return what ``scan.json`` says beside the frames.
+
+    Raises
+    ------
+    BadInputError
+        A file that was read beside those of frames has changed since.
+    """
     known = run_spec["inputs"]
+    own = {str(frame.path) for frame in frames if frame.message is None}
     return {
         "settings": config,
         "method": {"name": method.name, "basis": method.basis},
@@ -96,7 +101,9 @@ def scan_manifest(
         "skipped": skipped,
         "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
         "side_files": [
-            describe_file(path) | {"mtime_ns": known[str(path)]["mtime_ns"]} for path in _side_files(config, frames)
+            describe_input({"path": path, "bytes": version["size"], "mtime_ns": version["mtime_ns"]})
+            for path, version in known.items()
+            if path not in own
         ],
     }
 
@@ -130,18 +137,16 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         own = {frame.name: frame for frame in frames}
         reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, frames, reports)
-        files = tuple(
-            name
-            for name in (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
-            if (config.out / name).exists()
-        )
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
-        return ClassifiedFrames(files, method["name"], reports, skipped, record["gathered"], record["seconds"])
+        return ClassifiedFrames(
+            present_products(config.out), method["name"], reports, skipped, record["gathered"], record["seconds"]
+        )
 
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
-    labels = [found for frame in frames if frame.path.suffix == ".bin" and (found := label_file(frame.path))]
+    labels = [] if config.labels is None or config.labels in LABEL_SETS else [Path(config.labels)]
+    labels += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
     beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
     bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
     stored = [file for bag in bags for file in bag_files(bag)]

@@ -292,6 +292,11 @@ def test_where_the_grids_cannot_be_written(bag, tmp_path):
         scan_frames(replace(config, bag=tmp_path / "none" / "g.mcap"))
     with pytest.raises(OutputError, match="input"):
         scan_frames(replace(config, bag=bag / "new.mcap", overwrite=True))
+    (tmp_path / "out" / "frames").mkdir(parents=True)
+    (tmp_path / "out" / "scan.json").touch()
+    with pytest.raises(OutputError, match="which the run replaces"):
+        scan_frames(replace(config, bag=tmp_path / "out" / "frames" / "new.mcap", overwrite=True))
+    shutil.rmtree(tmp_path / "out")
     with pytest.raises(UsageError, match=r"ends in \.mcap"):
         replace(config, bag=tmp_path / "g.db3")
     assert (tmp_path / "g.mcap").read_text() == "mine"

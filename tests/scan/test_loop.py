@@ -49,6 +49,27 @@ def test_memory_neither_grows_nor_varies_from_scan_to_scan(method):
     assert ends[-1] - ends[2] < 4 * len(scans[0])  # less than any array with a row per point, over 16 scans
 
 
+@pytest.mark.parametrize("radius_m", [0.0, 0.5])
+def test_a_grid_from_the_sensor_on_leaves_out_beams_without_return(radius_m):
+    polar = {"zone_starts_m": (0.0, 4.0), "sectors": (16, 24), "rings": (2, 4), "end_m": 30.0}
+    classify = ScanClassifier(method="filter", polar=polar, robot={"radius_m": radius_m})
+    points = np.nan_to_num(revolution(0))
+    nothing = (points == 0.0).all(axis=1)
+    result, alone = classify(points), classify(points[~nothing])
+    assert (result.point_class[nothing] == 255).all()
+    np.testing.assert_array_equal(result.point_class[~nothing], alone.point_class)
+    assert (alone.sector_class < 255).sum() > 50
+
+
+def test_a_return_straight_below_the_sensor_has_no_direction():
+    polar = {"zone_starts_m": (0.0, 4.0), "sectors": (16, 24), "rings": (2, 4), "end_m": 30.0}
+    classify = ScanClassifier(method="filter", polar=polar, robot={"radius_m": 0.0})
+    points = revolution(0, lost=0.0)
+    below = classify(np.vstack([points, np.float32([0.0, 0.0, -1.5])]))
+    assert below.sectors.sectors.azimuth_start_rad == classify(points).sectors.sectors.azimuth_start_rad
+    assert below.point_class[-1] < 255
+
+
 @pytest.mark.parametrize("given", ["float32", "float64", "columns"])
 @pytest.mark.parametrize("reuse", [False, True])
 def test_results_are_overwritten_only_where_asked_for(given, reuse):

@@ -9,7 +9,7 @@ import pytest
 from bumpymap.core.errors import BadInputError
 from bumpymap.layers import open_accumulated
 from bumpymap.scan import merge
-from bumpymap.scan.align import MOST_METRES, GroundHeights, align_frames
+from bumpymap.scan.align import MOST_METRES, DriveHeights, GroundHeights, align_frames
 from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, open_merge
 
 CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -183,20 +183,22 @@ def test_poses_with_errors_give_level_ground_again(frames, tmp_path):
     json.dumps(record)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_corrections_are_those_that_were_put_in(seed):
+@pytest.mark.parametrize(("seed", "most"), [*((seed, 1 << 30) for seed in range(5)), (0, 4_000)])
+def test_corrections_are_those_that_were_put_in(seed, most):
     """The frames agree with each other; what they have in common cannot be known."""
     rng = np.random.default_rng(seed)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-10.0, 10.0, 0.5), np.arange(-10.0, 10.0, 0.5)))
     surface = rng.normal(0.0, 0.2, (60, 40))
-    frames, wrong = [], np.column_stack([rng.normal(0, 0.05, 8), rng.normal(0, 0.005, (8, 2))])
+    drive, wrong = DriveHeights(most), np.column_stack([rng.normal(0, 0.05, 8), rng.normal(0, 0.005, (8, 2))])
     for number, (up, east, north) in enumerate(wrong):
         column, row = np.meshgrid(np.arange(40) + 2 * number, np.arange(40))
         z = surface[column.ravel() % 60, row.ravel()] + rng.normal(0, 0.003, x.size) - (up + east * x + north * y)
         square = (column.ravel() << 31) + row.ravel()
         order = np.argsort(square)
-        frames.append(GroundHeights(square[order], *(v[order].astype(np.float32) for v in (x, y, z - 1.0)), 1.0))
-    found = align_frames(frames)
+        drive.add(GroundHeights(square[order], *(v[order].astype(np.float32) for v in (x, y, z - 1.0)), 1.0))
+    kept = [len(frame.square) for frame in drive.frames]
+    assert most / 4 < sum(kept) <= most or kept == [1_600] * 8
+    found = align_frames(drive.frames)
     assert found.before_m > 0.02
     assert found.after_m == pytest.approx(0.003, abs=0.001)
     off = found.shift - wrong

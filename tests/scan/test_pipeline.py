@@ -215,6 +215,62 @@ def done_frames(monkeypatch):
     return read
 
 
+class _Appears:
+    """A progress that writes a file after the first frame."""
+
+    def __init__(self, path, content):
+        self.path, self.content = path, content
+
+    def start(self, stage, total):
+        pass
+
+    def advance(self, steps):
+        if not self.path.exists():
+            self.path.write_bytes(self.content)
+
+
+def test_labels_that_appear_during_the_run_are_no_input_of_it(drive, tmp_path):
+    frames = shutil.copytree(drive / "frames", tmp_path / "frames")
+    config = ScanConfig((frames,), tmp_path / "out", method="filter", products=("table",), threads=1)
+    scan_frames(config, _Appears(frames / "0.label", bytes((frames / "0.bin").stat().st_size // 4)))
+    assert json.loads((config.out / "scan.json").read_text(encoding="utf-8"))["side_files"] == []
+    with pytest.raises(OutputError, match=r"0\.label is given now, but was not an input"):
+        scan_frames(config)
+
+
+def test_poses_that_change_during_the_run_are_not_recorded_as_those_that_were_used(drive, tmp_path):
+    poses = write_poses(tmp_path / "poses.txt")
+    config = ScanConfig((drive / "frames",), tmp_path / "out", poses=poses, method="filter", products=("table",))
+
+    class _Changes(_Ends):
+        def advance(self, steps):
+            write_poses(poses, [(turn, place + 1.0) for turn, place in POSES])
+
+    with pytest.raises(BadInputError, match=r"poses\.txt.*changed"):
+        scan_frames(config, _Changes(0))
+    assert not (config.out / "scan.json").exists()
+
+
+@pytest.mark.parametrize("suffix", [".label", ".csv"])
+def test_a_file_of_labels_is_an_input(drive, tmp_path, suffix):
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    shutil.copy(drive / "frames" / "0.bin", frames / "0.BIN")
+    labels = np.full((frames / "0.BIN").stat().st_size // 16, 40, "<u4")
+    labels.tofile(frames / "0.label")
+    (tmp_path / "own.csv").write_text("id,class\n40,0\n", encoding="utf-8")
+    config = ScanConfig(
+        (frames,), tmp_path / "out", labels=str(tmp_path / "own.csv"), method="filter", products=("table",)
+    )
+    scan_frames(config)
+    assert scan_frames(config).already_done
+    (tmp_path / "own.csv").write_text("id,class\n40,1\n", encoding="utf-8") if suffix == ".csv" else np.full_like(
+        labels, 48
+    ).tofile(frames / "0.label")
+    with pytest.raises(OutputError, match=rf"\{suffix} has changed since"):
+        scan_frames(config)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("after", [1, 2])
 @pytest.mark.parametrize("older", [False, True])
@@ -293,6 +349,7 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
         (replace(config, frames=(frames / "0.bin",)), "1.bin was an input, but is not given now"),
         (replace(config, compat="paper"), "compat was none, is paper"),
         (replace(config, poses=drive / "poses.txt"), "poses.txt is given now, but was not an input"),
+        (replace(config, labels="rellis"), "labels was not given, is rellis"),
     ):
         with pytest.raises(
             OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*`overwrite=True`"
@@ -512,6 +569,23 @@ def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
             assert class_id >= int(np.argmin(np.abs(np.float32(stripes) - np.array(model.centres, np.float32))))
     with pytest.raises(OutputError, match="no folder"):
         fit_frames(replace(config, out=tmp_path / "nowhere" / "own.json"))
+
+
+def test_a_fit_holds_the_heights_of_many_frames_and_little_else(drive, tmp_path, monkeypatch):
+    fitted = []
+
+    def keeping(stacks):
+        fitted.extend(stacks)
+        raise BadInputError("enough")
+
+    monkeypatch.setattr("bumpymap.scan.fit.fit_stripes", keeping)
+    with pytest.raises(BadInputError, match="enough"):
+        fit_frames(ScanConfig((drive / "frames",), tmp_path / "stripes.json"))
+    for stack in fitted:
+        arrays = [values for name in stack.__slots__ if hasattr(values := getattr(stack, name), "nbytes")]
+        assert all(values.base is None or values.base.nbytes <= 2 * values.nbytes for values in arrays)
+        assert sum(values.nbytes for values in arrays) < 1.2 * stack.heights.nbytes
+    assert len(fitted) == 2
 
 
 def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):

@@ -29,7 +29,7 @@ _PERIOD_NS = 100_000_000
 """Time between scans whose files hold no time."""
 
 
-def check_bag_file(path: Path, inputs: Iterable[Path], *, overwrite: bool) -> None:
+def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: bool) -> None:
     """Check that a bag can be written, before the long work.
 
     A bag that is a symbolic link will be replaced as a link; its target is not touched.
@@ -37,13 +37,16 @@ def check_bag_file(path: Path, inputs: Iterable[Path], *, overwrite: bool) -> No
     Raises
     ------
     OutputError
-        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, or its folder does not exist.
+        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of
+        ``out`` that is replaced, or its folder does not exist.
     UsageError
         The extra ``ros`` is not installed.
     """
     require_rosbags()
     if any(path.resolve() == own.resolve() or own.resolve() in path.resolve().parents for own in inputs):
         raise OutputError(f"{path} is an input of this run, or inside of one. Choose another `bag`")
+    if out.resolve() in path.resolve().parent.parents:
+        raise OutputError(f"{path} lies in a folder inside of {out}, which the run replaces. Choose another `bag`")
     if lexists(path) and (not overwrite or path.is_dir()):
         raise OutputError(f"{path} exists already. Choose another `bag`, or pass `overwrite=True` to replace it")
     if not path.parent.is_dir():

@@ -29,8 +29,6 @@ class FramePart:
     """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
     is_ground: NDArray[np.bool_]
     """(n,) whether each of them is ground."""
-    heights: NDArray[np.float16]
-    """(n,) their height above the ground, m; NaN where it is not known."""
     files: Mapping[str, int] = field(default_factory=dict)
     """Size of each file of the frame's own by its name, bytes."""
 
@@ -68,7 +66,7 @@ def save_part(part: FramePart, path: Path) -> None:
     record = {"report": part.report.record() | {"pose": None}, "files": dict(part.files)}
     known = np.frombuffer(json.dumps(record).encode(), np.uint8)
     temporary = path.with_name(f".{path.name}")  # removed by the next run if this one is killed
-    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground, heights=part.heights)
+    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground)
     os.replace(temporary, path)  # noqa: PTH105 (os.replace says that it overwrites)
 
 
@@ -81,6 +79,6 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
             if record["report"]["name"] != frame.name:
                 return None
             report = FrameReport.of(frame, record["report"])
-            return FramePart(report, rows, saved["points"], saved["is_ground"], saved["heights"], record["files"])
+            return FramePart(report, rows, saved["points"], saved["is_ground"], record["files"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
         return None

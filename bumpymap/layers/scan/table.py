@@ -60,10 +60,6 @@ class SectorTable:
         self.waiting: list[pa.Table] = []
         """Rows that are not written yet."""
 
-    def add(self, name: str, classed: ClassedSectors) -> None:
-        """Append the sectors of a frame."""
-        self.add_rows(sector_rows(name, classed))
-
     def add_rows(self, rows: pa.Table) -> None:
         """Append rows from `sector_rows`."""
         self.waiting.append(rows)

@@ -123,6 +123,7 @@ class BagReader:
             if topic != message.topic or not 0 <= message.number - number <= _AHEAD:
                 number = message.number - message.place
                 self._streams[:] = [self.messages([message.topic], message.time_ns)]
+            self._next = ("", 0)  # if this fails, the stream ends, and the next message is looked up
             record = None
             for _ in range(message.number - number + 1):
                 record = next(self._streams[0], None)

@@ -84,7 +84,8 @@ def _share_along_z(poses: NDArray[np.float64]) -> float | None:
     """Return the share of the way along the z axis of the poses, 0..1; None if the way is too short to tell."""
     places = poses[:, :3, 3]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
-    marks = np.unique(np.searchsorted(way, np.arange(0.0, way[-1] + _STEP_M, _STEP_M)).clip(max=len(way) - 1))
+    steps = np.floor(way / _STEP_M)
+    marks = np.unique([0, *np.flatnonzero(np.diff(steps) > 0.0) + 1, len(way) - 1])
     moved = np.diff(places[marks], axis=0)
     lengths = np.linalg.norm(moved, axis=1)
     if lengths.sum() < _LEAST_WAY_M:

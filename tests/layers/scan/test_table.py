@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 
-from bumpymap.layers import open_table
+from bumpymap.layers import open_table, sector_rows
 from bumpymap.layers.scan import table
 from bumpymap.layers.scan.table import COLUMNS
 
@@ -13,7 +13,7 @@ from bumpymap.layers.scan.table import COLUMNS
 def write(path, *frames):
     with open_table(path) as sectors:
         for name, classed in frames:
-            sectors.add(name, classed)
+            sectors.add_rows(sector_rows(name, classed))
     return pq.read_table(path)
 
 
@@ -64,7 +64,7 @@ def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
     path = tmp_path / "a.parquet"
     with open_table(path) as sectors:
         for number in range(9):
-            sectors.add(str(number), classed)
+            sectors.add_rows(sector_rows(str(number), classed))
             assert sum(part.num_rows for part in sectors.waiting) < 100
     file = pq.ParquetFile(path)
     assert file.metadata.num_rows == 9 * len(classed.class_id)

@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -101,6 +102,26 @@ def test_threads_read_one_bag(tmp_path):
     with ThreadPoolExecutor(4) as pool:
         scans = list(pool.map(lambda source: read_message(bag, source.message, Robot(0.0), ""), sources))
     for number, scan in enumerate(scans):
+        np.testing.assert_array_equal(scan.points, points(number))
+
+
+def test_what_is_damaged_in_one_message_does_not_hide_the_next(tmp_path, monkeypatch):
+    folder = write_bag(tmp_path / "drive", clouds(6))
+    bag, sources = BagReader(folder), found_in(folder)
+    messages = bag.messages
+
+    def cut_off(*where):
+        yield from islice(messages(*where), 2)
+        raise BadInputError("damaged")
+
+    monkeypatch.setattr(bag, "messages", cut_off)
+    for source in sources[:2]:
+        read_message(bag, source.message, Robot(0.0), "")
+    with pytest.raises(BadInputError, match="damaged"):
+        read_message(bag, sources[2].message, Robot(0.0), "")
+    monkeypatch.undo()
+    for number in (3, 4, 5):
+        scan = read_message(bag, sources[number].message, Robot(0.0), "")
         np.testing.assert_array_equal(scan.points, points(number))
 
 

@@ -193,6 +193,14 @@ def test_interpolation_is_that_of_scipy():
     np.testing.assert_allclose(PoseTrack(times, poses).at(wanted), interpolated(times, poses, wanted), atol=1e-9)
 
 
+def test_two_poses_a_moment_apart_tell_no_speed():
+    times = np.array([0.0, 1e-6, 0.1, 0.2, 0.2 + 1e-6])
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [0.0, 0.01, 1.0, 2.0, 2.01]  # 10 m/s, and 1 cm of noise
+    beyond = PoseTrack(times, poses).at(np.array([-0.1, 0.3]))
+    np.testing.assert_allclose(beyond[:, 0, 3], [-1.0, 3.0], atol=0.03)
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.1415])
 def test_motion_continues_beyond_the_ends(angle):
     """Constant speed: at twice the time, twice the way and twice the angle."""
@@ -410,6 +418,14 @@ def test_camera_poses_without_calib_are_refused(tmp_path):
     (tmp_path / "calib.txt").write_text("Tr: 1 2 3\n")
     with pytest.raises(BadInputError, match="is not a transform"):
         read_poses(tmp_path / "poses.txt", frames)
+
+
+def test_poses_with_a_jump_to_the_stars_take_no_memory(tmp_path):
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [0.0, 1.0, 2.0, 1e15, 1e15 + 1.0]
+    path = tmp_path / "poses.txt"
+    np.savetxt(path, poses[:, :3].reshape(5, 12))
+    assert len(read_poses(path, [tmp_path / f"{n}.bin" for n in range(5)]).poses) == 5
 
 
 def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
