@@ -28,6 +28,8 @@ __all__ = [
 ScanMethod = Literal["filter", "learned"]
 CLASSES = 3
 """Class 0 (smooth) to 2 (rough) of a scan's sectors."""
+_MOST_CELLS = 100_000
+"""Cells of a polar grid; each takes a few kilobytes while a scan is classified."""
 NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
@@ -112,14 +114,21 @@ class PolarSettings:
         edges = (*self.zone_starts_m, self.end_m)
         if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
             raise UsageError(
-                f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts, "
-                f"{len(self.sectors)} sectors and {len(self.rings)} rings were given. Set all three"
+                f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts "
+                f"(before the end at {self.end_m:g} m), {len(self.sectors)} sectors and {len(self.rings)} rings were "
+                "given. Set all three"
             )
         if not all(math.isfinite(e) for e in edges) or edges[0] < 0.0 or any(np.diff(edges) <= 0.0):
             raise UsageError(f"zones must start at 0 m or further out and grow outwards; {edges} m were given")
         if min(*self.sectors, *self.rings) < 1 or min(self.sectors) < 3:
             raise UsageError(
                 f"a zone has 3 sectors or more and 1 ring or more; {self.sectors} and {self.rings} were given"
+            )
+        cells = int(np.dot(self.sectors, self.rings))
+        if cells > _MOST_CELLS:
+            raise UsageError(
+                f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
+                f"{_MOST_CELLS:,}. Give fewer sectors or rings"
             )
         if (
             self.least_points < 3
