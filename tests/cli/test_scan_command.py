@@ -263,6 +263,16 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     assert out_files(tmp_path) is None
 
 
+def test_frames_without_labels_are_told_of_once(scan, tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in ("a.ply", "b.ply"):
+        write_ply(folder / name, site())
+    result = scan(folder, "--labels", "kitti")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("so --labels was not checked for them") == 1
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [
