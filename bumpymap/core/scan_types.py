@@ -117,8 +117,9 @@ class PolarSettings:
         edges = (*self.zone_starts_m, self.end_m)
         if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
             raise UsageError(
-                f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts, "
-                f"{len(self.sectors)} sectors and {len(self.rings)} rings were given. Set all three"
+                f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts "
+                f"(before the end at {self.end_m:g} m), {len(self.sectors)} sectors and {len(self.rings)} rings were "
+                "given. Set all three"
             )
         if not all(math.isfinite(e) for e in edges) or edges[0] < 0.0 or any(np.diff(edges) <= 0.0):
             raise UsageError(f"zones must start at 0 m or further out and grow outwards; {edges} m were given")
@@ -129,8 +130,8 @@ class PolarSettings:
         cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
         if cells > _MOST_CELLS:
             raise UsageError(
-                f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given. Give fewer "
-                "sectors or rings"
+                f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
+                f"{_MOST_CELLS:,}. Give fewer sectors or rings"
             )
         if (
             self.least_points < 3

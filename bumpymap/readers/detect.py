@@ -23,7 +23,7 @@ __all__ = ["detect_format", "open_survey", "read_columns", "reopen_survey"]
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD"
+_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
 
 _FOREIGN = (
@@ -33,7 +33,10 @@ _FOREIGN = (
     (b"\xff\xd8\xff", "a JPEG picture"),
     (b"II*\0", "a TIFF picture; a raster holds no points"),
     (b"MM\0*", "a TIFF picture; a raster holds no points"),
-    (b"PK\x03\x04", "a ZIP archive. Unpack it first"),
+    (b"PK\x03\x04", "a ZIP archive (or .npz). Unpack it, or convert it"),
+    (b"\x89MCAP", "a bag of ROS 2, which bumpymap scan reads"),
+    (b"SQLite format 3", "an SQLite database. If it is a bag of ROS 2, name it .db3 for bumpymap scan"),
+    (b"#ROSBAG", "a bag of ROS 1. Convert it to one of ROS 2 with rosbags-convert, for bumpymap scan"),
     (b"\x1f\x8b", "a gzip archive. Unpack it first"),
     (b"7z\xbc\xaf", "a 7z archive. Unpack it first"),
     (b"%PDF", "a PDF document"),

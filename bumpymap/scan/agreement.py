@@ -15,7 +15,7 @@ from bumpymap.core import BadInputError
 from bumpymap.scan._merge_kernels import judge_places
 from bumpymap.scan.align import Alignment, align_frames, ground_heights
 
-__all__ = ["LIMITS", "LOWEST", "REACH_M", "FramesOfDrive", "refuse_wrong_poses"]
+__all__ = ["LIMITS", "LOWEST", "REACH_M", "FramesOfDrive", "WrongPosesError", "refuse_wrong_poses"]
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +38,10 @@ _AXES = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 
 """From the axes of a LiDAR to those of a camera: x right, y down, z forward."""
 
 
+class WrongPosesError(BadInputError):
+    """Poses with which the frames contradict each other: the same run would end in the same way again."""
+
+
 class FramesOfDrive(Protocol):
     """What is known of the frames of a drive."""
 
@@ -56,7 +60,7 @@ class FramesOfDrive(Protocol):
 
 
 def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
-    """Raise BadInputError if the frames contradict each other.
+    """Raise WrongPosesError if the frames contradict each other.
 
     Parameters
     ----------
@@ -66,7 +70,7 @@ def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
 
     Raises
     ------
-    BadInputError
+    WrongPosesError
         The ground is smeared, or the frames agree much better when a usual mistake is undone.
     """
     poses = frames.poses
@@ -86,9 +90,9 @@ def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
     else:
         what = f"according to the poses, frames see through {through:.0%} of what stands in others"
     if least <= (0.55 * through if through > _THROUGH else 2 * _THROUGH):
-        raise BadInputError(f"{what}. {reason}")
+        raise WrongPosesError(f"{what}. {reason}")
     if thick:
-        raise BadInputError(
+        raise WrongPosesError(
             f"{what}. Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order "
             "of time, in metres, and from the sensor's frame to the world's?"
         )

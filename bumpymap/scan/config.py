@@ -80,7 +80,7 @@ class ScanConfig:
             )
         if self.pictures < 0 or self.threads < 1 or not 1.0 <= self.range_m <= 1000.0:
             raise UsageError(
-                f"pictures is {self.pictures} (0 or more), range_m {self.range_m} (1 to 1000), threads "
+                f"`pictures` is {self.pictures} (0 or more), `range_m` {self.range_m:g} (1 to 1000 m), `threads` "
                 f"{self.threads} (1 or more)"
             )
         if self.columns not in {None, *BIN_COLUMNS}:

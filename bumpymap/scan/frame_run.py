@@ -21,6 +21,7 @@ from bumpymap.layers import (
     report_frame,
     write_scan_manifest,
 )
+from bumpymap.scan.agreement import WrongPosesError
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frame_products import (
     FinishedFrame,
@@ -86,7 +87,7 @@ class FrameRun:
             resume=self.config.resume,
             finished=has_finished_parts,
             advice=f"Pass `resume=True` {how} to continue from the finished frames.",
-            decide=lambda _: Kept.ALL,
+            decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
         )
 
     def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:

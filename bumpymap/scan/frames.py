@@ -43,6 +43,7 @@ class FrameReader:
         """Origin -> error message of each frame that was skipped."""
         self._bags: dict[Path, BagReader] = {}
         self._lock = Lock()
+        self._told_of_no_labels = False
 
     def read(self, frame: Frame) -> Scan:
         """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
@@ -52,7 +53,19 @@ class FrameReader:
             scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
         if self._labels is not None and scan.label is not None:
             require_label_set(scan.label, self._labels, frame.origin)
+        elif self._labels is not None:
+            self._tell_of_no_labels()
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
+
+    def _tell_of_no_labels(self) -> None:
+        """Say once that there is nothing to check the label set with."""
+        with self._lock:
+            told, self._told_of_no_labels = self._told_of_no_labels, True
+        if not told:
+            _log.warning(
+                "there are frames without labels, so `labels` was not checked for them. Labels of DIR/NAME.bin are in "
+                "NAME.label in DIR, or in a folder labels beside it"
+            )
 
     def _bag(self, path: Path) -> BagReader:
         """Return a bag, which is opened once."""

@@ -263,6 +263,16 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     assert out_files(tmp_path) is None
 
 
+def test_frames_without_labels_are_told_of_once(scan, tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in ("a.ply", "b.ply"):
+        write_ply(folder / name, site())
+    result = scan(folder, "--labels", "kitti")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("so --labels was not checked for them") == 1
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [
@@ -288,6 +298,8 @@ def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points,
         (["--rings", "1,2"], "sectors and rings for each zone"),
         (["--zones", "1,4,12,8,60,100"], "grow outwards"),
         (["--sectors", "2,2,2,2,2"], "3 sectors or more"),
+        (["--rings", "9999,4,4,4,2"], "a polar grid has at most 100,000"),
+        (["--range", "0"], "--range 0 (1 to 1000 m)"),
         (["--robot-radius", "-1"], "radius"),
         (["--products", "cloud,map"], "give one or more of polygons"),
         (["--crs", "EPSG:32614"], "add --poses"),

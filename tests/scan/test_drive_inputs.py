@@ -8,6 +8,7 @@ import pytest
 from ply_files import write_ply
 from scipy.spatial.transform import Rotation
 
+from bumpymap.core import BadInputError
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames
 
@@ -83,6 +84,29 @@ def test_a_drive_is_deskewed_by_the_poses_between_its_frames(drive, tmp_path):
     scan_frames(raw)
     assert off_posts(raw.out).max() > 0.5
     assert not json.loads((raw.out / "scan.json").read_text(encoding="utf-8"))["poses"]["deskew"]
+
+
+def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(drive, tmp_path):
+    """The frames of a refused run are of no use: with the same poses it would be refused again."""
+    table = np.loadtxt(drive / "tum.txt")
+    right = table[:, 3].copy()
+    table[:, 3] += 7.0 * (table[:, 0] - START)
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    config = ScanConfig(
+        (drive / "frames",),
+        tmp_path / "out",
+        poses=tmp_path / "tum.txt",
+        deskew=False,
+        method="filter",
+        products=("table",),
+    )
+    with pytest.raises(BadInputError, match="height of the same ground differs") as refused:
+        scan_frames(config)
+    assert not hasattr(refused.value, "__notes__")
+    assert not config.out.exists()
+    table[:, 3] = right
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    assert not scan_frames(config).already_done
 
 
 def test_a_drive_is_the_same_whatever_the_columns_of_its_files(tmp_path):

@@ -208,25 +208,26 @@ def test_labels_beyond_semantic_ids_are_refused():
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "words"),
     [
-        {"zone_starts_m": (4.0, 2.0, 28.0, 60.0)},
-        {"end_m": 50.0},
-        {"end_m": math.inf},
-        {"sectors": (24, 32)},
-        {"rings": (2, 4, 4, 4, 0)},
-        {"sectors": (16, 2, 32, 48, 32)},
-        {"rings": (2, 4, 4, 4, 40_000)},
-        {"sectors": (16, 24, 32, 10**9, 32)},
-        {"sectors": (16, 24, 32, 20_000, 32)},
-        {"least_points": 2},
-        {"pixels": 2},
-        {"least_normal_z": 1.5},
-        {"overhead_m": math.nan},
+        ({"zone_starts_m": (1.0, 4.0, 2.0, 28.0, 60.0)}, "grow outwards"),
+        ({"end_m": 50.0}, "grow outwards"),
+        ({"end_m": math.inf}, "grow outwards"),
+        ({"sectors": (24, 32)}, "5 starts .before the end at 100 m., 2 sectors and 5 rings"),
+        ({"rings": (2, 4, 4, 4, 0)}, "1 ring or more"),
+        ({"sectors": (16, 2, 32, 48, 32)}, "3 sectors or more"),
+        ({"rings": (10_000, 4, 4, 4, 2)}, "160,480 cells; a polar grid has at most 32,767"),
+        ({"rings": (2, 4, 4, 4, 40_000)}, "a polar grid has at most"),
+        ({"sectors": (16, 24, 32, 10**9, 32)}, "a polar grid has at most"),
+        ({"sectors": (16, 24, 32, 20_000, 32)}, "a polar grid has at most"),
+        ({"least_points": 2}, "least_points is 2"),
+        ({"pixels": 2}, "pixels 2"),
+        ({"least_normal_z": 1.5}, "least_normal_z 1.5"),
+        ({"overhead_m": math.nan}, "overhead_m nan"),
     ],
 )
-def test_settings_that_make_no_grid_are_refused(wrong):
-    with pytest.raises(UsageError):
+def test_settings_that_make_no_grid_are_refused(wrong, words):
+    with pytest.raises(UsageError, match=words):
         PolarSettings(**wrong)
 
 

@@ -185,11 +185,18 @@ class _Poses:
     def _by_transforms(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
         track = self._tree.track(sensor, origin_ns, times)
         if track is None:
+            odometry = ""
+            if self._odometry is not None:
+                odometry = (
+                    f", and no static transform (/tf_static) says where it is on '{self._base}' of {self._odometry}"
+                )
+            elif self._several:
+                odometry = f", and there are several odometries: name one with `odometry` ({', '.join(self._several)})"
             _log.warning(
                 "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames "
                 "are classified, but not mapped",
                 sensor,
                 " and ".join(FIXED_FRAMES),
-                f", and no odometry was named (there are {', '.join(self._several)})" if self._several else "",
+                odometry,
             )
         return track

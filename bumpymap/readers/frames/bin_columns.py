@@ -47,17 +47,18 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
     values : (n,) float32
         The whole file; at least one value.
     columns : int, optional
-        What the user says; it is only checked against the size.
+        What the user says. It decides where the values leave doubt.
 
     Raises
     ------
     UsageError
         ``columns`` is not 4, 5 or 6.
     BadInputError
-        The size is no multiple of any width, the values fit another width than the size, or several fit.
+        The size is no multiple of any width, the values fit another width than the size or ``columns``, or several
+        fit.
     """
     if columns is not None:
-        return _given(path, len(values), columns)
+        return _given(path, values, columns)
     fitting = [width for width in BIN_COLUMNS if len(values) % width == 0]
     if not fitting:
         raise BadInputError(
@@ -82,13 +83,21 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
     return found[0]
 
 
-def _given(path: Path, count: int, columns: int) -> int:
+def _given(path: Path, values: NDArray[np.float32], columns: int) -> int:
+    count = len(values)
     if columns not in BIN_COLUMNS:
         raise UsageError(f"`columns` is {columns}; a .bin scan has {_listed()}")
     if count % columns:
         raise BadInputError(
             f"{path} has {4 * count:,} bytes, which is no multiple of the {4 * columns} bytes of a point of {columns} "
             "columns (`columns`): it is truncated, or has another number of columns"
+        )
+    stretches = _stretches(values)
+    likely = [columns] if _has_no_return(stretches, columns) else _likely_widths(stretches)
+    if columns not in likely and likely[0] in BIN_COLUMNS and count % likely[0] == 0:
+        raise BadInputError(
+            f"the values of {path} lie in {likely[0]} columns of float32, not in {columns}, as `columns` says "
+            f"({_listed()}). Say `columns={likely[0]}`, or leave it out: it is told from the values"
         )
     return columns
 

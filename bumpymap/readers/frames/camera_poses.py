@@ -75,8 +75,9 @@ def refuse_wrong_frame(path: Path, poses: NDArray[np.float64]) -> None:
     if upward < _LEAST_UP:
         raise BadInputError(
             f"{path}: the z axis of the LiDAR does not point up in the world of the poses (mean upward component "
-            f"{upward:.2f}; 1 is upright). Is the world that of a camera (y down) or NED (z down), or are the "
-            "transforms inverted? Convert the poses: x forward, y left, z up, from the LiDAR to the world"
+            f"{upward:.2f}; 1 is upright). Is the world that of a camera (y down) or NED (z down), are the transforms "
+            "inverted, or do quaternions begin with w instead of x? Convert the poses: x forward, y left, z up, from "
+            "the LiDAR to the world"
         )
 
 

@@ -119,7 +119,7 @@ def _files_of(path: Path) -> list[Path]:
             return files
     raise BadInputError(
         f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are searched for, also in its "
-        f"folders {' and '.join(POINT_FOLDERS)}"
+        f"folders {' and '.join(POINT_FOLDERS)}, and bags ({', '.join(BAG_SUFFIXES)}). Name the folder that holds them"
     )
 
 

@@ -28,6 +28,7 @@ _SYNONYMS = {"tx": "x", "ty": "y", "tz": "z"}
 _NANOSECONDS = ("nanosec", "nsecs", "nsec", "nanosecs")
 _TF_WORDS = 11
 """Words of a transform in an export of TF."""
+_FORMATS = "Poses are KITTI (12 numbers), TUM (8: time, x, y, z, qx, qy, qz, qw), or CSV with a header"
 _ROUNDING = 0.02
 """Tolerance of rotation matrices and quaternions: some files have only three decimals."""
 
@@ -52,7 +53,10 @@ def read_pose_file(path: Path) -> PoseFile:
         The file cannot be read, holds invalid poses, or transforms of several frames.
     """
     with open_source(path) as stream:
-        text = stream.read().decode("utf-8-sig", "replace")
+        data = stream.read()
+    if b"\0" in data:
+        raise BadInputError(f"{path} is not a text file. {_FORMATS}")
+    text = data.decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip()]
     head = lines[0].lstrip("#% ") if lines else ""
     rows = [line for line in lines if not line.lstrip().startswith("#")]
@@ -150,10 +154,7 @@ def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float6
     table = np.empty((len(rows), width))
     for number, row in enumerate(rows):
         if len(row) != width:
-            raise BadInputError(
-                f"pose {number} of {path} has {len(row)} numbers; {width} are required. Poses are KITTI (12 numbers), "
-                "TUM (8: time, x, y, z, qx, qy, qz, qw), or CSV with a header"
-            )
+            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are required. {_FORMATS}")
         for column, word in enumerate(row):
             try:
                 table[number, column] = float(word)

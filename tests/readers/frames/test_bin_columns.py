@@ -154,6 +154,17 @@ def test_what_the_user_says_counts():
 
 
 @pytest.mark.parametrize("width", [4, 5, 6])
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_width_that_the_values_contradict_is_refused_though_the_user_says_it(order, width):
+    rows = ORDERS[order](street(64, 512, 7))
+    values = np.ascontiguousarray(rows[: len(rows) // 60 * 60, :width]).ravel()
+    assert find_columns(FILE, values, width) == width
+    for other in {4, 5, 6} - {width}:
+        with pytest.raises(BadInputError, match=f"lie in {width} columns .* not in {other}, .* Say `columns={width}`"):
+            find_columns(FILE, values, other)
+
+
+@pytest.mark.parametrize("width", [4, 5, 6])
 def test_a_file_is_read_with_its_columns(tmp_path, width):
     rows = street(64, 300, 5).reshape(-1, 6)
     rows[:, :width].tofile(tmp_path / "a.bin")

@@ -137,6 +137,7 @@ def kitti_row(**change):
         ("x,y,z,qx,qy,qz,qw\n1,2,word,0,0,0,1\n", "not a finite number"),
         ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0\n", "6 numbers; 7"),
         ("x,y,z,qx,qy,qz,qw\n", "no poses"),
+        ("PK\x03\x04\0\0", "not a text file. Poses are KITTI"),
     ],
 )
 def test_what_is_no_pose_is_refused(tmp_path, text, message):
