@@ -32,7 +32,7 @@ NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
 _MOST_CELLS = 32_767
-"""Sectors in all rings of a polar grid: they are counted in 16 bits, and each takes some kilobytes."""
+"""Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +127,8 @@ class PolarSettings:
         cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
         if cells > _MOST_CELLS:
             raise UsageError(
-                f"a polar grid has at most {_MOST_CELLS:,} sectors in all rings; {cells:,} were given. Give fewer "
-                "sectors or rings"
+                f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
+                f"{_MOST_CELLS:,}. Give fewer sectors or rings"
             )
         if (
             self.least_points < 3
