@@ -34,7 +34,7 @@ NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
 
 _MOST_CELLS = 32_767
-"""Sectors in all rings of a polar grid: they are counted in 16 bits, and each takes some kilobytes."""
+"""Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)

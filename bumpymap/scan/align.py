@@ -31,9 +31,9 @@ _LEAST_M = 0.03
 _PRIOR = (1.0, 100.0, 100.0)
 """What keeps corrections small that the ground does not ask for: as one square more at a correction of 0."""
 _SIDE = 1 << 31
-_MOST_SQUARES = 2_000_000
-"""Squares of all frames together that are kept: 300 frames at least have all of theirs. They take 40 MB, and the
-corrections are found in half a minute; a frame needs a few dozen."""
+_MOST_SQUARES = 1_000_000
+"""Squares of all frames together that are kept: 130 frames at least have all of theirs. They take 20 MB, and the
+corrections are found in some seconds; a frame needs a few dozen."""
 _MOST_HALVED = 32
 _SPREADING = np.uint64(0x9E3779B97F4A7C15)
 
