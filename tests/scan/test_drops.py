@@ -93,7 +93,7 @@ def test_heights_of_obstacles_are_not_known_at_a_drop():
 def test_reflections_in_wet_ground_are_no_drops():
     points = seen(lambda x, _: 0.0 * x)
     rng = np.random.default_rng(3)
-    far = (np.hypot(points[:, 0], points[:, 1]) > 4.0) & (rng.uniform(size=len(points)) < 0.05)
+    far = (np.hypot(points[:, 0], points[:, 1]) > 4.0) & (rng.uniform(size=len(points)) < 0.02)
     points[far] *= rng.uniform(1.3, 2.0, (far.sum(), 1)).astype(np.float32)
     stack = polar_sectors(Scan(points))
     drops = stack.obstacle & np.isnan(stack.obstacle_height)

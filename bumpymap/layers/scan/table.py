@@ -30,7 +30,7 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("normal_y", pa.float32(), "", "the same, to the left"),
     ("normal_z", pa.float32(), "", "the same, upwards"),
     ("traversable", pa.bool_(), "", "whether there is ground, not too steep and not overhead"),
-    ("obstacle", pa.bool_(), "", "whether something stands on the ground, or the ground drops"),
+    ("obstacle", pa.bool_(), "", "whether something stands on the ground below vehicle height, or it drops"),
     ("obstacle_height", pa.float32(), "m", "top of it above the ground; null without an obstacle, at a drop"),
     ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
