@@ -185,9 +185,10 @@ class SectorStack:
     overhead_count: NDArray[np.int32]
     """(n,) points from ``height_m`` above the ground on."""
     obstacle: NDArray[np.bool_]
-    """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it."""
+    """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it, or the ground
+    drops by more than ``belly_m``: at a ditch, an edge, a step down."""
     obstacle_height: NDArray[np.float32]
-    """(n,) top of what stands there, above the ground, m; NaN without an obstacle."""
+    """(n,) top of what stands there, above the ground, m; NaN if nothing does."""
     clearance: NDArray[np.float32]
     """(n,) height above the ground of the lowest thing that is higher than ``height_m``, m; NaN if nothing is."""
     things: NDArray[np.float32]
@@ -199,10 +200,13 @@ class SectorStack:
     """(m,) whether the point is ground."""
     point_height: NDArray[np.float32]
     """(m,) height above the ground of its sector, m; NaN where no ground is known."""
+    ground_end: NDArray[np.float32]
+    """(directions,) distance at which the farthest ground in each direction ends, m; in equal steps from
+    ``azimuth_start_rad`` on. Infinite with ``ground_only=False``."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[2:-3]:
+        for field in fields(self)[2:-4]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 

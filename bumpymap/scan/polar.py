@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
+from bumpymap.scan._drop_kernels import GroundPoints
 from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
@@ -24,6 +25,7 @@ from bumpymap.scan._place_kernels import (
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
 from bumpymap.scan.buffers import SectorBuffers
+from bumpymap.scan.drops import ground_ends
 from bumpymap.scan.ground import all_ground, find_ground
 
 __all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
@@ -87,6 +89,14 @@ def polar_sectors(
     is_level = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
+    drops, ground_end = np.zeros(len(cells), np.bool_), np.full(1, np.inf, np.float32)
+    if settings.ground_only:
+        slope = np.zeros((len(counts), 2))
+        slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
+        height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
+        known = GroundPoints(points, pixel, ground.point_ground, slope)
+        all_drops, ground_end = ground_ends(known, by_cell, grid, settings, height, buffers)
+        drops = there & all_drops[cells]
     zone, ring, sector = _places(cells, sectors, rings)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
     rows[cells] = np.arange(len(cells), dtype=np.int32)
@@ -107,13 +117,14 @@ def polar_sectors(
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
-        obstacle=stands,
+        obstacle=stands | drops,
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=_finite(ground.clearance[cells]),
         things=ground.things[cells],
         point_sector=rows.take(cell, mode="wrap"),
         point_ground=ground.point_ground,
         point_height=ground.point_height,
+        ground_end=ground_end,
     )
 
 

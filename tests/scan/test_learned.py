@@ -48,7 +48,7 @@ def model():
 
 def _rows(stack, rows):
     """Some rows of a stack, in any order."""
-    return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-3]})
+    return replace(stack, **{f.name: getattr(stack, f.name)[rows] for f in fields(SectorStack)[2:-4]})
 
 
 def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):

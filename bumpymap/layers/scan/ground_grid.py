@@ -54,6 +54,8 @@ class _CellPlaces:
     """(cells,) sectors around the zone."""
     turn: NDArray[np.float64]
     """(cells,) azimuth as a fraction of a turn."""
+    distance: NDArray[np.float64]
+    """(cells,) m."""
 
 
 class GroundGrid:
@@ -93,24 +95,34 @@ class GroundGrid:
         (side, side) int32
             From the lowest y upwards, and in each row from the lowest x; -1 where no measured sector is.
         """
-        places = self._places
-        if places is None or places.settings != stack.settings:
-            places = self._places = self._find_places(stack.settings)
+        places = self._placed(stack)
         zones, rings = np.array(stack.settings.sectors), np.array(stack.settings.rings)
         before = np.cumsum(zones * rings) - zones * rings
         table = np.full(int(zones @ rings) + 1, -1, np.int32)
         table[before[stack.zone] + stack.ring * zones[stack.zone] + stack.sector] = np.arange(len(stack.zone))
-        share = places.turn - stack.azimuth_start_rad / (2.0 * math.pi)
-        share -= np.floor(share)
+        share = _share_of_turn(places, stack)
         sector = np.minimum(share * places.sectors, places.sectors - 1.0).astype(np.int32)
         found: NDArray[np.int32] = table[np.minimum(places.first + sector, len(table) - 1)]
         return found.reshape(self.side, self.side)
 
     def occupancy(self, classed: ClassedSectors) -> NDArray[np.int8]:
-        """Return the occupancy of the cells, (side, side) int8, ordered as by `rows`; see `sector_occupancy`."""
+        """Return the occupancy of the cells, (side, side) int8, ordered as by `rows`.
+
+        That of the sector, see `sector_occupancy`; unknown where no sector is measured, and beyond the end of the
+        ground.
+        """
         values = np.append(sector_occupancy(classed), np.int8(UNKNOWN_OCCUPANCY))
         cells: NDArray[np.int8] = values[self.rows(classed.sectors)]
-        return cells
+        beyond = self._beyond_ground(classed.sectors) & (cells != OCCUPANCY[-1])
+        return np.where(beyond, np.int8(UNKNOWN_OCCUPANCY), cells)
+
+    def _beyond_ground(self, stack: SectorStack) -> NDArray[np.bool_]:
+        """Return which cells (side, side) lie farther away than any ground in their direction."""
+        places = self._placed(stack)
+        count = len(stack.ground_end)
+        direction = np.minimum(_share_of_turn(places, stack) * count, count - 1.0).astype(np.int32)
+        beyond: NDArray[np.bool_] = places.distance > stack.ground_end[direction] + 0.5 * self.resolution_m
+        return beyond.reshape(self.side, self.side)
 
     def fill(self, message: Message, classed: ClassedSectors, header: Any) -> Message:
         """Fill a message ``nav_msgs/OccupancyGrid`` and return it.
@@ -151,6 +163,7 @@ class GroundGrid:
         if classed.ride is not None:
             by_sector["c_r"] = classed.ride.c_r
         found = {name: np.append(values, np.nan).astype(np.float32)[rows] for name, values in by_sector.items()}
+        found["class"][self._beyond_ground(stack)] = np.nan
         found["elevation"] = self._elevation(scan.points[stack.point_ground])
         return {name: found[name] for name in (*GRID_LAYERS, "c_r") if name in found}
 
@@ -163,6 +176,12 @@ class GroundGrid:
         mean = np.divide(total, count, out=np.full(self.side**2, np.nan), where=count > 0)
         heights: NDArray[np.float32] = mean.astype(np.float32).reshape(self.side, self.side)
         return heights
+
+    def _placed(self, stack: SectorStack) -> _CellPlaces:
+        places = self._places
+        if places is None or places.settings != stack.settings:
+            places = self._places = self._find_places(stack.settings)
+        return places
 
     def _find_places(self, settings: PolarSettings) -> _CellPlaces:
         centre = (np.arange(self.side) + 0.5) * self.resolution_m - self.reach_m
@@ -178,7 +197,14 @@ class GroundGrid:
         before = np.cumsum(sectors * rings) - sectors * rings
         first = np.where(inside, before[zone] + ring * sectors[zone], int(sectors @ rings))
         turn = np.arctan2(y, x) / (2.0 * math.pi)
-        return _CellPlaces(settings, first.astype(np.int32), sectors[zone].astype(np.float64), turn)
+        return _CellPlaces(settings, first.astype(np.int32), sectors[zone].astype(np.float64), turn, distance)
+
+
+def _share_of_turn(places: _CellPlaces, stack: SectorStack) -> NDArray[np.float64]:
+    """Return the azimuth of cells from the start of sector 0, as a fraction of a turn."""
+    share = places.turn - stack.azimuth_start_rad / (2.0 * math.pi)
+    turned: NDArray[np.float64] = share - np.floor(share)
+    return turned
 
 
 def sector_occupancy(classed: ClassedSectors) -> NDArray[np.int8]:
@@ -187,7 +213,7 @@ def sector_occupancy(classed: ClassedSectors) -> NDArray[np.int8]:
     Returns
     -------
     (n,) int8
-        0, 33, 66 for class 0, 1, 2; 100 where an obstacle stands, or the sector is not traversable.
+        0, 33, 66 for class 0, 1, 2; 100 where an obstacle stands, the ground drops, or the sector is not traversable.
     """
     values = np.array(OCCUPANCY, np.int8)[np.minimum(classed.class_id, len(OCCUPANCY) - 1)]
     return np.where(classed.sectors.obstacle, np.int8(OCCUPANCY[-1]), values)

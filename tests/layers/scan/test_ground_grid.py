@@ -79,10 +79,22 @@ def test_occupancy_says_class_and_obstacle(classed):
     assert values.tolist() == expected
     assert {0, 66, 100} <= set(expected)
     grid = GroundGrid()
-    cells, rows = grid.occupancy(classed), grid.rows(classed.sectors)
+    everywhere = replace(classed.sectors, ground_end=np.full(1, np.inf, np.float32))
+    cells, rows = grid.occupancy(replace(classed, sectors=everywhere)), grid.rows(classed.sectors)
     np.testing.assert_array_equal(cells[rows >= 0], values[rows[rows >= 0]])
     assert (cells[rows < 0] == -1).all()
     assert (rows < 0).any()
+
+
+def test_beyond_the_end_of_the_ground_only_what_bars_the_way_is_known(scan, classed):
+    grid = GroundGrid()
+    ended = replace(classed, sectors=replace(classed.sectors, ground_end=np.full(4, 8.0, np.float32)))
+    near, bars = np.hypot(*centres(grid)) < 8.0, grid.occupancy(classed) == 100
+    cells = grid.occupancy(ended)
+    beyond = ~near & (np.hypot(*centres(grid)) > 8.5)
+    np.testing.assert_array_equal(cells[near], grid.occupancy(classed)[near])
+    np.testing.assert_array_equal(cells[beyond], np.where(bars, 100, -1)[beyond])
+    assert np.isnan(grid.layers(scan, ended)["class"][beyond]).all()
 
 
 def test_layers_are_those_of_the_sectors_and_the_mean_height_of_ground(scan, classed):
@@ -90,8 +102,9 @@ def test_layers_are_those_of_the_sectors_and_the_mean_height_of_ground(scan, cla
     layers, rows = grid.layers(scan, classed), grid.rows(classed.sectors)
     assert list(layers) == ["class", "elevation", "obstacle_height", "ground"]
     stack, seen = classed.sectors, rows >= 0
-    class_id = classed.class_id[rows[seen]]
-    np.testing.assert_array_equal(np.nan_to_num(layers["class"][seen], nan=255), class_id)
+    known = seen & (np.hypot(*centres(grid)) < 12.0)  # the ground goes on
+    class_id = classed.class_id[rows[known]]
+    np.testing.assert_array_equal(np.nan_to_num(layers["class"][known], nan=255), class_id)
     share = (stack.ground_count / stack.count).astype(np.float32)
     np.testing.assert_array_equal(layers["ground"][seen], share[rows[seen]])
     np.testing.assert_array_equal(layers["obstacle_height"][seen], stack.obstacle_height[rows[seen]])

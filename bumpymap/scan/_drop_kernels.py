@@ -1,0 +1,117 @@
+"""Compiled loop that finds where the ground of a scan drops: ditches, steps down, edges.
+
+What lies behind an edge is not seen, and a plane that is fitted to both sides passes over it. Therefore the ground is
+followed outwards, direction by direction: if what is seen next lies too far below where the ground should go on, there
+is an edge in between. Nothing here allocates: scratch arrays come from the caller.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
+from bumpytiles import kernel
+
+__all__ = ["DropRule", "DropScratch", "GroundEnds", "GroundPoints", "find_drops"]
+
+Integers = Annotated[NDArray[np.int32], 1]
+Singles = Annotated[NDArray[np.float32], 2]
+
+
+class GroundPoints(NamedTuple):
+    """The points of a scan, and the slope of the ground."""
+
+    points: Singles
+    """(points, 3) m."""
+    pixel: Integers
+    """(points,) as `place_points` gives it."""
+    is_ground: Annotated[NDArray[np.bool_], 1]
+    """(points,)"""
+    slope: Annotated[NDArray[np.float64], 2]
+    """(cells, 2) along x and y; 0 where it is not known."""
+
+
+class DropRule(NamedTuple):
+    """What a drop is."""
+
+    least: float
+    """Less is none, m."""
+    slope: float
+    """A drop is steeper than this, against the slope of the ground before it."""
+    below: float
+    """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
+    ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+
+
+class DropScratch(NamedTuple):
+    """Heights by pixel of the polar grid: (cells, pixels^2)."""
+
+    ground: Singles
+    """Lowest ground point, m; inf without any."""
+    other: Singles
+    """Lowest other point, m; inf without any."""
+
+
+class GroundEnds(NamedTuple):
+    """What is filled."""
+
+    drops: Integers
+    """(cells,) in how many directions the ground drops in the cell; comes as zeros."""
+    end: Annotated[NDArray[np.float32], 1]
+    """(directions,) distance at which the farthest ground ends, m, from sector 0 on; 0 without any."""
+
+
+@kernel
+def find_drops(
+    ground: GroundPoints, by_cell: CellOrder, grid: ZoneGrid, rule: DropRule, scratch: DropScratch, out: GroundEnds
+) -> None:
+    """Follow the ground outwards: count the drops in every cell, and find where the ground ends.
+
+    A drop counts for the last cell before it, and for the cell of what is seen below.
+    """
+    points, pixel, slope = ground.points, ground.pixel, ground.slope
+    pixels, zones = grid.pixels, len(grid.sectors)
+    scratch.ground[:] = np.inf
+    scratch.other[:] = np.inf
+    for cell in range(len(by_cell.starts) - 2):
+        for i in range(by_cell.starts[cell], by_cell.starts[cell + 1]):
+            p = by_cell.order[i]
+            if ground.is_ground[p]:
+                scratch.ground[cell, pixel[p]] = min(scratch.ground[cell, pixel[p]], points[p, 2])
+            else:
+                scratch.other[cell, pixel[p]] = min(scratch.other[cell, pixel[p]], points[p, 2])
+    for direction in range(len(out.end)):
+        share = (direction + 0.5) / len(out.end)
+        turn = 2.0 * math.pi * (share + grid.start)
+        cos, sin = math.cos(turn), math.sin(turn)
+        known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
+        last_cell, marked, first, farthest = -1, -1, 0, 0.0
+        for zone in range(zones):
+            around = share * grid.sectors[zone]
+            sector = int(around)
+            column = int((around - sector) * pixels)
+            step = (grid.edges[zone + 1] - grid.edges[zone]) / (grid.rings[zone] * pixels)
+            for ring in range(grid.rings[zone]):
+                cell = first + ring * grid.sectors[zone] + sector
+                for row in range(pixels):
+                    k = row * pixels + column
+                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
+                    on_ground = scratch.ground[cell, k] < np.inf
+                    z = np.float64(scratch.ground[cell, k] if on_ground else scratch.other[cell, k])
+                    if z == np.inf:
+                        continue
+                    if known:
+                        drop = last_z + last_slope * (r - last_r) - z
+                        beam = z * last_r / r - last_z
+                        if drop > rule.least and drop > rule.slope * (r - last_r) and beam > rule.below:
+                            out.drops[last_cell] += marked != last_cell
+                            out.drops[cell] += cell not in (last_cell, marked)
+                            marked = cell
+                    if on_ground:
+                        known, last_r, last_z, last_cell = True, r, z, cell
+                        last_slope = slope[cell, 0] * cos + slope[cell, 1] * sin
+                        farthest = r + 0.5 * step
+            first += grid.sectors[zone] * grid.rings[zone]
+        out.end[direction] = np.float32(farthest)
