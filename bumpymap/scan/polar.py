@@ -21,6 +21,7 @@ from bumpymap.scan._place_kernels import (
     count_labels,
     place_points,
     point_directions,
+    rows_of_points,
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
@@ -98,8 +99,9 @@ def polar_sectors(
         all_drops, ground_end = ground_ends(known, by_cell, grid, settings, height, buffers)
         drops = there & all_drops[cells]
     zone, ring, sector = _places(cells, sectors, rings)
-    rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points in no cell
+    rows, point_sector = np.full(len(counts), -1, np.int32), np.empty(len(points), np.int32)
     rows[cells] = np.arange(len(cells), dtype=np.int32)
+    rows_of_points(cell, rows, point_sector)
     return SectorStack(
         settings=settings,
         azimuth_start_rad=start,
@@ -121,7 +123,7 @@ def polar_sectors(
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=_finite(ground.clearance[cells]),
         things=ground.things[cells],
-        point_sector=rows.take(cell, mode="wrap"),
+        point_sector=point_sector,
         point_ground=ground.point_ground,
         point_height=ground.point_height,
         ground_end=ground_end,
