@@ -177,7 +177,7 @@ def sort_points(cell: Integers, out: CellOrder) -> None:
 
 @kernel
 def rows_of_points(cell: Integers, rows: Integers, out: Integers) -> None:
-    """Write the row of each point's cell; -1 outside the grid. (``numpy.take`` takes ten times as long.)."""
+    """Write the row of each point's cell; -1 outside the grid."""
     for i in range(len(cell)):
         out[i] = rows[cell[i]] if cell[i] >= 0 else np.int32(-1)
 
