@@ -33,6 +33,8 @@ __all__ = ["ScanGround", "all_ground", "cell_layout", "find_ground"]
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
+_HIGHEST_M = 0.5
+"""Highest ground below the origin, m: frames may have it at the robot's base."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,8 @@ def find_ground(
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
     the scan in each zone is known: a sensor that measures exactly tells ground from low plants better. The second time
     a plane has to continue those on all sides. Parts of a cell beside its plane, thin and continuing the ground next to
-    them, are ground as well; parts in which points rise from the ground without a gap are plants.
+    them, are ground as well; parts in which points rise from the ground without a gap are plants. A scan whose ground
+    would lie above its sensor has none: its axes are not what they are said to be.
 
     Parameters
     ----------
@@ -109,6 +112,8 @@ def find_ground(
     slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
     find_planes(held, geometry, rule, planes, scratch)
+    if math.isfinite(settings.overhead_m) and _lies_above_sensor(planes):
+        planes.kind[:] = 0
     things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
     things[:] = 0.0
     labels = GroundLabels(
@@ -168,6 +173,12 @@ def all_ground(by_cell: CellOrder, points: NDArray[np.float32], pixels: int) -> 
         np.full(cells, np.inf, np.float32),
         np.zeros((cells, 2, pixels, pixels), np.float32),
     )
+
+
+def _lies_above_sensor(planes: GroundPlanes) -> bool:
+    """Whether the ground, by the nearer half of its planes, lies above the sensor: then z does not point up."""
+    heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
+    return len(heights) > 0 and bool(_median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M)
 
 
 def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:

@@ -138,6 +138,21 @@ def test_a_crown_without_ground_below_it_is_no_ground():
     assert not stack.point_ground[len(xy) :].any()
 
 
+@pytest.mark.parametrize("height", [-2.0, -0.6])
+def test_a_scan_with_z_down_has_no_ground(height):
+    xy = rings(7)
+    z = plane(xy, 3.0, 1.0, height)
+    assert stack_of(xy, z).traversable.mean() > 0.99
+    upside_down = stack_of(xy * [1, -1], -z)
+    assert not upside_down.traversable.any()
+    assert not upside_down.point_ground.any()
+
+
+def test_the_origin_may_be_at_the_base_of_the_robot():
+    xy = rings(8)
+    assert stack_of(xy, plane(xy, 4.0, 2.0, 0.1)).traversable.mean() > 0.99
+
+
 def test_ground_is_the_same_in_other_buffers_and_with_another_heading():
     rng = np.random.default_rng(5)
     xy = rings(5)
