@@ -57,7 +57,8 @@ def test_points_and_cells_agree(seed, resolution, reach):
     points[:, 2] = np.random.default_rng(seed).normal(-1.0, 0.01, len(points))
     stack = polar_sectors(Scan(points), PolarSettings(least_points=3))
     same = grid.rows(stack).ravel() == stack.point_sector
-    assert same.mean() > 0.995  # points are float32, so some on a border fall to the other side
+    # Points are float32, so those on a border may fall to the other side: at most a diagonal or two of the cells.
+    assert (~same).sum() <= 2 * grid.side
 
 
 def test_a_grid_serves_scans_with_other_starts_and_other_polar_grids(scan):
