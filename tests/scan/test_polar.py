@@ -9,8 +9,11 @@ import pytest
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.shared_kernels import fill_holes
 from bumpymap.scan import classify_filter, polar_sectors, turn_of
+from bumpymap.scan._sector_kernels import _heights_of, sector_scratch
 from bumpymap.scan.polar import anchor_of
+from bumpytiles.native import jitted
 
 FIXED = PolarSettings(anchored=False, ground_only=False)
 
@@ -110,6 +113,27 @@ def test_wide_holes_are_filled_from_the_rim():
     assert np.isfinite(stack.heights).all()
     assert np.abs(stack.heights).max() < 1e-5
     assert stack.coverage[0] == pytest.approx(30 / 225)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.9, 1.0])
+def test_holes_are_filled_as_those_of_surveys_are_to_the_same_bits(share):
+    rng = np.random.default_rng(int(100 * share))
+    for size in (3, 9, 15):
+        count = rng.integers(1, 9, size * size) * (rng.uniform(size=size * size) < share)
+        count[rng.integers(size * size)] = 1  # one pixel is enough to fill all others
+        sums = np.array([count, count * rng.normal(0, 0.3, size * size)], np.float64)
+        scratch = sector_scratch(np.empty((3, 1)), size)
+        scratch.sums[:] = sums
+        filled = np.empty((size, size), np.float32)
+        held = jitted(_heights_of)(filled, scratch)
+        with np.errstate(invalid="ignore"):
+            expected = (sums[1] / sums[0]).astype(np.float32).reshape(size, size)
+        left = jitted(fill_holes)(
+            expected, size * size, np.empty(size * size, np.int32), np.empty(size * size, np.float32)
+        )
+        assert left == 0
+        assert held == (count > 0).mean()
+        np.testing.assert_array_equal(filled, expected)
 
 
 @pytest.mark.parametrize("tilt", [0, 30, 44, 46, 80, 90])
