@@ -13,11 +13,9 @@ from .fit import (
 )
 from .learned import (
     CHANNELS as CHANNELS,
-    CLASS_OF_LABEL as CLASS_OF_LABEL,
     MEASURES as MEASURES,
     SECTOR_VERSION as SECTOR_VERSION,
     ScanModel as ScanModel,
-    classes_of_labels as classes_of_labels,
     classify_learned as classify_learned,
     network_input as network_input,
 )

@@ -19,6 +19,7 @@ __all__ = [
     "FOUND",
     "NEIGHBOURS",
     "PARTS",
+    "TAIL",
     "THINGS_HEIGHT",
     "CellGeometry",
     "CellPoints",
@@ -49,7 +50,7 @@ CARRIED, FOUND = 1, 2
 """Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
 THINGS_HEIGHT = 2.0
 """Things on the ground are drawn up to this multiple of the vehicle's height."""
-_TAIL = 32
+TAIL = 32
 """Lowest points that may be reflections below the ground."""
 _GAP = 0.3
 """A gap in height, m, below which the few lowest points are reflections."""
@@ -132,7 +133,7 @@ class PlaneScratch(NamedTuple):
     """Scratch of `find_planes`."""
 
     tail: Floats
-    """(_TAIL,) lowest heights."""
+    """(TAIL,) lowest heights."""
     lowest: Floats2
     """(4, PARTS^2) height, x, y and z of the lowest point of each part."""
     low: Annotated[NDArray[np.float32], 2]
@@ -339,7 +340,7 @@ def _start(
     """Find a plane through the lowest points of the cell's parts; False if there are fewer than three."""
     a, b, c = expected
     first, last, step = some
-    most = min(max((last - first) // (50 * step), 3), _TAIL - 1) + 1
+    most = min(max((last - first) // (50 * step), 3), TAIL - 1) + 1
     _lowest(points, some, (a, b, c), -np.inf, scratch, most)
     floor = -np.inf
     for k in range(most - 1):

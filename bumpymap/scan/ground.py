@@ -12,6 +12,7 @@ from bumpymap.scan._ground_kernels import (
     FOUND,
     NEIGHBOURS,
     PARTS,
+    TAIL,
     CellGeometry,
     CellPoints,
     GroundLabels,
@@ -97,7 +98,7 @@ def find_ground(
     gather_points(points, places.pixel, _part_of_pixel(settings.pixels), by_cell, held)
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
     scratch = PlaneScratch(
-        np.empty(32),
+        np.empty(TAIL),
         np.empty((4, PARTS**2)),
         np.empty((3, PARTS**2), np.float32),
         np.empty(PARTS**2),

@@ -34,11 +34,9 @@ from bumpymap.scan.stripes import OPEN_SHARE
 
 __all__ = [
     "CHANNELS",
-    "CLASS_OF_LABEL",
     "MEASURES",
     "SECTOR_VERSION",
     "ScanModel",
-    "classes_of_labels",
     "classify_learned",
     "network_input",
     "probabilities",
@@ -67,14 +65,6 @@ MEASURES = (
 )
 """Scalar inputs of the network, which the filled and scaled images do not show. ``ground``, ``obstacles`` and
 ``overhead`` are shares of the sector's points."""
-CLASS_OF_LABEL = {
-    **dict.fromkeys((3, 10, 1, 23), 0),
-    **dict.fromkeys((6, 31, 33, 19, 34), 1),
-    **dict.fromkeys((4, 17, 8, 18, 27), 2),
-}
-"""RELLIS-3D id -> class. 0: grass, asphalt, dirt, concrete; 1: water, puddle, mud, bush, rubble; 2: tree, person,
-vehicle, fence, barrier."""
-
 _NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
 """Weight of the mean log-odds of the neighbours against the sector's own; least probability that they are taken of."""
 _BATCH = 32
@@ -127,14 +117,6 @@ class ScanModel:
                 f"version {SECTOR_VERSION}. {_REMEDY}"
             )
         return cls(content, metadata, int(metadata["pixels"]))
-
-
-def classes_of_labels(labels: NDArray[np.integer]) -> NDArray[np.int16]:
-    """Return the class of each label; -1 if it has none (void, sky, no labels at all)."""
-    table = np.full(max(CLASS_OF_LABEL) + 2, -1, np.int16)
-    table[list(CLASS_OF_LABEL)] = list(CLASS_OF_LABEL.values())
-    known = (labels >= 0) & (labels < len(table))
-    return table[np.where(known, labels, len(table) - 1)]
 
 
 def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

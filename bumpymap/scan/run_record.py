@@ -24,10 +24,7 @@ from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]
 
-_WITHOUT_EFFECT = {
-    *("frames", "out", "overwrite", "resume", "skip_bad", "threads"),
-    "poses",
-}
+_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "threads", "poses"}
 """Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
 input."""
 

@@ -11,7 +11,8 @@ import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
 from bumpymap.lab.train.scan.data import crowns_as_bushes, scene_scan
 from bumpymap.lab.worlds.scans.scene import THEMES
-from bumpymap.scan import classes_of_labels, classify_filter, fit_stripes, polar_sectors, save_stripes
+from bumpymap.readers import LABEL_SETS
+from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes
 
 SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"
@@ -33,7 +34,7 @@ def main() -> None:
             f"| {number} | {model.centres[number]:.2f} | {own.sum():,} | {variance[own].mean():.4f} "
             f"| {np.nanmean(residual[own]):.4f} |"
         )
-    truth = classes_of_labels(label)
+    truth = LABEL_SETS["rellis"].classes_of(label)
     for number in range(CLASSES):
         own = (truth == number) & (class_id != NOT_TRAVERSABLE)
         print(f"labelled {number}: of class 0, 1, 2: {[int((own & (class_id == k)).sum()) for k in range(CLASSES)]}")

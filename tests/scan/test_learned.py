@@ -10,10 +10,8 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.scan_types import NOT_TRAVERSABLE, PolarSettings, Scan, SectorStack
 from bumpymap.scan.learned import (
     CHANNELS,
-    CLASS_OF_LABEL,
     MEASURES,
     ScanModel,
-    classes_of_labels,
     classify_learned,
     infer,
     network_input,
@@ -179,16 +177,6 @@ def test_sectors_may_come_in_any_order(stack):
     place = np.cumsum(stack.traversable) - 1
     for whole, part in zip(network_input(stack), network_input(_rows(stack, order)), strict=True):
         assert_array_equal(part, whole[place[order][stack.traversable[order]]])
-
-
-def test_labels_have_the_classes_of_the_paper():
-    assert [sorted(k for k, v in CLASS_OF_LABEL.items() if v == c) for c in range(3)] == [
-        [1, 3, 10, 23],
-        [6, 19, 31, 33, 34],
-        [4, 8, 17, 18, 27],
-    ]
-    found = classes_of_labels(np.array([-1, 0, 1, 34, 35, 36, 4, 30_000, 12], np.int16))
-    assert found.tolist() == [-1, -1, 0, 1, -1, -1, 2, -1, -1]
 
 
 def test_any_grid_is_classified_but_not_heightmaps_of_another_size(model):

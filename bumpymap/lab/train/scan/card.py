@@ -6,16 +6,14 @@ from bumpymap.core import CLASSES, PolarSettings
 from bumpymap.lab.train.scan.evaluate import ScanEvaluation
 from bumpymap.lab.train.scan.train import ScanTrainSettings
 from bumpymap.lab.train.score import percent, score_table
-from bumpymap.scan import CLASS_OF_LABEL, MEASURES, SECTOR_VERSION
+from bumpymap.readers import LABEL_SETS
+from bumpymap.scan import MEASURES, SECTOR_VERSION
 
-__all__ = ["LABEL_NAMES", "CardFacts", "model_card"]
+__all__ = ["CardFacts", "model_card"]
 
 _CLASS_NAMES = tuple(map(str, range(CLASSES)))
-LABEL_NAMES = {
-    1: "dirt", 3: "grass", 4: "tree", 6: "water", 8: "vehicle", 10: "asphalt", 17: "person", 18: "fence", 19: "bush",
-    23: "concrete", 27: "barrier", 31: "puddle", 33: "mud", 34: "rubble",
-}  # fmt: skip
-"""RELLIS-3D id -> name, for labels with a class."""
+_LABELS = LABEL_SETS["rellis"]
+"""What the labels of the scenes, and of data sets to train on, mean."""
 
 
 _LIMITS_OF_SIMULATION = """\
@@ -118,13 +116,13 @@ Unseen scenes have other numbers of the same seed.
 
 def _classes() -> str:
     return "; ".join(
-        f"{k}: " + ", ".join(LABEL_NAMES[label] for label, class_id in CLASS_OF_LABEL.items() if class_id == k)
+        f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
         for k in range(CLASSES)
     )
 
 
 def _labels(evaluation: ScanEvaluation) -> str:
     return "\n".join(
-        f"| {LABEL_NAMES[label]} | {CLASS_OF_LABEL[label]} | " + " | ".join(map(str, counts)) + " |"
-        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (CLASS_OF_LABEL[item[0]], item[0]))
+        f"| {_LABELS.names[label]} | {_LABELS.class_of[label]} | " + " | ".join(map(str, counts)) + " |"
+        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (_LABELS.class_of[item[0]], item[0]))
     )

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, OutputError, PolarSettings, Scan, atomic
-from bumpymap.readers import find_frames, read_scan
-from bumpymap.scan import MEASURES, classes_of_labels, network_input, polar_sectors
+from bumpymap.readers import LABEL_SETS, find_frames, read_scan
+from bumpymap.scan import MEASURES, network_input, polar_sectors
 
 __all__ = [
     "GRIDS",
@@ -97,7 +97,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         stacks.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), replace(grid, anchored=False)))
     parts = []
     for stack in stacks:
-        class_id = classes_of_labels(stack.label)
+        class_id = LABEL_SETS["rellis"].classes_of(stack.label)
         known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
         chosen = known[stack.traversable]
