@@ -40,6 +40,19 @@ from .crs.vertical import (
     vertical_of as vertical_of,
     with_vertical as with_vertical,
 )
+from .drive_types import (
+    CheckResult as CheckResult,
+    CheckedDrive as CheckedDrive,
+    CheckedMap as CheckedMap,
+    DriveLog as DriveLog,
+    DrivenStretches as DrivenStretches,
+    DrivenTiles as DrivenTiles,
+    ImuTrack as ImuTrack,
+    MapAgreement as MapAgreement,
+    PlaceKind as PlaceKind,
+    PlaceTrack as PlaceTrack,
+    WheelTrack as WheelTrack,
+)
 from .errors import (
     BadInputError as BadInputError,
     BumpymapError as BumpymapError,
