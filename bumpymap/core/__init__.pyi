@@ -41,9 +41,9 @@ from .crs.vertical import (
     with_vertical as with_vertical,
 )
 from .drive_types import (
-    CheckResult as CheckResult,
     CheckedDrive as CheckedDrive,
     CheckedMap as CheckedMap,
+    CheckResult as CheckResult,
     DriveLog as DriveLog,
     DrivenStretches as DrivenStretches,
     DrivenTiles as DrivenTiles,

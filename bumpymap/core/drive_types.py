@@ -191,7 +191,7 @@ class MapAgreement:
     median_error: float
     """Median of abs(map / measured - 1)."""
     inside: float
-    """Share of stretches whose measured C_r lies in the interval of the map, widened by the error of the measurement."""
+    """Share of stretches whose measured C_r lies in the map's interval, widened by the error of the measurement."""
     same_class: float
 
 
