@@ -11,10 +11,13 @@ from bumpymap.core import BadInputError
 from bumpymap.readers.drives.column_names import DriveColumn
 from bumpymap.readers.drives.quantities import ACCELERATIONS, ANGLES, RATES
 from bumpymap.readers.drives.signals import Floats
+from bumpymap.readers.source import open_source
 
 __all__ = ["instance_column", "is_dataflash", "keep_first_instance", "refuse_binary", "to_flu"]
 
 _TIME = "TimeUS"
+_SYNC = b"\xa3\x95"
+"""First bytes of every message of a binary log."""
 _DOWN = ("rate_y", "rate_z", "acc_y", "acc_z", "pitch", "yaw")
 """Quantities whose sign differs between x forward, y right, z down and x forward, y left, z up."""
 
@@ -54,8 +57,10 @@ def to_flu(
     }
     unstated = {quantity for quantity, unit in units.items() if quantity in columns and columns[quantity].unit is None}
     factor = {quantity: np.deg2rad(1.0) for quantity in ANGLES if quantity in unstated}
+    lowest = {"fix": 2.0}  # 0: no receiver, 1: no fix
     turned = {
-        quantity: column * ((-1.0 if quantity in _DOWN else 1.0) * factor.get(quantity, 1.0))
+        quantity: (column - lowest.get(quantity, 0.0))
+        * ((-1.0 if quantity in _DOWN else 1.0) * factor.get(quantity, 1.0))
         for quantity, column in values.items()
         if quantity != "time"
     }
@@ -68,6 +73,9 @@ def to_flu(
 
 def refuse_binary(path: Path) -> None:
     """Raise BadInputError for the binary logs of ArduPilot, whose readers cannot be shipped with bumpymap."""
+    with open_source(path) as stream:
+        if stream.read(2) != _SYNC:
+            return
     stem = path.stem
     raise BadInputError(
         f"{path} is a binary log of ArduPilot, which is not read itself. Make CSV files of it with pymavlink: "

@@ -27,11 +27,11 @@ _SLOWEST_S = 1.0
 """Median time between two angular rates."""
 _KINDS = ("lonlat", "projected", "local")
 _COLUMNS = {
-    "rate": RATES,
-    "acceleration": ACCELERATIONS,
-    "attitude": (*ANGLES, *QUATERNION),
-    "places": (*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix"),
-    "wheels": ("speed", *SIDES),
+    "rate": (*RATES, "imu"),
+    "acceleration": (*ACCELERATIONS, "imu"),
+    "attitude": (*ANGLES, *QUATERNION, "imu", "odometry", "attitude"),
+    "places": (*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"),
+    "wheels": ("speed", *SIDES, "odometry", "twist"),
 }
 _GAP = 5.0
 """A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
@@ -64,8 +64,12 @@ def assemble(name: str, paths: Sequence[Path], sources: Sequence[DriveSignals]) 
 
 def _taken(kind: str, source: DriveSignals, sources: Sequence[DriveSignals]) -> Mapping[str, str]:
     """Return the columns of a source that a signal was read from, with the name of the file if there are several."""
-    before = f"{source.source}: " if len(sources) > 1 else ""
-    return {key: before + text for key, text in source.columns.items() if key in {*_COLUMNS[kind], "time", kind}}
+    several = sum(bool(each.columns) for each in sources) > 1
+    return {
+        key: f"{source.source}: {text}" if several and text != source.source else text
+        for key, text in source.columns.items()
+        if key in {*_COLUMNS[kind], "time"}
+    }
 
 
 def _imu(name: str, sources: Sequence[DriveSignals], columns: dict[str, str], notes: list[str]) -> ImuTrack:

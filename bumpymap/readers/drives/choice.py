@@ -9,7 +9,7 @@ from bumpymap.readers.drives.quantities import DIMENSIONS, QUANTITIES, UNITS, pl
 
 __all__ = ["TOPICS", "chosen_columns", "listed", "parse_columns", "unknown_quantities"]
 
-TOPICS = ("imu", "gnss", "odometry")
+TOPICS = ("imu", "gnss", "odometry", "twist")
 """Quantities of bags: the topics that they are read from."""
 _STATED = re.compile(r"(.+?)\s*(?:\[([^\[\]]+)\]|:([^:]+))")
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.readers.drives.signals import Floats
 
-__all__ = ["TimeNumbers", "in_order", "numbers_of_times", "seconds_of_numbers"]
+__all__ = ["TimeNumbers", "in_order", "numbers_of_times", "seconds_of_numbers", "sorted_times"]
 
 _EPOCH = (("s", 1e8, 1e10), ("ms", 1e11, 1e13), ("us", 1e14, 1e16), ("ns", 1e17, 1e19))
 """Unit, from, to: times since 1970 (from 1973 on) tell their unit by their size."""
@@ -139,3 +139,12 @@ def in_order(time: Floats, what: str) -> tuple[NDArray[np.intp], str | None]:
         )
     note = f"{repeated:,} samples of {what} repeat the time before them and are left out" if repeated else None
     return keep, note
+
+
+def sorted_times(time: Floats, what: str, notes: list[str]) -> NDArray[np.intp]:
+    """Return the order of messages by their stamps; a recorder stores them as they arrive."""
+    late = int((np.diff(time) < 0.0).sum())
+    if late:
+        notes.append(f"{late:,} messages of {what} arrived after later ones and are sorted by their stamps")
+    order: NDArray[np.intp] = np.argsort(time, kind="stable")
+    return order

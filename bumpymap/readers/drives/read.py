@@ -6,11 +6,15 @@ from pathlib import Path
 from bumpymap.core import BadInputError, DriveLog, UsageError
 from bumpymap.readers.drives.ardupilot import refuse_binary
 from bumpymap.readers.drives.assemble import assemble
+from bumpymap.readers.drives.bag_signals import bag_signals
 from bumpymap.readers.drives.choice import TOPICS, unknown_quantities
 from bumpymap.readers.drives.quantities import QUANTITIES
+from bumpymap.readers.drives.ros1_bag import is_ros1
 from bumpymap.readers.drives.signals import DriveSignals
 from bumpymap.readers.drives.table_signals import find_columns, table_signals
-from bumpymap.readers.drives.text_table import open_table
+from bumpymap.readers.drives.text_table import TextTable, open_table
+from bumpymap.readers.drives.ulog_signals import is_ulog, ulog_signals
+from bumpymap.readers.frames.bag import is_bag
 
 __all__ = ["read_drive"]
 
@@ -59,15 +63,32 @@ def _paths(place: str) -> list[Path]:
 
 
 def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[DriveSignals]:
+    """Read the signals of all files."""
     for path in paths:
-        if path.suffix.lower() == ".bin":
+        if path.suffix.lower() in {".bin", ".log"}:
             refuse_binary(path)
-    tables = [open_table(path) for path in paths]
+    bags = [path for path in paths if is_bag(path) or is_ros1(path)]
+    logs = [path for path in paths if is_ulog(path)]
+    tables = [open_table(path) for path in paths if path not in {*bags, *logs}]
+    topics = {quantity: name for quantity, name in wanted.items() if quantity in TOPICS}
+    if topics and not bags:
+        raise BadInputError(f"`columns` names topics ({', '.join(topics)}), and {paths[0]} is no bag. Leave them out")
+    return [
+        *_of_tables(tables, {quantity: name for quantity, name in wanted.items() if quantity not in TOPICS}),
+        *(signals for path in bags for signals in bag_signals(path, topics)),
+        *(signals for path in logs for signals in ulog_signals(path)),
+    ]
+
+
+def _of_tables(tables: Sequence[TextTable], wanted: Mapping[str, str]) -> list[DriveSignals]:
     found = [find_columns(table, wanted) for table in tables]
     known = {quantity for each in found for quantity in each}
     missing = [quantity for quantity, text in wanted.items() if text and quantity not in known]
     if missing:
         listed = "; ".join(f"{table.path.name}: {', '.join(table.head.names)}" for table in tables)
         shown = ", ".join(f"{quantity}={wanted[quantity]}" for quantity in missing)
-        raise BadInputError(f"`columns` names {shown}, which is not there. Columns of {listed}")
+        raise BadInputError(
+            f"`columns` names {shown}, which is not there. "
+            + (f"Columns of {listed}" if tables else "Columns are named for tables of text, topics for bags")
+        )
     return [table_signals(table, each) for table, each in zip(tables, found, strict=True)]
