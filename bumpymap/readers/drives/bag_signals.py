@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -166,8 +167,6 @@ def _signals(role: str, topic: str, rows: Floats) -> DriveSignals:
 
 
 def _with(signals: DriveSignals, columns: Mapping[str, str], notes: list[str]) -> DriveSignals:
-    from dataclasses import replace
-
     return replace(signals, columns=columns, notes=tuple(notes))
 
 

@@ -57,15 +57,15 @@ def guess_acceleration(values: Floats, source: str, *, known: bool) -> tuple[Flo
 
     Without a stated unit, g and mg are told from the size of gravity.
     """
-    middle = float(np.median(np.linalg.norm(values, axis=1)))
+    middle = float(np.linalg.norm(np.median(values, axis=0)))  # of noise alone it would be small
     units = {"m/s2": 1.0} if known else UNITS["acceleration"]
     for unit, factor in units.items():
         if 7.0 < middle * factor < 13.0:
             note = None if known or unit == "m/s2" else f"accelerations of {source} are taken as {unit}"
             return values * factor, note
     return None, (
-        f"accelerations of {source} are not used: half of them are below {middle:.3g} m/s2, and with gravity they "
-        "would be about 9.8"
+        f"accelerations of {source} are not used: their median is {middle:.3g} m/s2, and with gravity it would be "
+        "about 9.8"
     )
 
 
@@ -85,7 +85,7 @@ def check_lonlat(lon: Floats, lat: Floats, source: str, names: tuple[str, ...]) 
         They are out of range, perhaps because they are swapped.
     """
     note = None
-    if np.median(np.abs(lat)) > 1e5:
+    if min(np.median(np.abs(lon)), np.median(np.abs(lat))) > 1e5 and not (lon % 1.0).any() and np.abs(lon).max() > 1e7:
         lon, lat = lon * 1e-7, lat * 1e-7
         note = f"longitude and latitude of {source} are taken as 1e-7 degrees"
     far_lon, far_lat = float(np.abs(lon).max()), float(np.abs(lat).max())

@@ -64,7 +64,7 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
     head = next((line for line in reversed(lines[:first]) if line.strip()), "")
     names = _cells(head.strip().lstrip(_REMARK), separator)
     _refuse_decimal_commas(path, separator, names, row)
-    if not names or sum(map(_is_number, names)) * 2 >= len(names):
+    if not head or sum(map(_is_number, names)) * 2 >= len(names):
         raise BadInputError(
             f"{path} has no header line: its first row is '{lines[first][:80]}'. Put the names of the columns before "
             "it, such as time,gyro_x,gyro_y,gyro_z"
