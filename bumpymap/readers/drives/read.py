@@ -59,6 +59,11 @@ def _paths(place: str) -> list[Path]:
     for path in paths:
         if not path.exists():
             raise BadInputError(f"there is no file {path}. Check the path of the drive")
+        if path.is_dir() and not is_bag(path):
+            raise BadInputError(
+                f"{path} is a folder, but no bag: it has no metadata.yaml. Give the files of one drive, joined by "
+                f"commas, or make one for a bag: ros2 bag reindex {path}"
+            )
     return paths
 
 
