@@ -1,7 +1,7 @@
 """The signals of bags of ROS 2 and ROS 1: which topics are read, and what their messages hold."""
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,44 +36,51 @@ class _Topic(NamedTuple):
     """Type of its messages."""
 
 
-def bag_signals(path: Path, columns: Mapping[str, str]) -> list[DriveSignals]:
-    """Read the topics of a bag that a drive needs, one signal or two of each.
+def bag_signals(paths: Sequence[Path], columns: Mapping[str, str]) -> list[DriveSignals]:
+    """Read the topics of bags that a drive needs. Several bags are one recording, or hold its topics between them.
 
     Parameters
     ----------
-    path : Path
-        A file or a folder.
+    paths : sequence of Path
+        Files or folders.
     columns : mapping
         ``imu``, ``gnss``, ``odometry`` and ``twist`` -> topic; an empty name: none.
 
     Raises
     ------
     BadInputError
-        The bag is damaged, a topic is not there, or several may be meant.
+        A bag is damaged, a topic is not there, or several may be meant.
     UsageError
         The extra ``ros`` is not installed.
     """
-    bag = Ros1Bag(path) if is_ros1(path) else BagReader(path)
-    topics = {role: topic for role in _TYPES if (topic := _choose(path, bag.topics, role, columns.get(role)))}
-    listing = f"{path.name}: {', '.join(f'{name} ({kind})' for name, (kind, _) in sorted(bag.topics.items()))}"
+    bags = [Ros1Bag(path) if is_ros1(path) else BagReader(path) for path in paths]
+    held: dict[str, tuple[str, int]] = {}
+    for bag in bags:
+        for name, (kind, count) in bag.topics.items():
+            held[name] = (kind, count + held.get(name, (kind, 0))[1])
+    name = ", ".join(path.name for path in paths)
+    topics = {role: topic for role in _TYPES if (topic := _choose(name, held, role, columns.get(role)))}
+    found = [_signals(role, topics[role].name, rows) for role, rows in _messages(bags, topics).items() if len(rows)]
+    listing = f"{name}: {', '.join(f'{topic} ({kind})' for topic, (kind, _) in sorted(held.items())) or 'no topics'}"
+    return [*found, DriveSignals(name, listing=listing)]
+
+
+def _messages(bags: Sequence[Ros1Bag | BagReader], topics: Mapping[str, _Topic]) -> dict[str, Floats]:
+    """Return what is read of the messages of each role, (n, k), times in s first."""
     rows: dict[str, array[float]] = {role: array("d") for role in topics}
     roles = {topic.name: role for role, topic in topics.items()}
-    for record in bag.messages(set(roles)):
-        role = roles[record.topic]
-        message = bag.decode(record.data, topics[role].kind)
-        stamp = message.header.stamp
-        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec or record.time_ns
-        rows[role].append(nanoseconds * 1e-9)
-        rows[role].extend(_READ[role](message))
-    found = [
-        _signals(role, topic.name, np.frombuffer(rows[role], np.float64).reshape(-1, _WIDTH[role]))
-        for role, topic in topics.items()
-        if len(rows[role])
-    ]
-    return [*found, DriveSignals(path.name, listing=listing)]
+    for bag in bags:
+        for record in bag.messages(set(roles) & set(bag.topics)):
+            role = roles[record.topic]
+            message = bag.decode(record.data, topics[role].kind)
+            stamp = message.header.stamp
+            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec or record.time_ns
+            rows[role].append(nanoseconds * 1e-9)
+            rows[role].extend(_READ[role](message))
+    return {role: np.frombuffer(values, np.float64).reshape(-1, _WIDTH[role]) for role, values in rows.items()}
 
 
-def _choose(path: Path, topics: Mapping[str, tuple[str, int]], role: str, wanted: str | None) -> _Topic | None:
+def _choose(name: str, topics: Mapping[str, tuple[str, int]], role: str, wanted: str | None) -> _Topic | None:
     """Return the topic to read for a role: the wanted one, or the only one of the best type."""
     if wanted == "":
         return None
@@ -86,13 +93,13 @@ def _choose(path: Path, topics: Mapping[str, tuple[str, int]], role: str, wanted
             return _Topic(wanted, kind)
         listed = ", ".join(name for names in of_type.values() for name in names) or "none"
         raise BadInputError(
-            f"the bag {path} has no topic {wanted} of type {' or '.join(_TYPES[role])}. Topics of this type with "
+            f"the bag {name} has no topic {wanted} of type {' or '.join(_TYPES[role])}. Topics of this type with "
             f"messages: {listed}"
         )
     kind, names = next(((kind, names) for kind, names in of_type.items() if names), ("", []))
     if len(names) > 1:
         raise BadInputError(
-            f"the bag {path} has several topics of type {kind}: {', '.join(names)}. Name the one to read: "
+            f"the bag {name} has several topics of type {kind}: {', '.join(names)}. Name the one to read: "
             f"`columns='{role}={names[0]}'`; with `columns='{role}='` none is read"
         )
     return _Topic(names[0], kind) if names else None

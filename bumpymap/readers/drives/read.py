@@ -80,7 +80,7 @@ def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[DriveSign
         raise BadInputError(f"`columns` names topics ({', '.join(topics)}), and {paths[0]} is no bag. Leave them out")
     return [
         *_of_tables(tables, {quantity: name for quantity, name in wanted.items() if quantity not in TOPICS}),
-        *(signals for path in bags for signals in bag_signals(path, topics)),
+        *(bag_signals(bags, topics) if bags else []),
         *(signals for path in logs for signals in ulog_signals(path)),
     ]
 

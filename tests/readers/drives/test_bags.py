@@ -101,6 +101,14 @@ def test_imu_gnss_and_odometry(tmp_path, storage):
     assert any("1 of 20 positions of /fix were taken without a fix" in note for note in log.notes)
 
 
+def test_several_bags_are_one_drive(tmp_path):
+    first = write_bag(tmp_path / "first", by_time(imus()[:120], fixes()))
+    rest = write_bag(tmp_path / "rest", imus()[120:])
+    log = read_drive(f"{first},{rest}")
+    np.testing.assert_array_equal(log.imu.rate, RATES)
+    assert len(log.places.time) == 19
+
+
 def test_odometry_alone_gives_a_way_without_a_place(tmp_path):
     log = read_drive(str(write_bag(tmp_path / "drive", by_time(imus(), moves()))))
     assert log.places.kind == "local"
