@@ -185,7 +185,8 @@ def _part(rows: Floats, columns: slice) -> Signal | None:
 def _turns(rows: Floats, columns: slice) -> Signal | None:
     """Return quaternions; None if they are not set (all zero, or all the same)."""
     values = rows[:, columns]
-    good = np.abs(np.linalg.norm(values, axis=1) - 1.0) < 0.1
+    with np.errstate(over="ignore"):
+        good = np.abs(np.linalg.norm(values, axis=1) - 1.0) < 0.1
     if good.sum() < 2 or not np.ptp(values[good], axis=0).any():
         return None
     return Signal(rows[good, 0], values[good])

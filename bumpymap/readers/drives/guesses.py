@@ -35,7 +35,8 @@ def refuse_odd_rates(rates: Floats, source: str, names: tuple[str, ...], *, know
     BadInputError
         The rates are too large, or all of them are zero.
     """
-    size = np.linalg.norm(rates, axis=1)
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(rates, axis=1)
     middle, peak = (float(value) for value in np.percentile(size, (50, 99)))
     if not size.any():
         raise BadInputError(

@@ -53,8 +53,7 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
     BadInputError
         The file is empty, no text, has decimal commas, or no header line.
     """
-    lines = _text(path, data).splitlines()
-    lines = lines if whole else lines[:-1]
+    lines = _text(path, data, whole=whole).splitlines()
     first, separator = _first_row(path, lines)
     row = _cells(lines[first], separator)
     rewrite = separator == " " or any(line.lstrip()[:1] in _REMARK for line in lines[first:] if line.strip())
@@ -76,14 +75,17 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
     return TableHead(_different(names), separator, first, rewrite)
 
 
-def _text(path: Path, data: bytes) -> str:
+def _text(path: Path, data: bytes, *, whole: bool) -> str:
     if not data.strip():
         raise BadInputError(f"{path} is empty. {_FORMATS}")
     if data[:2] in {b"\xff\xfe", b"\xfe\xff"}:
         raise BadInputError(f"{path} is text in UTF-16. Save it as UTF-8: iconv -f UTF-16 -t UTF-8 IN.csv > OUT.csv")
     if b"\0" in data:
         raise BadInputError(f"{path} is not a text file, and of no format that holds a drive. {_FORMATS}")
-    return data.decode("utf-8-sig", "replace")
+    try:
+        return (data if whole else data[: data.rfind(b"\n") + 1]).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace")  # as older programs of Windows write degree signs
 
 
 def _first_row(path: Path, lines: Sequence[str]) -> tuple[int, str]:

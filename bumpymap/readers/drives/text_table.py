@@ -53,6 +53,7 @@ class TextTable(NamedTuple):
                     column_names=list(self.head.names),
                     skip_rows=0 if self.head.rewrite else self.head.first_line,
                     block_size=1 << 23,
+                    encoding="latin-1",  # any byte is a letter: only numbers and dates are read
                 ),
                 parse_options=csv.ParseOptions(
                     delimiter="\t" if self.head.separator == " " else self.head.separator,

@@ -1,6 +1,8 @@
 """The signals of ULog files, which PX4 writes: microseconds since the start, x forward, y right, z down."""
 
+import io
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from bumpymap.readers.checks import decoding
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.guesses import check_lonlat
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
-from bumpymap.readers.source import size_of
+from bumpymap.readers.source import open_source, size_of
 
 __all__ = ["is_ulog", "ulog_signals"]
 
@@ -25,6 +27,8 @@ _TOPICS = (*_RATES, "vehicle_acceleration", _ATTITUDE, *_FIXES, _LOCAL)
 _TO_FLU = np.array([1.0, -1.0, -1.0])
 """x forward, y right, z down to x forward, y left, z up."""
 _LEAST_FIX = 2
+_ROUNDING = 0.1
+"""Tolerance of the lengths of quaternions."""
 
 
 def is_ulog(path: Path) -> bool:
@@ -78,11 +82,12 @@ def _topics(path: Path) -> tuple[dict[str, Mapping[str, Floats]], str, list[str]
             f"{path} has {size / 1e9:,.1f} GB; at most {_MOST_BYTES / 1e9:,.1f} GB are read at once. Cut it into "
             "several drives"
         )
-    with path.open("rb") as stream:
+    with open_source(path) as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
             raise BadInputError(f"{path} is no ULog: it does not begin with its signature. Copy or download it again")
-    with decoding(path, "the ULog"):
-        log: Any = ULog(str(path), message_name_filter_list=list(_TOPICS))
+        stream.seek(0)
+        with decoding(path, "the ULog"), redirect_stdout(io.StringIO()):  # it prints what is damaged
+            log: Any = ULog(stream, message_name_filter_list=list(_TOPICS))
     notes = [f"{path.name} is damaged in places, which are left out"] if log.file_corruption else []
     if log.dropouts:
         lost = sum(each.duration for each in log.dropouts) * 1e-3
@@ -96,9 +101,11 @@ def _topics(path: Path) -> tuple[dict[str, Mapping[str, Floats]], str, list[str]
 
 
 def _samples(data: Mapping[str, Floats], fields: Sequence[str], topic: str, notes: list[str]) -> tuple[Floats, Floats]:
-    """Return times (n,), s, and fields (n, k) as they are."""
+    """Return times (n,), s, and fields (n, k) as they are; NaN for those that the topic does not have."""
     time = np.asarray(data["timestamp"], np.float64) * 1e-6
-    values = np.stack([np.asarray(data[field], np.float64) for field in fields], axis=1)
+    missing = np.full(len(time), np.nan)
+    with np.errstate(invalid="ignore"):  # a NaN of float32 may be one that signals
+        values = np.stack([np.asarray(data.get(field, missing), np.float64) for field in fields], axis=1)
     order = sorted_times(time, topic, notes)
     time, values = time[order], values[order]
     keep, note = in_order(time, topic)
@@ -117,8 +124,10 @@ def _vectors(data: Mapping[str, Floats], names: Sequence[str], topic: str, notes
 
 def _attitude(data: Mapping[str, Floats], notes: list[str]) -> DriveSignals:
     time, turn = _samples(data, [f"q[{place}]" for place in (1, 2, 3, 0)], _ATTITUDE, notes)
+    with np.errstate(invalid="ignore", over="ignore"):
+        good = np.abs(np.linalg.norm(turn, axis=1) - 1.0) < _ROUNDING
     # Turned on both sides: the axes of the vehicle, and north, east, down into north, west, up.
-    signal = Signal(time, turn * np.append(_TO_FLU, 1.0))
+    signal = Signal(time[good], turn[good] * np.append(_TO_FLU, 1.0)) if good.sum() > 1 else None
     return DriveSignals(_ATTITUDE, attitude=signal, columns={"attitude": _ATTITUDE})
 
 
@@ -128,7 +137,7 @@ def _fixes(data: Mapping[str, Floats], topic: str, notes: list[str]) -> PlaceTra
     time, values = _samples(data, (*fields, "fix_type", "eph"), topic, notes)
     lon, lat, fix, error = values.T
     lon, lat = (lon, lat) if new else (lon * 1e-7, lat * 1e-7)
-    good = (fix >= _LEAST_FIX) & np.isfinite(lon) & np.isfinite(lat)
+    good = ~(fix < _LEAST_FIX) & np.isfinite(lon) & np.isfinite(lat)
     if lost := int((~good).sum()):
         notes.append(f"{lost:,} of {len(good):,} positions of {topic} were taken without a fix and are left out")
     if not good.any():

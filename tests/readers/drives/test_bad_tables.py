@@ -113,3 +113,11 @@ def test_two_sensors_in_one_file_are_not_mixed(tmp_path):
 def test_the_largest_files_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.readers.drives.text_table._MOST_BYTES", 1000)
     assert "Cut it into several drives" in refusal(write(tmp_path / "a.csv", drive()))
+
+
+def test_degree_signs_of_other_encodings(tmp_path):
+    columns = drive()
+    text = (tmp_path / "a.csv", renamed(columns, **{f"gyro_{axis}": f"Gyro {axis} [°/s]" for axis in "xyz"}))
+    path = tmp_path / "b.csv"
+    path.write_bytes(open(write(*text), encoding="utf-8").read().encode("cp1252"))  # noqa: PTH123, SIM115
+    np.testing.assert_allclose(read_drive(str(path)).imu.rate[:, 0], np.deg2rad(columns["gyro_x"]))

@@ -294,3 +294,10 @@ def test_a_binary_ardupilot_log_is_refused_with_the_command_that_helps(tmp_path)
     path.write_bytes(b"\xa3\x95\x80\x80" + bytes(200))
     text = refusal(path)
     assert "mavlogdump.py --format csv --types IMU 00000012.BIN > 00000012_imu.csv" in text
+
+
+def test_the_shortest_table_needs_no_line_end(tmp_path):
+    lines = [f"{n / 100},0.1,0.2,0.{n}" for n in range(30)]
+    path = tmp_path / "a.csv"
+    path.write_text("time,wx,wy,wz\n" + "\n".join(lines), encoding="utf-8")
+    assert len(read_drive(str(path)).imu.time) == 30
