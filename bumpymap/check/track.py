@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 _KNOT_S = 0.25
 _MOST_KNOTS = 20_000
-_STEPS = 12
+_STEPS = 20
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
 _FIRST_CHANGES = (0.06, 0.2)
@@ -197,15 +197,22 @@ def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> Track
 
 def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperLU, float]:
     """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
-    factor, left, matrix = None, np.zeros(0), None
-    for number in range(_STEPS):
+    factor, before = None, 0.0
+    for _ in range(_STEPS):
         matrix, left = problem.linear(state)
-        factor = splu(csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = splu(
+            csc_array(matrix.T @ matrix),
+            permc_spec="NATURAL",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
         step = factor.solve(matrix.T @ left)
-        # the offset of the clocks enters the equations bent: whole steps overshoot it
-        state = replace(state, values=state.values - (1.0 if number < 2 else 0.5) * step)
+        shift = float(step[OFFSET - GLOBALS])
+        # the offset of the clocks enters the equations bent: where a step takes back the last one, it is halved
+        state = replace(state, values=state.values - (0.5 if shift * before < 0.0 else 1.0) * step)
+        before = shift
         moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))
-        if moved < 1e-3 and abs(step[OFFSET - GLOBALS]) < 1e-4:
+        if moved < 2e-3 and abs(shift) < 5e-4:
             break
     if factor is None:
         raise AssertionError("there is at least one step")
