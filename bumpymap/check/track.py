@@ -172,7 +172,9 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     factor, left, matrix = None, np.zeros(0), None
     for _ in range(_STEPS):
         matrix, left = problem.linear(state)
-        factor = splu(csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = splu(
+            csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         step = factor.solve(matrix.T @ left)
         state = replace(state, values=state.values - step)
         if max(np.abs(step[0:-3:6]).max(), np.abs(step[1:-3:6]).max()) < 1e-3 and abs(step[-2]) < 1e-4:

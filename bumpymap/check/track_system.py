@@ -65,7 +65,7 @@ class TrackState:
 
     def part(self, number: int) -> Floats:
         """Return east (0), north (1), speed (2), turn (3) or an error of the receiver (4, 5), (k,)."""
-        return self.values[number : -3 : 6]
+        return self.values[number:-3:6]
 
     @property
     def offset_s(self) -> float:
@@ -98,7 +98,9 @@ class TrackProblem:
         matrix = sparse.vstack([part for part, _ in rows], format="csr")
         return matrix, np.concatenate([left for _, left in rows])
 
-    def _matrix(self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]) -> sparse.coo_array:
+    def _matrix(
+        self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]
+    ) -> sparse.coo_array:
         row, col, value = (np.concatenate([entry[axis] for entry in entries]) for axis in range(3))
         return sparse.coo_array((value, (row, col)), shape=(count, 6 * len(self.knots.time) + 3))
 
@@ -116,9 +118,7 @@ class TrackProblem:
             entries += [(row, 6 * (number + 1) + axis, one), (row, 6 * number + axis, -one)]
             entries += [(row, 6 * (number + side) + 2, -0.5 * way * one) for side in (0, 1)]
             entries += [(row, 6 * (number + side) + 3, -0.5 * mean * across * one) for side in (0, 1)]
-        left = np.concatenate(
-            [(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one]
-        )
+        left = np.concatenate([(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one])
         return self._matrix(2 * (k - 1), entries), left
 
     def _smooth(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from bumpymap.lab.simulate.library import library_terrains
-from bumpymap.lab.simulate.plan import library_terrain
+from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
 from bumpymap.lab.simulate.relief import ReliefGround
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.lab.worlds import Terrain
-from bumpymap.lab.simulate import CalibrationSettings
 from bumpymap.rating import Calibration, Vehicle
 from bumpymap.survey import map_survey
 

@@ -27,6 +27,7 @@ from bumpytiles import TileWindow
 
 _ROOM_TILES = 3
 _STOP_S = 3.0
+_SMOOTH_SEED, _ROUGH_SEED = 11, 23
 
 
 GroundAlong = Callable[[NDArray[np.float64]], tuple[ReliefGround, NDArray[np.float64]]]
@@ -72,14 +73,26 @@ def stiff(profile: Vehicle, factor: float, damping: float = 1.0) -> Vehicle:
     return replace(profile, rocker=rocker)
 
 
-def planned_ways(layers: Path, count: int, seed: int, ride_weight: float) -> list[NDArray[np.float64]]:
+def kept_ways(path: Path, layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
+    """Return planned ways, from a file if they were planned before."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *_planned_ways(layers, count, weights))
+    with np.load(path) as held:
+        return [held[name] for name in held.files]
+
+
+def _planned_ways(layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
     """Plan ways of 60 to 150 m between random places of a map; corners (n, 2) in its easting and northing, m.
 
-    With a ride weight of 0 they are the shortest and rough; with the vehicle's own they keep to smooth ground.
+    ``weights`` are those of ride and failure. With those of the vehicle the ways keep to smooth ground; with small ones
+    they are short and rough.
     """
     opened = open_map([layers])
-    sheets = [replace(sheet, rule=replace(sheet.rule, ride_weight=ride_weight)) for sheet in opened.sheets]
-    site = replace(opened, sheets=tuple(sheets))
+    ride, fail = weights
+    rule = replace(opened.rule, ride_weight=ride, fail_weight=fail)
+    site = replace(opened, sheets=tuple(replace(sheet, rule=rule) for sheet in opened.sheets))
+    seed = _SMOOTH_SEED if ride else _ROUGH_SEED
     settings = RouteTrialSettings(total_pairs=count, seed=seed, least_m=60.0, most_m=150.0, most_shared=1.0)
     pairs = choose_pairs(site.read(site.window), RoutePlanner.of(site), settings, _Silent())
     return [_placed(site, pair.best) for pair in pairs]

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from bumpymap.lab.worlds.drives import TrueDrive
 
 RATE_HZ = 500.0
+ORIGIN = np.array([480_000.0, 2_136_000.0, 2300.0])
 
 
 def at_rest(seconds=20.0, yaw=0.0, pitch=0.0, roll=0.0):
@@ -14,7 +15,7 @@ def at_rest(seconds=20.0, yaw=0.0, pitch=0.0, roll=0.0):
     count = round(seconds * RATE_HZ)
     turned = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     none = np.zeros((count, 3))
-    place = np.tile([480_000.0, 2_136_000.0, 2300.0], (count, 1))
+    place = np.tile(ORIGIN, (count, 1))
     return TrueDrive(RATE_HZ, place, np.tile(turned, (count, 1, 1)), none, none, np.zeros((count, 2)))
 
 
@@ -30,7 +31,7 @@ def driven_circle(speed, turn, seconds=20.0, pitch_rate=0.0):
     velocity = np.tile([speed, 0.0, 0.0], (len(time), 1))
     rotation = Rotation.from_euler("Z", heading[:, None]).as_matrix()
     wheels = speed + np.outer(np.ones(len(time)), [-0.5, 0.5]) * turn
-    return TrueDrive(RATE_HZ, place + [480_000.0, 2_136_000.0, 2300.0], rotation, rates, velocity, wheels)
+    return TrueDrive(RATE_HZ, place + ORIGIN, rotation, rates, velocity, wheels)
 
 
 @pytest.fixture(scope="session")
