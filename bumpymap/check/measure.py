@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from bumpymap.check.attitude import heading_of, levelling, turned, upward_in_sensor
 from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
-from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible
+from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
 from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
 from bumpymap.check.settings import MeasureSettings
 from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
@@ -41,6 +41,8 @@ class _Rates:
     attitude: Rotation
     heading: Floats
     clock: ClockFit
+    force: NDArray[np.complex128] | None
+    """Acceleration along the sensor's levelled axes, m/s2."""
 
 
 def measure_drive(
@@ -74,7 +76,7 @@ def measure_drive(
     notes: list[str] = []
     imu = _usable_force(imu, notes)
     rates = _rates(log, imu, places, settings.band_hz)
-    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0)
+    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     speed = np.interp(imu.time, track.time, track.speed)
     _refuse_parked(log, speed, imu.hertz)
@@ -82,9 +84,7 @@ def measure_drive(
     if mounting is None:
         notes.append("there is no accelerometer, so how the sensor is mounted cannot be told: no tilt is assumed")
     elif np.isnan(mounting.degrees[2]):
-        notes.append(
-            "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told"
-        )
+        notes.append("the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told")
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
     told = places is not None and rates.clock.sure and track.offset_sd_s < _UNSURE_OFFSET_S
@@ -132,7 +132,8 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     if places is not None:
         clock = fit_clock(places, imu.time, heading, log.name)
         refuse_wrong_unit(places, clock, imu.time, heading, log.name)
-    return _Rates(standing, rate, attitude, heading, clock)
+    force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
+    return _Rates(standing, rate, attitude, heading, clock, force)
 
 
 def _rough_speed(log: DriveLog, imu: EvenImu, places: MetrePlaces | None) -> tuple[Floats, float]:
@@ -167,9 +168,9 @@ def _mounting(
     easting, northing, speed, course = (
         np.interp(imu.time, track.time, part) for part in (track.easting, track.northing, track.speed, track.course)
     )
-    along = left = np.zeros_like(speed)
+    along = left = np.full_like(speed, np.nan)
     if slope_at is not None:
-        along, left = (np.nan_to_num(part) for part in slope_at(easting, northing, course))
+        along, left = slope_at(easting, northing, course)
     yaw_rate = np.gradient(rates.heading) * imu.hertz
     moving = imu.known & (np.abs(speed) > settings.least_speed_mps)
     motion = DrivenMotion(speed, yaw_rate, along, left)

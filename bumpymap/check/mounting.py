@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from bumpymap.check.attitude import levelling, upward_in_sensor
 from bumpymap.check.signals import EvenImu, low_pass
 
-__all__ = ["DrivenMotion", "Mounting", "find_mounting", "gravity_is_plausible"]
+__all__ = ["DrivenMotion", "Mounting", "find_mounting", "gravity_is_plausible", "level_force"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,7 +37,7 @@ class DrivenMotion:
     yaw_rate: Floats
     """(n,) rad/s, positive to the left."""
     along_slope: Floats
-    """(n,) rise of the ground ahead over a metre, by the map; 0 where not known."""
+    """(n,) rise of the ground ahead over a metre, by the map; NaN where not known."""
     left_slope: Floats
     """(n,) rise of it to the left."""
 
@@ -54,7 +54,9 @@ class Mounting:
     """Standard deviation of the yaw, degrees."""
 
 
-def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
+def find_mounting(
+    imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask
+) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
     Parameters
@@ -82,18 +84,33 @@ def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: Driven
     return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)))
 
 
+def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:
+    """Return the acceleration along the sensor's levelled axes, x + i y, (n,) m/s2; 0 in gaps.
+
+    Parameters
+    ----------
+    imu : EvenImu
+    rotation : Rotation
+        Levels the sensor.
+    upward : float64 array (n, 3)
+        Unit vectors in the sensor's axes.
+    """
+    level, up = rotation.apply(imu.force), rotation.apply(upward)
+    level -= up * (level * up).sum(axis=1, keepdims=True)
+    return np.asarray((level[:, 0] + 1j * level[:, 1]) * imu.known)
+
+
 def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) -> Floats:
     """Return the acceleration of the vehicle in the sensor's axes, (n, 3) m/s2."""
     ahead = np.gradient(motion.speed) * hertz
     return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
-def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
+def _yaw(
+    imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask
+) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
-    level = rotation.apply(imu.force)
-    up = rotation.apply(upward)
-    level -= up * (level * up).sum(axis=1, keepdims=True)
-    felt = _band(level[:, 0] + 1j * level[:, 1], imu.hertz)
+    felt = _band(level_force(imu, rotation, upward), imu.hertz)
     speeding = np.gradient(motion.speed) * imu.hertz
     driven = _band(speeding + 1j * motion.speed * motion.yaw_rate, imu.hertz)
     use = moving & imu.known
@@ -121,7 +138,11 @@ def _level(upward: Floats, motion: DrivenMotion, moving: Mask) -> Rotation:
     """Return the small rotation after which the vehicle is on average as tilted as the ground of its way."""
     norm = np.sqrt(1.0 + motion.along_slope**2 + motion.left_slope**2)
     tilted = np.stack([motion.along_slope / norm, motion.left_slope / norm], axis=1)
-    weight = np.abs(motion.speed) * moving
+    known = np.isfinite(tilted).all(axis=1)
+    if not (known & moving).any():
+        known, tilted = np.ones_like(known), np.zeros_like(tilted)
+    tilted = np.where(known[:, None], tilted, 0.0)
+    weight = np.abs(motion.speed) * (moving & known)
     off = ((upward[:, :2] - tilted) * weight[:, None]).sum(axis=0) / max(weight.sum(), 1e-9)
     return Rotation.from_rotvec([off[1], -off[0], 0.0])
 

@@ -15,6 +15,8 @@ _QUIET = 3.0
 """A standing vehicle shakes at most this many times as much as in its quietest second."""
 _QUIET_SHARE = 0.35
 """And at most this share of what it shakes in the middle of the record."""
+_SILENT_RADPS = 1e-5
+"""No moving vehicle is quieter."""
 _LEAST_S = 2.0
 _MARGIN_S = 0.5
 """Taken off at both ends of a stop: the vehicle still rocks."""
@@ -47,7 +49,8 @@ def find_standing(imu: EvenImu, speed: Floats, speed_sd: float, band_hz: float) 
         return np.zeros_like(known)
     moving = np.abs(np.nan_to_num(speed, nan=0.0)) > 2.0 * (_SLOW_MPS + speed_sd)
     usual = float(np.median(spread[imu.known & moving])) if (imu.known & moving).any() else np.inf
-    quiet = known & (spread < min(_QUIET * float(np.quantile(spread[known], 0.02)), _QUIET_SHARE * usual))
+    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), _QUIET_SHARE * usual)
+    quiet = known & (spread <= max(limit, _SILENT_RADPS))
     standing = np.zeros_like(known)
     margin = round(_MARGIN_S * imu.hertz)
     for part in pieces(quiet):

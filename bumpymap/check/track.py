@@ -13,7 +13,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from bumpymap.check.places import MetrePlaces, Scatter, scatter_of
 from bumpymap.check.signals import EvenImu
-from bumpymap.check.track_system import Knots, TrackProblem, TrackState
+from bumpymap.check.track_system import DRIFT, GLOBALS, OFFSET, SCALE, STATES, Knots, TrackProblem, TrackState
 from bumpymap.core import WheelTrack
 
 __all__ = ["DrivenTrack", "TrackStart", "fit_track"]
@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 _KNOT_S = 0.25
 _MOST_KNOTS = 20_000
-_STEPS = 8
+_STEPS = 12
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, m/s/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
@@ -36,6 +36,8 @@ class TrackStart:
     offset_s: float
     heading_0: float
     """What to add to the gyroscope's heading, rad."""
+    force: NDArray[np.complex128] | None = None
+    """(n,) acceleration along the sensor's levelled axes, x + i y, m/s2; None without an accelerometer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +76,8 @@ class DrivenTrack:
 
     def _sd(self, weights: Floats, part: int) -> Floats:
         k = len(self.time)
-        right = np.zeros((6 * k + 3, len(weights)))
-        right[part:-3:6] = weights.T
+        right = np.zeros((STATES * k + GLOBALS, len(weights)))
+        right[part:-GLOBALS:STATES] = weights.T
         return np.asarray(np.sqrt(np.maximum((right * self._factor.solve(right)).sum(axis=0), 0.0)))
 
 
@@ -110,7 +112,7 @@ def fit_track(
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
     best: tuple[float, TrackState, SuperLU] | None = None
     state = _first(knots, places, start)
-    for change in _SPEED_CHANGES if places is not None else (_SPEED_CHANGES[2],):
+    for change in _SPEED_CHANGES if places is not None else (_SPEED_CHANGES[-2],):
         problem = TrackProblem(knots, places, scatter, change, start.offset_s)
         state, factor, badness = _solve(problem, state)
         if best is None or badness < best[0]:
@@ -136,7 +138,12 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     speed = np.full(count, np.nan)
     if wheels is not None:
         speed = _wheel_speed(wheels, time)
-    return Knots(time, steps, stands, changing, speed)
+    turned = np.interp(time, imu.time, heading + start.heading_0)
+    gained = np.full(count - 1, np.nan + 0j)
+    if start.force is not None:
+        felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
+        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+    return Knots(time, steps, turned, gained, stands, changing, speed)
 
 
 def _wheel_speed(wheels: WheelTrack, time: Floats) -> Floats:
@@ -151,19 +158,20 @@ def _wheel_speed(wheels: WheelTrack, time: Floats) -> Floats:
 
 def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> TrackState:
     k = len(knots.time)
-    values = np.zeros(6 * k + 3)
-    values[-3:] = 1.0, start.offset_s, 0.0
+    values = np.zeros(STATES * k + GLOBALS)
+    values[STATES * k + SCALE] = 1.0
+    values[STATES * k + OFFSET] = start.offset_s
     speed = np.nan_to_num(knots.wheels)
     if places is not None:
         at = knots.time - start.offset_s
         east, north = (np.interp(at, places.time, part) for part in (places.place.real, places.place.imag))
-        values[0:-3:6], values[1:-3:6] = east, north
+        values[0:-GLOBALS:STATES], values[1:-GLOBALS:STATES] = east, north
         lag = max(round(2.0 / knots.step_s), 1)
         ahead, behind = np.minimum(np.arange(k) + lag, k - 1), np.maximum(np.arange(k) - lag, 0)
         moved = (east[ahead] - east[behind]) + 1j * (north[ahead] - north[behind])
         way = np.concatenate([[0.0], np.cumsum(knots.steps)])
         speed = (moved * np.exp(-1j * np.angle(way[ahead] - way[behind]))).real / ((ahead - behind) * knots.step_s)
-    values[2:-3:6] = np.where(knots.standing, 0.0, speed)
+    values[2:-GLOBALS:STATES] = np.where(knots.standing, 0.0, speed)
     return TrackState(values)
 
 
@@ -172,12 +180,11 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     factor, left, matrix = None, np.zeros(0), None
     for _ in range(_STEPS):
         matrix, left = problem.linear(state)
-        factor = splu(
-            csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        factor = splu(csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         step = factor.solve(matrix.T @ left)
         state = replace(state, values=state.values - step)
-        if max(np.abs(step[0:-3:6]).max(), np.abs(step[1:-3:6]).max()) < 1e-3 and abs(step[-2]) < 1e-4:
+        moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))
+        if moved < 1e-3 and abs(step[OFFSET - GLOBALS]) < 1e-4:
             break
     if factor is None:
         raise AssertionError("there is at least one step")
@@ -189,10 +196,9 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
 
 def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -> DrivenTrack:
     east, north, speed, turn = (state.part(number) for number in range(4))
-    heading = np.unwrap(np.angle(knots.steps))
-    course = np.concatenate([heading[:1], 0.5 * (heading[1:] + heading[:-1]), heading[-1:]]) + turn
+    course = knots.heading + turn
     ends = np.zeros((len(state.values), 2))
-    ends[[-2, -1], [0, 1]] = 1.0
+    ends[[OFFSET - GLOBALS, DRIFT - GLOBALS], [0, 1]] = 1.0
     spread = np.sqrt(np.maximum((ends * factor.solve(ends)).sum(axis=0), 0.0))
     return DrivenTrack(
         time=knots.time,
@@ -200,9 +206,9 @@ def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -
         northing=north,
         speed=speed,
         course=course,
-        offset_s=state.offset_s,
+        offset_s=float(state.whole[OFFSET]),
         offset_sd_s=float(spread[0]),
-        drift=state.drift,
+        drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),
         scatter=scatter,
         _factor=factor,
