@@ -2,9 +2,10 @@
 
 python tests/benchmarks/drive_check.py --work FOLDER --layers LAYERS [--sets good cheap] [--only NAME]
 
-LAYERS are those of godie_espacio.laz at default settings. The drives are made in DART once and kept in FOLDER: over that
-map and over a site of the terrain library. Their sensors are simulated with the faults of `_sensor_sets.py`, and what
-was measured is compared with what was put in: C_r of every stretch of 10 m, clock offset, mounting, floor.
+LAYERS are those of godie_espacio.laz at default settings. The drives are made in DART once and kept in FOLDER: over
+that map and over a site of the terrain library. Their sensors are simulated with the faults of `_sensor_sets.py`, and what
+was measured is compared with what was put in: C_r of every stretch of 10 m, clock offset, mounting, floor. With
+--stiffness and --damping the vehicle is another than its profile says; --sets without a name makes the drives alone.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from _library_site import EPSG, library_layers
 from _sensor_sets import SETS
-from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives
+from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives, stiff
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
@@ -60,9 +61,10 @@ def true_c_r(drive: TrueDrive, found: DriveMeasure, cut: WayStretch, start_s: fl
     return sums[0] / sums[1]
 
 
-def all_drives(work: Path, layers: Path) -> Iterator[KeptDrive]:
-    """Make or read all drives."""
-    profile, calibration = Vehicle.load("warthog"), Calibration.shipped("warthog")
+def all_drives(work: Path, layers: Path, stiffness: float, damping: float) -> Iterator[KeptDrive]:
+    """Make or read all drives; those of another suspension have another name."""
+    profile, calibration = stiff(Vehicle.load("warthog"), stiffness, damping), Calibration.shipped("warthog")
+    prefix = "" if stiffness == damping == 1 else f"stiff{stiffness:g}_damped{damping:g}_"
     site, site_layers = library_layers(work, calibration)
     for tag, folder, ground, count, weights in (
         ("godie_smooth", layers, heights_of(layers), 6, (5.0, 300.0)),
@@ -70,7 +72,7 @@ def all_drives(work: Path, layers: Path) -> Iterator[KeptDrive]:
         ("library", site_layers, site.along, 8, (0.0, 20.0)),
     ):
         ways = kept_ways(work / f"ways_{tag}.npz", folder, count, weights)
-        tasks = [WayTask(f"{tag}_{number:02}", way, profile) for number, way in enumerate(ways)]
+        tasks = [WayTask(f"{prefix}{tag}_{number:02}", way, profile) for number, way in enumerate(ways)]
         yield from make_drives(tasks, ground, folder, work)
 
 
@@ -83,7 +85,7 @@ def site_of(layers: Path) -> RouteMap:
 def measured(kept: KeptDrive, set_name: str, seed: int) -> Row:
     """Simulate the sensors of a drive and measure it."""
     sensors = SETS[set_name](np.random.default_rng([seed, 1]))
-    epsg = EPSG if kept.name.startswith("library") else GODIE_EPSG
+    epsg = EPSG if "library" in kept.name else GODIE_EPSG
     sensed = sense_drive(kept.motion, sensors, seed, f"{kept.name}_{set_name}", f"EPSG:{epsg}")
     track = sensed.log.places
     places = metre_places(track, *site_of(kept.layers).from_lonlat(track.x, track.y), sensed.log.name)
@@ -148,11 +150,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True, help="folder for the drives")
     parser.add_argument("--layers", type=Path, required=True, help="layers of godie_espacio.laz")
-    parser.add_argument("--sets", nargs="+", default=["perfect", "good", "cheap"], choices=SETS)
-    parser.add_argument("--only", default="", help="drives whose name begins so")
+    parser.add_argument("--sets", nargs="*", default=["perfect", "good", "cheap"])
+    parser.add_argument("--only", default="", help="drives whose name contains this")
+    parser.add_argument("--stiffness", type=float, default=1.0, help="factor on the profile's suspension springs")
+    parser.add_argument("--damping", type=float, default=1.0, help="factor on its dampers")
     parser.add_argument("--each", action="store_true", help="print every drive")
     given = parser.parse_args()
-    drives = [kept for kept in all_drives(given.work, given.layers) if kept.name.startswith(given.only)]
+    drives = [
+        kept for kept in all_drives(given.work, given.layers, given.stiffness, given.damping) if given.only in kept.name
+    ]
     say(f"{len(drives)} drives, {sum(float(kept.facts['path_m']) for kept in drives):.0f} m")
     for name in given.sets:
         rows, refused, begin = [], 0, time.process_time()
