@@ -52,6 +52,8 @@ class Mounting:
     """Roll, pitch and yaw, NaN where not told."""
     yaw_sd: float
     """Standard deviation of the yaw, degrees."""
+    upward: Floats
+    """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
 
 def find_mounting(
@@ -81,7 +83,7 @@ def find_mounting(
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
     yaw_found = yaw_sd <= _MOST_YAW_SD
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
-    return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)))
+    return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)), upward)
 
 
 def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:

@@ -5,6 +5,7 @@ makes the positions most probable.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,9 @@ _KNOT_S = 0.25
 _MOST_KNOTS = 20_000
 _STEPS = 12
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
-"""Candidates of how fast the speed changes, m/s/sqrt(s)."""
+"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
+_FORCE_CHANGES = (0.005, 0.02, 0.06)
+"""Candidates of how fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
 
 
@@ -59,6 +62,8 @@ class DrivenTrack:
     drift: float
     drift_sd: float
     scatter: Scatter
+    chosen: tuple[float, float]
+    """How fast the speed changes, and the error of the acceleration (0: it was not used)."""
     _factor: SuperLU
     """Of the normal equations."""
 
@@ -110,16 +115,23 @@ def fit_track(
     """
     knots = _knots(imu, heading, standing, wheels, start)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
-    best: tuple[float, TrackState, SuperLU] | None = None
-    state = _first(knots, places, start)
-    for change in _SPEED_CHANGES if places is not None else (_SPEED_CHANGES[-2],):
-        problem = TrackProblem(knots, places, scatter, change, start.offset_s)
-        state, factor, badness = _solve(problem, state)
-        if best is None or badness < best[0]:
-            best = badness, state, factor
+    first = _first(knots, places, start)
+    if places is None:
+        problem = TrackProblem(knots, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGES[-1], start.offset_s)
+        return _track(problem, *_solve(problem, first)[:2])
+    felt = bool(np.isfinite(knots.gained).any())
+    blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
+    best: tuple[float, TrackProblem, TrackState, SuperLU] | None = None
+    for own, force_changes in ((knots, _FORCE_CHANGES), (blind, _FORCE_CHANGES[:1])) if felt else ((blind, (0.1,)),):
+        state = first
+        for speed_change, force_change in product(_SPEED_CHANGES, force_changes):
+            problem = TrackProblem(own, places, scatter, speed_change, force_change, start.offset_s)
+            state, factor, badness = _solve(problem, state)
+            if best is None or badness < best[0]:
+                best = badness, problem, state, factor
     if best is None:
         raise AssertionError("there is at least one candidate")
-    return _track(knots, best[1], best[2], scatter)
+    return _track(*best[1:])
 
 
 def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:
@@ -191,10 +203,11 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     _, left = problem.linear(state)
     changes = len(problem.knots.time) - 1
     badness = float(left @ left) + float(np.log(np.abs(factor.U.diagonal())).sum())
-    return state, factor, badness + 2.0 * changes * np.log(problem.speed_change)
+    return state, factor, badness + 2.0 * changes * np.log(problem.speed_change * problem.force_change)
 
 
-def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -> DrivenTrack:
+def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenTrack:
+    knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
     ends = np.zeros((len(state.values), 2))
@@ -208,8 +221,9 @@ def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -
         course=course,
         offset_s=float(state.whole[OFFSET]),
         offset_sd_s=float(spread[0]),
+        chosen=(problem.speed_change, problem.force_change if np.isfinite(knots.gained).any() else 0.0),
         drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),
-        scatter=scatter,
+        scatter=problem.scatter,
         _factor=factor,
     )

@@ -37,8 +37,8 @@ _CHANGE = 12.0
 _WEAK = (0.3, 1.0, 1.0, 0.5, 0.3, 1.0, 1e-4)
 """Standard deviations of what is assumed of the whole drive before any measurement."""
 _WEAK_SPEED, _WEAK_TURN = 5.0, 3.0
-_FORCE_MPS2, _FORCE_CHANGE = 0.15, 0.02
-"""Error of the acceleration along the vehicle (levelling, bias), and its change in a second."""
+_FORCE_MPS2 = 0.15
+"""Error of the acceleration along the vehicle at first: levelling, bias."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +98,8 @@ class TrackProblem:
     scatter: Scatter
     speed_change: float
     """The speed changes by this in a second, m/s/sqrt(s)."""
+    force_change: float
+    """The error of the acceleration changes by this in a second, m/s2/sqrt(s)."""
     offset_s: float
     """First estimate of the offset of the clocks, s."""
 
@@ -146,7 +148,7 @@ class TrackProblem:
             3: (_TURN_RAD * np.sqrt(step) * faster, 1.0),
             4: (wander, keep),
             5: (wander, keep),
-            6: (_FORCE_CHANGE * np.sqrt(step) * one, 1.0),
+            6: (self.force_change * np.sqrt(step) * one, 1.0),
         }
         entries, left = [], []
         for place, (part, (sd, factor)) in enumerate(spreads.items()):
