@@ -4,9 +4,9 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,6 +27,11 @@ from bumpytiles import TileWindow
 
 _ROOM_TILES = 3
 _STOP_S = 3.0
+_SMOOTH_SEED, _ROUGH_SEED = 11, 23
+
+
+GroundAlong = Callable[[NDArray[np.float64]], tuple[ReliefGround, NDArray[np.float64]]]
+"""Line (n, 2), easting and northing [m] -> the ground around it, and its south-west corner (2,), m."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +73,27 @@ def stiff(profile: Vehicle, factor: float, damping: float = 1.0) -> Vehicle:
     return replace(profile, rocker=rocker)
 
 
-def planned_ways(layers: Path, count: int, seed: int) -> list[NDArray[np.float64]]:
-    """Plan ways of 80 to 150 m between random places of a map; corners (n, 2) in its easting and northing, m."""
-    site = open_map([layers])
-    settings = RouteTrialSettings(total_pairs=count, seed=seed, least_m=80.0, most_m=150.0)
+def kept_ways(path: Path, layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
+    """Return planned ways, from a file if they were planned before."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *_planned_ways(layers, count, weights))
+    with np.load(path) as held:
+        return [held[name] for name in held.files]
+
+
+def _planned_ways(layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
+    """Plan ways of 60 to 150 m between random places of a map; corners (n, 2) in its easting and northing, m.
+
+    ``weights`` are those of ride and failure. With those of the vehicle the ways keep to smooth ground; with small ones
+    they are short and rough.
+    """
+    opened = open_map([layers])
+    ride, fail = weights
+    rule = replace(opened.rule, ride_weight=ride, fail_weight=fail)
+    site = replace(opened, sheets=tuple(replace(sheet, rule=rule) for sheet in opened.sheets))
+    seed = _SMOOTH_SEED if ride else _ROUGH_SEED
+    settings = RouteTrialSettings(total_pairs=count, seed=seed, least_m=60.0, most_m=150.0, most_shared=1.0)
     pairs = choose_pairs(site.read(site.window), RoutePlanner.of(site), settings, _Silent())
     return [_placed(site, pair.best) for pair in pairs]
 
@@ -83,8 +105,12 @@ def _placed(site: RouteMap, line: NDArray[np.float64]) -> NDArray[np.float64]:
     return corners * site.grid.tile_size
 
 
-def ground_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGround, NDArray[np.float64]]:
-    """Return the heights of the map around a line, and their south-west corner (2,), m."""
+def heights_of(layers: Path) -> GroundAlong:
+    """Return the heights of a map as ground."""
+    return partial(_heights_along, open_map([layers]))
+
+
+def _heights_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGround, NDArray[np.float64]]:
     size = site.grid.tile_size
     low = np.floor(line.min(axis=0) / size).astype(int) - _ROOM_TILES
     high = np.ceil(line.max(axis=0) / size).astype(int) + _ROOM_TILES
@@ -93,15 +119,14 @@ def ground_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGroun
     return ReliefGround.from_heightmap(heights, site.grid.pixel_size), low * size
 
 
-def make_drives(tasks: list[WayTask], layers: Path, folder: Path) -> Iterator[KeptDrive]:
+def make_drives(tasks: list[WayTask], ground: GroundAlong, layers: Path, folder: Path) -> Iterator[KeptDrive]:
     """Drive all ways that are not yet in the folder, and yield all that were driven to their end."""
     folder.mkdir(parents=True, exist_ok=True)
-    site = open_map([layers])
     for task in tasks:
         kept = KeptDrive(task.name, folder, layers)
         if not (folder / f"{task.name}.json").exists():
             begin = time.process_time()
-            _make(task, site, kept)
+            _make(task, ground, kept)
             said = [str(kept.facts[name]) for name in ("outcome", "path_m", "c_r")]
             sys.stdout.write(f"{task.name}: {' '.join(said)}, {time.process_time() - begin:.0f} s\n")
             sys.stdout.flush()
@@ -109,8 +134,8 @@ def make_drives(tasks: list[WayTask], layers: Path, folder: Path) -> Iterator[Ke
             yield kept
 
 
-def _make(task: WayTask, site: RouteMap, kept: KeptDrive) -> None:
-    ground, corner = ground_along(site, task.line)
+def _make(task: WayTask, ground_along: GroundAlong, kept: KeptDrive) -> None:
+    ground, corner = ground_along(task.line)
     length = math.fsum(math.dist(a, b) for a, b in pairwise(task.line.tolist()))
     stops = tuple(Stop(share * length, _STOP_S) for share in (0.3, 0.65))
     made = record_way(task.vehicle, ground, task.line - corner, RecordSettings(stops=stops))
