@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import DrivenStretches
+from bumpymap.layers.check.log_axis import LogAxis
 from bumpymap.layers.check.offset import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.route._chart import FAINT, GRID, INK, INTERVAL
@@ -15,14 +16,9 @@ __all__ = ["Box", "draw_along", "draw_disc", "draw_scatter"]
 
 NORMAL_80 = 1.2816
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
-_STEPS = (1, 2, 5)
 _BARS = (128, 132, 140)
-_ROOM = 1.15
-"""Factor between the outermost value and the edge of a logarithmic axis."""
 _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
-_LEAST_SPAN = 4.0
-"""Least ratio of the ends of a logarithmic axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +59,17 @@ def draw_scatter(pen: Pen, box: Box, stretches: DrivenStretches, limits: tuple[f
     if not len(shown):
         pen.text((box.left + box.width / 2, box.top + box.height / 2), "nothing to compare", FAINT, anchor="mm")
         return
-    low, high = _ends(np.concatenate([stretches.c_r[shown], stretches.measured[shown]]))
+    axis = LogAxis.around(np.concatenate([stretches.c_r[shown], stretches.measured[shown]]))
 
     def across(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(box.left + box.width * _part(values, low, high), dtype=np.float64)
+        return np.asarray(box.left + box.width * axis.part(values), dtype=np.float64)
 
     def up(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(box.bottom - box.height * _part(values, low, high), dtype=np.float64)
+        return np.asarray(box.bottom - box.height * axis.part(values), dtype=np.float64)
 
-    _grid(pen, box, low, high, limits)
+    _grid(pen, box, axis, limits)
     for factor, colour, width in ((1 / _FACTOR, FAINT, 1.0), (1.0, INK, 1.6), (_FACTOR, FAINT, 1.0)):
-        ends = np.array([max(low, low / factor), min(high, high / factor)])
+        ends = np.array([max(axis.low, axis.low / factor), min(axis.high, axis.high / factor)])
         pen.line(np.column_stack([across(ends), up(ends * factor)]), colour, width)
     half = NORMAL_80 * np.nan_to_num(stretches.measured_sd)
     for at in shown.tolist():
@@ -143,38 +139,20 @@ def _way_grid(pen: Pen, box: Box, far: float, most: float) -> None:
     pen.text((box.left + box.width / 2, box.bottom + 40), text, INK, size=15, anchor="mm")
 
 
-def _grid(pen: Pen, box: Box, low: float, high: float, limits: tuple[float, ...]) -> None:
+def _grid(pen: Pen, box: Box, axis: LogAxis, limits: tuple[float, ...]) -> None:
     """Draw lines at 1, 2 and 5 times powers of ten, and at the limits of the classes."""
-    for value in _log_ticks(low, high):
-        part = float(_part(np.array([value]), low, high)[0])
+    for value in axis.ticks:
+        part = float(axis.part(np.array([value]))[0])
         x, y = box.left + box.width * part, box.bottom - box.height * part
         _cross(pen, box, x, y, GRID)
         pen.text((x, box.bottom + 16), f"{value:g}", FAINT, size=14, anchor="mm")
         pen.text((box.left - 8, y), f"{value:g}", FAINT, size=14, anchor="rm")
     for limit in limits:
-        if low < limit < high:
-            part = float(_part(np.array([limit]), low, high)[0])
+        if axis.low < limit < axis.high:
+            part = float(axis.part(np.array([limit]))[0])
             _cross(pen, box, box.left + box.width * part, box.bottom - box.height * part, (196, 150, 120))
 
 
 def _cross(pen: Pen, box: Box, x: float, y: float, colour: Colour) -> None:
     pen.line(np.array([[x, box.top], [x, box.bottom]]), colour)
     pen.line(np.array([[box.left, y], [box.right, y]]), colour)
-
-
-def _log_ticks(low: float, high: float) -> list[float]:
-    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    found = [step * 10.0**power for power in powers for step in _STEPS if low <= step * 10.0**power <= high]
-    return [float(f"{value:.6g}") for value in found]
-
-
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    low, high = float(values.min()) / _ROOM, float(values.max()) * _ROOM
-    wider = max(1.0, np.sqrt(_LEAST_SPAN * low / high))
-    return low / float(wider), high * float(wider)
-
-
-def _part(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """Return where values lie between the ends of a logarithmic axis, 0 to 1; those beyond are at the ends."""
-    share = np.log(np.clip(values, low, high) / low) / np.log(high / low)
-    return np.asarray(share, dtype=np.float64)
