@@ -56,6 +56,7 @@ from .colours import (
     CHANGE_COLOURS as CHANGE_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
     OBJECT_COLOURS as OBJECT_COLOURS,
+    OFF_COLOURS as OFF_COLOURS,
     REASON_COLOURS as REASON_COLOURS,
 )
 from .completed_run import (

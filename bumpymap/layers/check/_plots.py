@@ -17,6 +17,8 @@ __all__ = ["Box", "draw_along", "draw_disc", "draw_scatter"]
 NORMAL_80 = 1.2816
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
 _BARS = (128, 132, 140)
+_MARK, _LEAST_SIZE = 14.0, 0.35
+"""Marks closer than these pixels are drawn smaller, down to that size."""
 _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
 
@@ -41,15 +43,11 @@ class Box:
         return self.top + self.height
 
 
-def draw_disc(pen: Pen, place: tuple[float, float], kind: int, *, off: bool) -> None:
+def draw_disc(pen: Pen, place: tuple[float, float], kind: int, *, off: bool, size: float = 1.0) -> None:
     """Draw the mark of a stretch: larger, with a thick outline, where errors do not explain how far the map is off."""
     colour = OFF_COLOURS[kind][:3]
-    if off:
-        pen.disc(place, 9.5, INK, INK)
-        pen.disc(place, 7.0, colour, colour)
-    else:
-        pen.disc(place, 6.0, INK, INK)
-        pen.disc(place, 4.9, colour, colour)
+    for radius, fill in ((9.5, INK), (7.0, colour)) if off else ((6.0, INK), (4.9, colour)):
+        pen.disc(place, size * radius, fill, fill)
 
 
 def draw_scatter(pen: Pen, box: Box, stretches: DrivenStretches, limits: tuple[float, ...]) -> None:
@@ -111,16 +109,17 @@ def draw_along(pen: Pen, box: Box, stretches: DrivenStretches) -> None:
         left, right = sides[at], sides[at + 1]
         low, high, middle = up(np.array([stretches.c_r_low[at], stretches.c_r_high[at], stretches.c_r[at]])).tolist()
         if np.isfinite(low) and np.isfinite(high):
-            pen.rectangle((left, high, right, low), INTERVAL, None)
+            pen.rectangle((left, high, max(right, left + 1.0), max(low, high + 1.0)), INTERVAL, None)
         pen.line(np.array([[left, middle], [right, middle]]), INK, 2.0)
     for at in (np.flatnonzero(np.diff(stretches.drive) != 0) + 1).tolist():
         pen.line(np.array([[sides[at], box.top], [sides[at], box.bottom]]), FAINT, 1.5)
     half = NORMAL_80 * np.nan_to_num(stretches.measured_sd)
+    size = float(np.clip(np.median(np.diff(sides)) / _MARK, _LEAST_SIZE, 1.0))
     for at in np.flatnonzero(np.isfinite(stretches.measured)).tolist():
         x = float(sides[at] + sides[at + 1]) / 2
         ys = up(stretches.measured[at] + half[at] * np.array([-1.0, 1.0, 0.0])).tolist()
         pen.line(np.array([[x, ys[0]], [x, ys[1]]]), _BARS)
-        draw_disc(pen, (x, ys[2]), int(offset.kind[at]), off=bool(offset.is_off[at]))
+        draw_disc(pen, (x, ys[2]), int(offset.kind[at]), off=bool(offset.is_off[at]), size=size)
     pen.rectangle((box.left, box.top, box.right, box.bottom), None, FAINT)
 
 
