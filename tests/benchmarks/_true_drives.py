@@ -42,7 +42,7 @@ class KeptDrive:
     folder: Path
     layers: Path
 
-    @cached_property
+    @property
     def motion(self) -> TrueDrive:
         """The motion; easting and northing are those of the map."""
         return read_motion(self.folder / f"{self.name}.npz")
