@@ -1,0 +1,28 @@
+from .agreement import (
+    agreement_of as agreement_of,
+)
+from .drive_measure import (
+    LEFT_OUT as LEFT_OUT,
+    DriveMeasure as DriveMeasure,
+    WayStretch as WayStretch,
+)
+from .measure import (
+    measure_drive as measure_drive,
+)
+from .pipeline import (
+    CheckRun as CheckRun,
+    check_drives as check_drives,
+    run_check as run_check,
+)
+from .places import (
+    MetrePlaces as MetrePlaces,
+    local_metres as local_metres,
+    metre_places as metre_places,
+)
+from .settings import (
+    CheckConfig as CheckConfig,
+    MeasureSettings as MeasureSettings,
+)
+from .stretches import (
+    cut_stretches as cut_stretches,
+)
