@@ -76,12 +76,12 @@ def measure_drive(
     notes: list[str] = []
     imu = _usable_force(imu, notes)
     rates = _rates(log, imu, places, settings.band_hz)
-    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force)
+    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is not None:  # again, with gravity and driving told apart
-        start = replace(start, force=level_force(imu, mounting.rotation, mounting.upward))
+        start = replace(start, force=level_force(imu, mounting.rotation, mounting.upward), rough=False)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
