@@ -95,7 +95,9 @@ def _draw_title(pen: Pen, result: CheckResult) -> None:
 
 
 def _shortened(name: str, most: int) -> str:
-    return name if len(name) <= most else f"{name[: most - 3]}..."
+    """Return a name in one line that can be drawn: bytes that are not text become escapes."""
+    plain = " ".join(name.encode("utf-8", "backslashreplace").decode().split())
+    return plain if len(plain) <= most else f"{plain[: most - 3]}..."
 
 
 def _draw_map(pen: Pen, result: CheckResult, ground: CheckGround, view: MapView) -> RideScale:
