@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.drives.signals import Floats
+from bumpymap.readers.drives.time_text import seconds_of_text
 
 __all__ = ["TimeNumbers", "in_order", "numbers_of_times", "seconds_of_numbers", "sorted_times"]
 
@@ -24,8 +25,10 @@ class TimeNumbers(NamedTuple):
 
     values: NDArray[Any]
     """(n,) float64, NaN where missing, or int64."""
-    is_date: bool = False
-    """Whether they were dates, and are ns since 1970."""
+    unit: str | None = None
+    """Unit, if they were dates or times of day."""
+    has_date: bool = True
+    """False: they were times of day."""
 
 
 def numbers_of_times(column: Any, source: str, name: str) -> TimeNumbers:
@@ -34,7 +37,7 @@ def numbers_of_times(column: Any, source: str, name: str) -> TimeNumbers:
     Raises
     ------
     BadInputError
-        The column holds text.
+        The column holds text that is no time.
     """
     from pyarrow import types
 
@@ -43,11 +46,14 @@ def numbers_of_times(column: Any, source: str, name: str) -> TimeNumbers:
         stamps = column.to_numpy().astype("datetime64[ns]")
         whole = stamps.astype(np.int64)
         missing = np.isnat(stamps)
-        return TimeNumbers(np.where(missing, np.nan, whole) if missing.any() else whole, is_date=True)
+        return TimeNumbers(np.where(missing, np.nan, whole) if missing.any() else whole, "ns")
     if types.is_integer(kind) and column.null_count == 0:
         return TimeNumbers(column.to_numpy())
     if types.is_integer(kind) or types.is_floating(kind) or types.is_null(kind):
         return TimeNumbers(column.to_numpy().astype(np.float64))
+    found = seconds_of_text(column)
+    if found is not None:
+        return TimeNumbers(found[0], "s", has_date=found[1])
     words = column.drop_null()
     raise BadInputError(
         f"the times of {source} (column {name}) are text such as '{words[0] if len(words) else ''}'. Write seconds, "

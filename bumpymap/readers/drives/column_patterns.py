@@ -75,9 +75,11 @@ SINGLE: Mapping[str, Sequence[str]] = {
         r"(?:header_)?stamp(?:_secs?)?",
         r"timestamp|time_stamp",
         r"=(?:time|t)",
-        r"=(?:date_?time|utc|time_utc|unix|epoch|seconds_elapsed|time_elapsed|elapsed|elapsed_time|secs?|seconds|date)",
+        r"=(?:date_?time|utc|time_utc|gpst|unix|epoch|seconds_elapsed|time_elapsed|elapsed|elapsed_time|secs?|seconds)",
+        r"=date",
         r"time|time_boot",
     ),
+    "date": (r"=(?:date|utc_date|day)",),
     "speed": (
         r"wheel_?(?:speed|velocity|vel)",
         r"=(?:.*twist_)?linear(?:_velocity)?_x",
@@ -86,6 +88,7 @@ SINGLE: Mapping[str, Sequence[str]] = {
     "error": (
         r"h_?acc|horizontal_accuracy|hor_acc|h_accuracy|h_rms|eph|horizontal_error|position_error|pos_error|pos_sd",
         r"=(?:accuracy|sigma|error)",
+        r"=(?:sdn|sd_n|sd_north|std_n)",
     ),
     "fix": (r"fix_type|fix|status_status|gps_qual", r"=(?:quality|status)"),
 }

@@ -31,6 +31,7 @@ SIDES = ("speed_left", "speed_right")
 DIMENSIONS: Mapping[str, str] = {
     "time": "time",
     "nanosec": "time",
+    "date": "time",
     **dict.fromkeys(RATES, "rate"),
     **dict.fromkeys(ACCELERATIONS, "acceleration"),
     **dict.fromkeys(ANGLES, "angle"),

@@ -6,18 +6,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bumpymap.core import BadInputError
+from bumpymap.readers.drives.quantities import UNITS, plain_unit
 from bumpymap.readers.drives.ros_echo import echo_names
 
-__all__ = ["HEAD_BYTES", "TableHead", "read_head"]
+__all__ = ["DATE_AND_TIME", "HEAD_BYTES", "TableHead", "read_head"]
 
 HEAD_BYTES = 1 << 18
 """Bytes at the start of a file in which its header line and its first row are looked for."""
 _SEPARATORS = (";", "\t", ",", "|", " ")
+DATE_AND_TIME = re.compile(rb"(\b\d{4}[-/]\d\d[-/]\d\d)[ \t]+(\d\d?:\d\d)")
+"""A date and a time of day that blanks separate, in a table whose values blanks separate: one value."""
 _NUMBER = re.compile(
-    r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)|\d{4}-\d\d-\d\d.*|\d\d?:\d\d.*", re.IGNORECASE
+    r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)|\d{4}[-/]\d\d[-/]\d\d.*|\d\d?:\d\d.*", re.IGNORECASE
 )
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _REMARK = "#%"
+_NMEA = re.compile(rb"\$[A-Z]{5},")
 _FORMATS = (
     "A drive is a CSV file with a header line, a bag of ROS 2 (.mcap, .db3, or its folder) or ROS 1 (.bag), "
     "or a ULog (.ulg)"
@@ -60,10 +64,10 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
     echoed = echo_names(row)
     if echoed is not None:
         return TableHead(echoed, separator, first, rewrite)
-    head = next((line for line in reversed(lines[:first]) if line.strip()), "")
-    names = _cells(head.strip().lstrip(_REMARK), separator)
+    heads = [_cells(line.strip().lstrip(_REMARK), separator) for line in reversed(lines[:first]) if line.strip()]
+    names = _with_units(heads)
     _refuse_decimal_commas(path, separator, names, row)
-    if not head or sum(map(_is_number, names)) * 2 >= len(names):
+    if not heads or sum(map(_is_number, names)) * 2 >= len(names):
         raise BadInputError(
             f"{path} has no header line: its first row is '{lines[first][:80]}'. Put the names of the columns before "
             "it, such as time,gyro_x,gyro_y,gyro_z"
@@ -80,6 +84,17 @@ def _text(path: Path, data: bytes, *, whole: bool) -> str:
         raise BadInputError(f"{path} is empty. {_FORMATS}")
     if data[:2] in {b"\xff\xfe", b"\xfe\xff"}:
         raise BadInputError(f"{path} is text in UTF-16. Save it as UTF-8: iconv -f UTF-16 -t UTF-8 IN.csv > OUT.csv")
+    start = data.lstrip(b"\xef\xbb\xbf \r\n\t")[:200]
+    if start.startswith(b"<") and b"gpx" in data[:2000].lower():
+        raise BadInputError(
+            f"{path} is a GPX track. Make a CSV file of it: ogr2ogr -f CSV {path.stem}.csv {path.name} track_points "
+            "-lco GEOMETRY=AS_XY, and give this with `columns='longitude=X,latitude=Y'`"
+        )
+    if _NMEA.match(start):
+        raise BadInputError(
+            f"{path} holds sentences of NMEA. Make a CSV file of it: gpsbabel -i nmea -f {path.name} -o unicsv -F "
+            f"{path.stem}.csv"
+        )
     if b"\0" in data:
         raise BadInputError(f"{path} is not a text file, and of no format that holds a drive. {_FORMATS}")
     try:
@@ -108,8 +123,20 @@ def _first_row(path: Path, lines: Sequence[str]) -> tuple[int, str]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    parts = line.split() if separator == " " else line.split(separator)
+    in_one = DATE_AND_TIME.sub(rb"\1T\2", line.encode()).decode() if separator == " " else line
+    parts = in_one.split(None if separator == " " else separator)
     return [part.strip().strip('"').strip() for part in parts]
+
+
+def _with_units(heads: Sequence[Sequence[str]]) -> list[str]:
+    """Return the names of the header, whose nearest line comes first; with units, if these have a line of their own."""
+    names = list(heads[0]) if heads else [""]
+    if len(heads) < 2 or len(heads[1]) != len(names) or not any(names):
+        return names
+    if not all(not cell or any(plain_unit(cell.strip("[]()"), dimension) for dimension in UNITS) for cell in names):
+        return names
+    units = [cell.strip("[]()") for cell in names]
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(heads[1], units, strict=True)]
 
 
 def _is_number(cell: str) -> bool:

@@ -1,5 +1,6 @@
 """Turn the columns of a table of text into the signals of a drive."""
 
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -25,8 +26,14 @@ from bumpymap.readers.drives.quantities import (
 )
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
 from bumpymap.readers.drives.text_table import TextTable
+from bumpymap.readers.drives.time_text import days_of_text
 
 __all__ = ["find_columns", "table_signals"]
+
+
+_SENSOR = re.compile(r"gyroscope|gyro|acceleration|accelerometer|accel", re.IGNORECASE)
+_GPS_AHEAD_S = 18.0
+"""Leap seconds between the time of GPS and UTC, since 2017."""
 
 
 class _Values(NamedTuple):
@@ -75,7 +82,15 @@ def find_columns(table: TextTable, columns: Mapping[str, str]) -> dict[str, Driv
             known |= {quantity for other in PLACE_GROUPS if other != group for quantity in other}
     if "speed" in columns or set(SIDES) & set(columns):
         known |= {"speed"} if set(SIDES) & set(columns) else set(SIDES)
-    return {**guess_columns(table.path.name, names, known), **chosen}
+    spelled = {_with_sensor(table.path.stem, name): name for name in names}
+    guessed = guess_columns(table.path.name, list(spelled), known)
+    return {**{quantity: each._replace(name=spelled[each.name]) for quantity, each in guessed.items()}, **chosen}
+
+
+def _with_sensor(stem: str, name: str) -> str:
+    """Return the name of an axis with the sensor that the file is named after: x of Gyroscope.csv."""
+    sensor = _SENSOR.search(stem)
+    return f"{sensor.group().lower()}_{name}" if sensor and name.strip().lower() in {"x", "y", "z"} else name
 
 
 def table_signals(table: TextTable, columns: Mapping[str, DriveColumn]) -> DriveSignals:
@@ -94,7 +109,7 @@ def table_signals(table: TextTable, columns: Mapping[str, DriveColumn]) -> Drive
     """
     source = table.path.name
     listing = f"{source}: {', '.join(table.head.names)}"
-    if not set(columns) - {"time", "nanosec", "fix", "error"}:
+    if not set(columns) - {"time", "nanosec", "date", "fix", "error"}:
         return DriveSignals(source, listing=listing)
     if "time" not in columns:
         raise BadInputError(
@@ -147,13 +162,21 @@ def _read(table: TextTable, columns: Mapping[str, DriveColumn]) -> _Values:
 def _times(arrays: Mapping[str, Any], columns: Mapping[str, DriveColumn], source: str, notes: list[str]) -> Floats:
     column = columns["time"]
     numbers = numbers_of_times(arrays[column.name], source, column.name)
-    unit = "ns" if numbers.is_date else column.unit
     kind = "rates" if set(RATES) <= set(columns) or set(QUATERNION) <= set(columns) else "positions"
     if "nanosec" in columns:
         rest = numbers_of_times(arrays[columns["nanosec"].name], source, columns["nanosec"].name)
         return numbers.values.astype(np.float64) + rest.values * np.float64(1e-9)
-    seconds, note = seconds_of_numbers(numbers.values, unit, kind, (source, column.name))
+    seconds, note = seconds_of_numbers(numbers.values, numbers.unit or column.unit, kind, (source, column.name))
     notes.extend([note] if note else [])
+    if not numbers.has_date:
+        days = days_of_text(arrays[columns["date"].name]) if "date" in columns else None
+        if days is None:
+            notes.append(f"times of {source} (column {column.name}) are times of day")
+        else:
+            seconds = seconds + days * 86_400.0
+    if numbers.unit is not None and numbers.has_date and column.name.strip().lower() == "gpst":
+        notes.append(f"times of {source} are those of GPS; {_GPS_AHEAD_S:g} s are taken off for UTC")
+        seconds = seconds - _GPS_AHEAD_S
     return seconds
 
 

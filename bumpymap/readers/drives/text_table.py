@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import decoding
-from bumpymap.readers.drives.table_head import HEAD_BYTES, TableHead, read_head
+from bumpymap.readers.drives.table_head import DATE_AND_TIME, HEAD_BYTES, TableHead, read_head
 from bumpymap.readers.source import open_source, size_of
 
 __all__ = ["TextTable", "open_table"]
@@ -79,7 +79,9 @@ class TextTable(NamedTuple):
         with stream:
             lines = stream.read().replace(b"\r\n", b"\n").split(b"\n", self.head.first_line)
         rows = _REMARK.sub(b"", lines[self.head.first_line] if len(lines) > self.head.first_line else b"")
-        return io.BytesIO(_BLANKS.sub(b"\t", _INDENT.sub(b"", rows)) if self.head.separator == " " else rows)
+        if self.head.separator == " ":
+            rows = _BLANKS.sub(b"\t", DATE_AND_TIME.sub(rb"\1T\2", _INDENT.sub(b"", rows)))
+        return io.BytesIO(rows)
 
 
 def open_table(path: Path) -> TextTable:

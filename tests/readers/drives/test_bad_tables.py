@@ -20,6 +20,8 @@ from bumpymap.readers import read_drive
         (b"time;wx;wy;wz\n0,01;0,1;0,2;0,3\n", "decimal commas"),
         (b"time,wx,wy,wz\n0,01,0,1,0,2,0,3\n", "decimal commas"),
         (b"time,wx,wy,wz\n", "is no table"),
+        (b'<?xml version="1.0"?>\n<gpx><trk></trk></gpx>', "ogr2ogr -f CSV a.csv a.csv track_points"),
+        (b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9\n", "gpsbabel -i nmea"),
         (b"a,b,c\n1,2,3\n", "neither angular rates nor attitudes"),
         (b"wx,wy,wz\n1,2,3\n", "no column of times"),
         (b"time,wx,wy,wz\n0,0,0,1\n1,2,0,1\n", "2 samples"),

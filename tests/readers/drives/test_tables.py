@@ -194,6 +194,78 @@ def test_dates_are_times(tmp_path, form):
     np.testing.assert_allclose(log.imu.time - 1_777_636_800, np.arange(400) / 100, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("form", "later"),
+    [
+        ("{y}/{m}/{d} {t}", 0),
+        ("{y}-{m}-{d}T{t}+02:00", -7200),
+        ("{y}-{m}-{d} {t}-0530", 19800),
+        ("{y}.{m}.{d} {t} UTC", 0),
+        ("{t}", -1_777_593_600),
+    ],
+)
+def test_other_dates_are_times(tmp_path, form, later):
+    columns = drive(3000)
+    stamps = np.datetime64("2026-05-01T12:00:00.000") + (columns["time"] * 1e3).round().astype("timedelta64[ms]")
+    words = [str(stamp) for stamp in stamps]
+    columns["time"] = [form.format(y=w[:4], m=w[5:7], d=w[8:10], t=w[11:]) for w in words]
+    log = read_drive(write(tmp_path / "a.csv", columns))
+    np.testing.assert_allclose(log.imu.time - 1_777_636_800 - later, np.arange(3000) / 100, atol=1e-6)
+
+
+def test_date_and_time_of_day_in_two_columns(tmp_path):
+    columns = drive()
+    stamps = np.datetime64("2026-05-01T23:59:58.000") + (columns["time"] * 1e3).round().astype("timedelta64[ms]")
+    columns["time"] = [str(stamp)[11:] for stamp in stamps]
+    columns["Date"] = [str(stamp)[:10].replace("-", "/") for stamp in stamps]
+    log = read_drive(write(tmp_path / "a.csv", columns))
+    np.testing.assert_allclose(log.imu.time - 1_777_679_998, np.arange(400) / 100, atol=1e-6)
+
+
+def test_a_track_of_rtklib_beside_an_imu(tmp_path):
+    columns = drive(start=1_777_636_800.0)
+    imu = write(tmp_path / "imu.csv", {name: columns[name] for name in NAMES[:7]})
+    head = [
+        "% program   : RTKPOST ver.2.4.3",
+        "%",
+        "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)",
+    ]
+    rows = [
+        f"2026/05/01 12:00:{18 + n / 5:06.3f}   19.4{n:07d}  -99.1{n:07d}  2240.1   1  12   0.0110   0.0090   0.02"
+        for n in range(20)
+    ]
+    (tmp_path / "ppk.pos").write_text("\n".join([*head, *rows]), encoding="utf-8")
+    log = read_drive(f"{imu},{tmp_path / 'ppk.pos'}")
+    np.testing.assert_allclose(log.places.time - 1_777_636_800, np.arange(20) / 5, atol=1e-6)
+    np.testing.assert_allclose(log.places.x[3], -99.10000003)
+    np.testing.assert_allclose(log.places.error, 0.011)
+    assert any("18 s are taken off" in note for note in log.notes)
+
+
+def test_files_of_a_phone_are_named_after_their_sensors(tmp_path):
+    columns = drive(start=1_777_636_800.0)
+    stamps = (columns["time"] * 1e9).round().astype(np.int64)
+    for stem, name, late in (("Gyroscope", "gyro", 0), ("TotalAcceleration", "acc", 2_000_000)):
+        axes = {axis: columns[f"{name}_{axis}"] for axis in "zyx"}
+        write(tmp_path / f"{stem}.csv", {"time": stamps + late, "seconds_elapsed": columns["time"] - 5, **axes})
+    log = read_drive(f"{tmp_path / 'TotalAcceleration.csv'},{tmp_path / 'Gyroscope.csv'}")
+    np.testing.assert_array_equal(log.imu.rate, gyro(columns))
+    late = np.interp(columns["time"], columns["time"] + 0.002, columns["acc_y"])
+    np.testing.assert_allclose(log.imu.acceleration[1:, 1], late[1:], atol=1e-3)
+    assert log.places is None
+
+
+def test_a_line_of_units_below_the_names(tmp_path):
+    columns = drive()
+    units = "ms;deg/s;deg/s;deg/s;g;g;g;deg;deg"
+    columns["time"] = columns["time"] * 1e3
+    lines = open(write(tmp_path / "a.csv", columns, ";"), encoding="utf-8").read().split("\n")  # noqa: PTH123, SIM115
+    (tmp_path / "b.csv").write_text("\n".join([lines[0], units, *lines[1:]]), encoding="utf-8")
+    log = read_drive(str(tmp_path / "b.csv"))
+    np.testing.assert_allclose(log.imu.rate, np.deg2rad(gyro(columns)))
+    np.testing.assert_allclose(log.imu.time, columns["time"] * 1e-3)
+
+
 def test_rates_from_attitudes(tmp_path):
     time = np.arange(400) / 100
     pitch = 5.0 * np.sin(2.0 * time)
