@@ -23,7 +23,7 @@ OFF_KINDS = (
 )
 """What each code of ``MapOffset.kind`` means, from too smooth to too rough."""
 NOT_COMPARED = len(OFF_KINDS) - 1
-_NORMAL_80 = 1.2816
+_NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
 if set(OFF_COLOURS) != set(range(len(OFF_KINDS))):
     raise ValueError("every kind has a colour")
@@ -38,25 +38,25 @@ class MapOffset:
     kind: NDArray[np.uint8]
     """Code of ``OFF_KINDS``."""
     beyond: NDArray[np.float64]
-    """abs(ln ratio) over half the width of the interval that errors explain: above 1, they do not. NaN as ``ratio``."""
+    """Difference of map and drive over the largest that errors explain; above 1, they do not. NaN as ``ratio``."""
 
     @classmethod
     def of(cls, driven: DrivenStretches | DrivenTiles) -> "MapOffset":
         """Compare.
 
-        Errors: the map's 80 % interval on the side of the measurement, widened to 80 % of the errors of measurement
-        and place, all in logarithms and added in power.
+        Errors explain a measurement in the map's 80 % interval, of which each end has been moved outwards, in
+        quadrature, by 80 % of the errors of measurement and place: as `MapAgreement.inside` counts.
         """
         known = (driven.measured > 0.0) & (driven.c_r > 0.0)
         measured, c_r = (np.where(known, values, np.nan) for values in (driven.measured, driven.c_r))
         ratio = c_r / measured
         kind = np.where(known, np.digitize(ratio, _EDGES), NOT_COMPARED).astype(np.uint8)
-        side = np.where(ratio < 1.0, driven.c_r_high / c_r, c_r / driven.c_r_low)
+        side = np.where(measured > c_r, driven.c_r_high - c_r, c_r - driven.c_r_low)
+        place = np.nan_to_num(getattr(driven, "place_sd", np.zeros(len(ratio))))
+        error = _NORMAL_80 * np.hypot(np.nan_to_num(driven.measured_sd), place)
+        most = np.hypot(np.nan_to_num(side, posinf=np.inf), error)
         with np.errstate(invalid="ignore", divide="ignore"):
-            own = np.nan_to_num(np.log(side), posinf=0.0, neginf=0.0) / _NORMAL_80
-            place = np.nan_to_num(getattr(driven, "place_sd", np.zeros(len(ratio))) / c_r)
-            spread = _NORMAL_80 * np.sqrt(own**2 + place**2 + np.nan_to_num(driven.measured_sd / measured) ** 2)
-            beyond = np.where(spread > 0.0, np.abs(np.log(ratio)) / spread, np.inf)
+            beyond = np.where(most > 0.0, np.abs(measured - c_r) / most, np.inf)
         return cls(ratio, kind, np.where(known, beyond, np.nan))
 
     @property

@@ -8,6 +8,7 @@ from bumpymap.layers.check.tables import (
     AGREEMENT_HEAD,
     WORST_HEAD,
     agreement_rows,
+    drive_notes,
     drive_rows,
     left_out_rows,
     worst_rows,
@@ -75,7 +76,11 @@ def check_page(result: CheckResult, names: Iterable[str]) -> str:
     parts += _section("Warnings", _list(_warnings(result)))
     parts += _section("Map against drives", _table(AGREEMENT_HEAD, agreement_rows(result)))
     parts += _section("Where the map is off", *_off(result))
-    parts += _section("The drives", _table(("", *_drive_names(result)), drive_rows(result.drives)), *_notes(result))
+    parts += _section(
+        "The drives",
+        _table(("", *_drive_names(result)), drive_rows(result.drives)),
+        _list(map(_plain, drive_notes(result))),
+    )
     parts += _section("What does not count", _table(("why", "way"), left_out_rows(result)))
     parts += _section("How to read this", _READ, _READ_FIGURES if result.agreement is not None else "")
     parts += _section("Files", _list(f"`{name}`: {text}" for name, text in _FILES.items() if name in set(names)))
@@ -99,12 +104,6 @@ def _off(result: CheckResult) -> list[str]:
 
 def _drive_names(result: CheckResult) -> list[str]:
     return [drive.name for drive in result.drives]
-
-
-def _notes(result: CheckResult) -> list[str]:
-    several = len(result.drives) > 1
-    notes = [_plain(f"{drive.name}: {note}" if several else note) for drive in result.drives for note in drive.notes]
-    return [_list(notes)] if notes else []
 
 
 def _section(title: str, *parts: str) -> list[str]:

@@ -23,7 +23,7 @@ WIDTH = 1600
 _EDGE, _TITLE = 24, 84
 _PANEL = 980
 """Width of the map, pixels."""
-_PANEL_HEIGHTS = (840, 1000)
+_PANEL_HEIGHTS = (800, 1000)
 _SCATTER = Box(_EDGE + _PANEL + 110, _TITLE, WIDTH - _EDGE - (_EDGE + _PANEL + 110), 440)
 _ALONG = 250
 _ALONG_LEFT = 104
@@ -95,7 +95,9 @@ def _draw_title(pen: Pen, result: CheckResult) -> None:
 
 
 def _shortened(name: str, most: int) -> str:
-    return name if len(name) <= most else f"{name[: most - 3]}..."
+    """Return a name in one line that can be drawn: bytes that are not text become escapes."""
+    plain = " ".join(name.encode("utf-8", "backslashreplace").decode().split())
+    return plain if len(plain) <= most else f"{plain[: most - 3]}..."
 
 
 def _draw_map(pen: Pen, result: CheckResult, ground: CheckGround, view: MapView) -> RideScale:

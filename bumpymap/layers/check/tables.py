@@ -10,14 +10,22 @@ from bumpymap.layers.check.offset import MapOffset
 from bumpymap.layers.check.words import metres, percent, sorted_reasons
 from bumpymap.layers.report.numbers import DASH, number
 
-__all__ = ["AGREEMENT_HEAD", "WORST_HEAD", "agreement_rows", "drive_rows", "left_out_rows", "worst_rows"]
+__all__ = ["AGREEMENT_HEAD", "WORST_HEAD", "agreement_rows", "drive_notes", "drive_rows", "left_out_rows", "worst_rows"]
 
 Rows = list[tuple[str, ...]]
 AGREEMENT_HEAD = (
     *("ground by the map", "stretches", "way", "map / drive, median", "error, median", "Spearman"),
     *("in the 80 % interval", "same class"),
 )
-WORST_HEAD = ("drive", "at", "position", "drive, rad/m", "map, rad/m", "map's 80 % interval", "map / drive")
+WORST_HEAD = (
+    "drive",
+    "from, clock of the IMU",
+    "easting, northing, m",
+    "drive, rad/m",
+    "map, rad/m",
+    "map's 80 % interval",
+    "map / drive",
+)
 _WORST = 10
 _NO_CLASS_NAME = "off the map"
 
@@ -75,7 +83,6 @@ def drive_rows(drives: Sequence[CheckedDrive]) -> Rows:
         ("clock of the positions", [_clock(drive) for drive in drives]),
         ("IMU in the vehicle: roll, pitch, yaw", [_mount(drive.mount_deg) for drive in drives]),
         ("floor at standstill", [number(drive.floor_radps, 4, " rad/s") for drive in drives]),
-        ("read from", [_columns(drive) for drive in drives]),
     ]
     return [(label, *texts) for label, texts in figures]
 
@@ -102,5 +109,11 @@ def _mount(angles: Iterable[float]) -> str:
     return ", ".join(f"{angle:+.1f}°" if math.isfinite(angle) else DASH for angle in angles)
 
 
-def _columns(drive: CheckedDrive) -> str:
-    return ", ".join(f"{quantity}: {column}" for quantity, column in drive.columns.items()) or DASH
+def drive_notes(result: CheckResult) -> list[str]:
+    """Return from which columns each drive was read and what was guessed, a sentence each."""
+    found = []
+    for drive in result.drives:
+        columns = ", ".join(f"{quantity} from {column}" for quantity, column in drive.columns.items())
+        notes = [f"read: {columns}", *drive.notes] if columns else list(drive.notes)
+        found += [f"{drive.name}: {note}" if len(result.drives) > 1 else note for note in notes]
+    return found

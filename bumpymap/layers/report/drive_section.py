@@ -7,6 +7,7 @@ from bumpymap.layers.check.tables import (
     AGREEMENT_HEAD,
     WORST_HEAD,
     agreement_rows,
+    drive_notes,
     drive_rows,
     left_out_rows,
     worst_rows,
@@ -59,5 +60,6 @@ def _details(result: CheckResult) -> Html:
         "details",
         tag("summary", "The drives and their sensors"),
         table("The drives", ("figure", *names), rows, texts=1 + len(names), wide=len(names) > 1),
+        lines_of(*drive_notes(result)),
         table("Parts of the ways that do not count", ("why", "way"), left) if left else Html(),
     )

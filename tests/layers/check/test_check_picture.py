@@ -72,6 +72,13 @@ def test_odd_findings_are_drawn_too(ground, case):
     assert len(image.getcolors(1 << 24)) > 20
 
 
+def test_a_name_that_is_no_text_is_drawn_in_one_line(ground):
+    result = made_up_check(6)
+    plain = np.asarray(paint_check(replace(result, ground=replace(result.ground, name="a b\\udce9")), ground))
+    odd = np.asarray(paint_check(replace(result, ground=replace(result.ground, name="a\nb\udce9")), ground))
+    assert (plain == odd).all()
+
+
 def test_the_picture_is_written(ground, tmp_path):
     write_check(made_up_check(12), tmp_path, ground=ground)
     with Image.open(tmp_path / "check.png") as image:

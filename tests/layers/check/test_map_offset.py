@@ -7,6 +7,7 @@ import pytest
 from check_records import made_up_check, stretches_at
 from hypothesis import given, strategies as st
 
+from bumpymap.check.agreement import agreement_of
 from bumpymap.layers.check.offset import NOT_COMPARED, OFF_KINDS, MapOffset
 
 ONE = np.array([[330_000.0, 2_040_000.0]])
@@ -39,21 +40,29 @@ def test_the_kind_is_named_from_the_map(factor, kind):
 def test_without_errors_of_measurement_the_interval_decides(factor, side):
     exact = {"measured_sd": np.zeros(1), "place_sd": np.zeros(1)}
     above = offset_of(factor, c_r_low=np.array([0.01]), c_r_high=np.array([0.1 * side]), **exact)
-    assert bool(above.is_off[0]) == (np.log(factor) > np.log(side) * (1 + 1e-12)) or factor == pytest.approx(side)
+    assert above.beyond == pytest.approx((factor - 1) / (side - 1))
     below = offset_of(1 / factor, c_r_low=np.array([0.1 / side]), c_r_high=np.array([9.0]), **exact)
-    assert below.beyond == pytest.approx(above.beyond)
+    assert below.beyond == pytest.approx((1 - 1 / factor) / (1 - 1 / side))
 
 
 def test_errors_add_in_power():
-    """80 % half widths in logarithms: 0.3 of the map, 0.4 of the measurement: a difference of 0.5 is just explained."""
+    """80 % half widths, rad/m: 0.03 of the map, 0.04 of the measurement: a difference of 0.05 is just explained."""
     widths = {
-        "c_r_high": np.array([0.1 * np.exp(0.3)]),
-        "measured_sd": np.exp(0.5) * 0.1 * np.array([0.4]) / 1.2816,
+        "c_r_high": np.array([0.13]),
+        "measured_sd": np.array([0.04]) / 1.2815515655446004,
         "place_sd": np.zeros(1),
     }
-    assert offset_of(np.exp(0.5), **widths).beyond == pytest.approx(1.0)
-    widths["place_sd"] = 0.1 * np.array([0.4]) / 1.2816
-    assert offset_of(np.exp(0.5), **widths).beyond == pytest.approx(0.5 / np.sqrt(0.41))
+    assert offset_of(1.5, **widths).beyond == pytest.approx(1.0)
+    widths["place_sd"] = widths["measured_sd"]
+    assert offset_of(1.5, **widths).beyond == pytest.approx(0.05 / np.sqrt(0.0041))
+
+
+@pytest.mark.parametrize("options", [{}, {"bias": 1.4}, {"noise": 0.5, "unknown": [3, 7]}])
+def test_the_share_that_errors_explain_is_that_of_the_agreement(options):
+    stretches = made_up_check(200, **options).stretches
+    offset = MapOffset.of(stretches)
+    explained = ~offset.is_off[np.isfinite(offset.ratio)]
+    assert explained.mean() == agreement_of(stretches).inside
 
 
 @pytest.mark.parametrize("changes", [{"c_r": np.array([np.nan])}, {"measured": np.zeros(1)}])
@@ -72,7 +81,11 @@ def test_an_interval_that_is_not_known_leaves_the_errors_of_measurement():
 
 
 def test_good_drives_are_off_on_one_stretch_in_five():
-    """Errors as large as the intervals say."""
-    spread = np.hypot(np.log(1.25) / 1.2816, 0.05)
-    result = made_up_check(4000, noise=spread)
-    assert MapOffset.of(result.stretches).is_off.mean() == pytest.approx(0.2, abs=0.02)
+    """Differences as large as the intervals say."""
+    n = 4000
+    stretches = stretches_at(np.zeros((n, 2)), np.full(n, 0.1), np.ones(n), sd=0.05)
+    spread = np.hypot(0.02 / 1.2816, 0.005)
+    measured = 0.1 + spread * np.random.default_rng(1).standard_normal(n)
+    even = {"c_r_low": np.full(n, 0.08), "c_r_high": np.full(n, 0.12), "place_sd": np.zeros(n)}
+    offset = MapOffset.of(replace(stretches, measured=measured, **even))
+    assert offset.is_off.mean() == pytest.approx(0.2, abs=0.02)

@@ -1,0 +1,73 @@
+"""Draw docs/pages/img/check.png: a drive over the sample site in DART, as logs, checked against its map.
+
+    python docs/pictures/check.py FOLDER
+
+The drive takes a minute; it is kept in FOLDER, with its logs and what `check` wrote. Needs the extra ``sim``.
+"""
+
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import bumpymap
+from bumpymap.check import CheckConfig, check_drives
+from bumpymap.lab.evaluate.routes.measured import driven_heights
+from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
+from bumpymap.lab.simulate.relief import ReliefGround
+from bumpymap.lab.simulate.way import Stop
+from bumpymap.lab.worlds.drives import (
+    GNSS,
+    IMUS,
+    ClockFault,
+    DriveSensors,
+    read_motion,
+    save_motion,
+    sense_drive,
+    write_drive_files,
+)
+from bumpymap.layers import open_map
+from bumpymap.rating import load_profile
+from bumpytiles import TileWindow
+
+ROOT = Path(__file__).resolve().parents[2]
+WAY = ((110, 8), (14, 8), (14, 29), (60, 29), (116, 23), (118, 44), (98, 58), (84, 46), (50, 36), (19, 38), (19, 72))
+"""Metres east and north of the south-west corner of the map: meadow, road, ruts, rubble, floor, ramp."""
+STOPS = (Stop(60.0, 4.0), Stop(150.0, 4.0))
+SENSORS = DriveSensors(
+    IMUS["good"], GNSS["rtk"], mount_deg=(1.0, -2.0, 1.5), clock=ClockFault(offset_s=0.23, drift_ppm=20.0)
+)
+
+
+def drive(layers: Path, motion: Path) -> None:
+    """Drive over the ground of the map and keep the motion."""
+    site = open_map([layers])
+    bounds, size = site.grid.window_bounds(site.window), site.grid.tile_size
+    line = np.array([bounds.west, bounds.south]) + np.array(WAY, float)
+    low, high = np.floor(line.min(axis=0) / size).astype(int) - 3, np.ceil(line.max(axis=0) / size).astype(int) + 3
+    window = TileWindow(*low.tolist(), *(high - low).tolist())
+    heights = driven_heights(site.heights(window), site.objects(window))
+    ground = ReliefGround.from_heightmap(heights, site.grid.pixel_size)
+    made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=STOPS))
+    save_motion(replace(made.motion, place=made.motion.place + np.array([*(low * size), 0.0])), motion)
+
+
+def main(folder: Path) -> None:
+    """Map, drive, record, check; what is there already is used again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    layers, motion = folder / "layers", folder / "motion.npz"
+    if not (layers / "run.json").exists():
+        bumpymap.map_survey(ROOT / "sample_data" / "quarry.laz", layers)
+    if not motion.exists():
+        drive(layers, motion)
+    sensed = sense_drive(read_motion(motion), SENSORS, 1, "quarry", "EPSG:32632")
+    logs = write_drive_files(sensed.log, folder)
+    config = CheckConfig((",".join(map(str, logs)),), layers=layers, out=folder / "checked", overwrite=True)
+    check_drives(config)
+    shutil.copy(folder / "checked" / "check.png", ROOT / "docs" / "pages" / "img" / "check.png")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
