@@ -1,0 +1,216 @@
+"""Move a calibration to measured drives, with the simulation as the prior (``bumpymap check --refit``).
+
+Two numbers move: a shift of ln C_r, and a tilt of it (how much more it moves on rough ground than on smooth). Before
+any drive they are 0, give or take what vehicles differ from their profiles (tests/benchmarks/unlike_vehicles.py). A
+calibration is moved only if it then predicts left-out drives better, and only from a stated length of drive on.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, DrivenStretches
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.update import (
+    DriveEvidence,
+    DrivePrior,
+    HeldOutScore,
+    LeftOut,
+    LogMove,
+    MovePosterior,
+    collect_evidence,
+    fit_move,
+    hold_out,
+    moved_calibration,
+    respond,
+)
+
+__all__ = ["DriveUpdate", "UpdateSettings", "update_from_drives"]
+
+Floats = NDArray[np.float64]
+_MIDDLE_LIMIT = 1
+"""The class limit at which the shift is told."""
+_DECIMALS = 4
+"""Of the moved numbers: what is below differs between machines."""
+_NORMAL_TAIL = 1.2815515655446004
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateSettings:
+    """What is assumed, and how much is asked for, before a calibration is moved."""
+
+    shift_sd: float = 0.2
+    """Standard deviation of the shift of ln C_r before any drive."""
+    tilt_sd: float = 0.1
+    """The same of its tilt."""
+    least_m: float = 200.0
+    """Least length of driven ground, m; ground that was driven twice counts once."""
+    least_stretches: int = 12
+    least_gain: float = 1.28
+    """Least gain on drives that were left out, in its standard errors: by chance alone, one in ten has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveUpdate:
+    """How a calibration was moved, and what that rests on."""
+
+    calibration_id: str
+    """Of the calibration before."""
+    drives: int
+    stretches: int
+    """Number of stretches that count."""
+    way_m: float
+    """Their length, m."""
+    new_m: float
+    """The same, with ground that was driven more than once counted once, m."""
+    left_out: LeftOut
+    c_r_range: tuple[float, float]
+    """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
+    prior: DrivePrior
+    posterior: MovePosterior
+    factor: tuple[float, float, float]
+    """What the calibration's C_r is multiplied by in the middle of that range: low, median and high of 80 %."""
+    ratio: tuple[float, float]
+    """Median of C_r / measured before and after."""
+    held_out_error: tuple[float, float]
+    """Median of abs(C_r / measured - 1) on parts that were left out, before and after."""
+    gain: tuple[float, float]
+    """Gain in ln probability on parts that were left out, and its standard error."""
+    parts: int
+    """Number of parts that were left out in turn."""
+
+    def to_record(self) -> dict[str, Any]:
+        """Return all findings as plain JSON."""
+        plain: dict[str, Any] = _plain(asdict(self))
+        if not math.isfinite(self.prior.log_floor):
+            del plain["prior"]["log_floor"]
+        return plain
+
+
+def update_from_drives(
+    calibration: Calibration, stretches: DrivenStretches, settings: UpdateSettings | None = None
+) -> tuple[Calibration, DriveUpdate]:
+    """Move the C_r of a calibration to what drives measured.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The one that the map of the stretches was made with.
+    stretches : DrivenStretches
+        Of all drives.
+    settings : UpdateSettings, optional
+
+    Returns
+    -------
+    Calibration
+        Its vehicle, class limits and p_fail are those of the calibration before.
+    DriveUpdate
+
+    Raises
+    ------
+    BadInputError
+        The calibration was moved before, the drives are too short, or they agree with it.
+    """
+    settings = settings or UpdateSettings()
+    if "moved_to_drives" in calibration.settings:
+        before = calibration.settings["moved_to_drives"].get("calibration_id", "before")
+        raise BadInputError(
+            f"the calibration {calibration.id} was moved to drives already, and would count them twice. Check all "
+            f"drives together, those of then and those of now, against a map made with the calibration {before}"
+        )
+    evidence, lost = collect_evidence(stretches, float(calibration.vehicle["speed_mps"]), 0.0)
+    _require_enough(evidence, lost, settings)
+    middle = math.log(calibration.class_limits[_MIDDLE_LIMIT])
+    prior = DrivePrior(middle, (settings.shift_sd, settings.tilt_sd), -math.inf)
+    before, after = hold_out(evidence, prior, moved=False), hold_out(evidence, prior)
+    update = _described(calibration, evidence, lost, prior, (before, after))
+    if not update.gain[0] > settings.least_gain * update.gain[1]:
+        raise BadInputError(_agree(update))
+    move = LogMove.of(prior, update.posterior)
+    return moved_calibration(calibration, move, update.to_record()), update
+
+
+def _require_enough(evidence: DriveEvidence, lost: LeftOut, settings: UpdateSettings) -> None:
+    number, new_m = len(evidence.way_m), float(evidence.new_m.sum())
+    if number >= settings.least_stretches and new_m >= settings.least_m:
+        return
+    reasons = {
+        "off the map": lost.off_map,
+        "at a speed unlike the profile's": lost.other_speed,
+        "with less motion than the sensor tells": lost.below_sensor,
+    }
+    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
+    raise BadInputError(
+        f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
+        f"{f' (not {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
+        f"{settings.least_stretches} stretches; drive more, over smooth ground and rough, and give all drives together"
+    )
+
+
+def _described(
+    calibration: Calibration,
+    evidence: DriveEvidence,
+    lost: LeftOut,
+    prior: DrivePrior,
+    held_out: tuple[HeldOutScore, HeldOutScore],
+) -> DriveUpdate:
+    posterior = _rounded(fit_move(evidence, prior))
+    before, after = held_out
+    middle = np.array([np.median(evidence.log_c_r)])
+    value, slope = respond(posterior.mean, middle, prior)
+    by = float(value[0] - respond(prior.mean, middle, prior)[0][0])
+    sd = math.sqrt(float(slope[0] @ posterior.covariance @ slope[0]))
+    low, high = np.exp(np.quantile(evidence.log_c_r, (0.1, 0.9))).tolist()
+    return DriveUpdate(
+        calibration_id=calibration.id,
+        drives=len(np.unique(evidence.drive)),
+        stretches=len(evidence.way_m),
+        way_m=float(evidence.way_m.sum()),
+        new_m=float(evidence.new_m.sum()),
+        left_out=lost,
+        c_r_range=(low, high),
+        prior=prior,
+        posterior=posterior,
+        factor=(math.exp(by - _NORMAL_TAIL * sd), math.exp(by), math.exp(by + _NORMAL_TAIL * sd)),
+        ratio=(_median_ratio(evidence, prior.mean, prior), _median_ratio(evidence, posterior.mean, prior)),
+        held_out_error=(before.error, after.error),
+        gain=after.gain_over(before),
+        parts=after.parts,
+    )
+
+
+def _median_ratio(evidence: DriveEvidence, numbers: Floats, prior: DrivePrior) -> float:
+    return float(np.exp(np.median(respond(numbers, evidence.log_c_r, prior)[0] - evidence.log_measured)))
+
+
+def _rounded(found: MovePosterior) -> MovePosterior:
+    return MovePosterior(
+        np.round(found.mean, _DECIMALS),
+        np.round(found.covariance, 2 * _DECIMALS),
+        round(found.map_scale, _DECIMALS),
+        round(found.common_share, _DECIMALS),
+    )
+
+
+def _agree(update: DriveUpdate) -> str:
+    low, _, high = update.factor
+    return (
+        f"the drives agree with the calibration {update.calibration_id}, so it is not moved: over {update.way_m:.0f} m "
+        f"({update.stretches} stretches) the map's C_r is {update.ratio[0]:.2f} times the measured in the median; "
+        "moved, it would not predict left-out parts of the drives better than by chance (median error "
+        f"{update.held_out_error[1]:.1%}, as it is {update.held_out_error[0]:.1%}). The drives leave room for a factor "
+        f"of {low:.2f} to {high:.2f} on C_r; longer ones would tell"
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return float(f"{value:.6g}") if isinstance(value, float) and math.isfinite(value) else value
