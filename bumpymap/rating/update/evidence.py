@@ -142,5 +142,5 @@ def _folds(drive: Integers, start_s: Floats, way: Floats) -> Integers:
     before = np.zeros(len(way))
     before[order] = np.cumsum(way[order]) - way[order]
     total = float(way.sum())
-    pieces = min(_FOLDS, max(int(total // _FOLD_M), 1))
+    pieces = min(_FOLDS, max(int(total // _FOLD_M), 2))
     return np.minimum((before / max(total, 1e-9) * pieces).astype(np.int64), pieces - 1)

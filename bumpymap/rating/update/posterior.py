@@ -29,7 +29,7 @@ _SCALES = np.array([0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 _SCALE_LOG_SD = 0.5
 _SHARES = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 """Grid of the share of the map's error (variance) that is common to a square of ground."""
-_STEPS = 25
+_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
