@@ -138,7 +138,7 @@ def run_manifest(
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],
             "preferences": calibration.preferences,
-            "class_limits": calibration.class_limits,
+            "class_limits": calibration.map_limits,
         },
         "vehicle": {
             "name": calibration.vehicle["name"],
