@@ -258,7 +258,7 @@ class Calibration:
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
-        """Return this calibration with name, description, weights, outline (``[body]``) and ``[floor]`` of a vehicle profile.
+        """Return this calibration with the preferences, ``[body]`` and ``[floor]`` of a vehicle profile.
 
         They change the layers, so a changed preference changes the ``id``.
 

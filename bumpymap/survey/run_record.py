@@ -139,6 +139,7 @@ def run_manifest(
             "vehicle": calibration.vehicle["name"],
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
+            **({"floor_radpm": calibration.floor} if calibration.floor else {}),
         },
         "vehicle": {
             "name": calibration.vehicle["name"],

@@ -74,7 +74,7 @@ class BorealDrive:
     @property
     def turning(self) -> float:
         """Mean absolute pitch rate while it turns on the spot, rad/s; NaN without 5 s of it."""
-        turns = (np.abs(self.speed) < 0.05) & (np.abs(self.apart) > 0.1)  # noqa: PLR2004 - m/s
+        turns = (np.abs(self.speed) < 0.05) & (np.abs(self.apart) > 0.1)
         return float(np.abs(self.felt[turns]).mean()) if turns.sum() >= 5 * RATE_HZ else float("nan")
 
     @property
