@@ -153,6 +153,12 @@ class Calibration:
         return floor_of(self.vehicle)
 
     @property
+    def floor_before(self) -> float:
+        """Return the floor before the calibration was moved to drives: a profile that has it is that of the vehicle."""
+        before: float = self.settings.get("moved_to_drives", {}).get("floor", [self.floor])[0]
+        return before
+
+    @property
     def map_limits(self) -> tuple[float, ...]:
         """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
         return tuple(with_floor(np.array(self.class_limits), self.floor).tolist())
@@ -284,7 +290,7 @@ class Calibration:
         changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
         if (body := body_table(profile)) != body_table(self.vehicle):
             changed["body"] = body
-        if floor_of(profile) != self.floor:
+        if floor_of(profile) not in (self.floor, self.floor_before):
             changed["floor"] = profile["floor"]
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
@@ -310,6 +316,7 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
+    numbers += [calibration.floor_before]
     if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
     if calibration.floor < 0:

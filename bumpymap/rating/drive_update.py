@@ -1,12 +1,14 @@
 """Move a calibration to measured drives, with the simulation as the prior (``bumpymap check --refit``).
 
-Two numbers move: a shift of ln C_r, and a tilt of it (how much more it moves on rough ground than on smooth). Before
-any drive they are 0, give or take what vehicles differ from their profiles (tests/benchmarks/unlike_vehicles.py). A
-calibration is moved only if it then predicts left-out drives better, and only from a stated length of drive on.
+Two numbers move: a shift of ln C_r, and a tilt of it (how much more it moves on rough ground than on smooth); a third,
+the floor of the profile, if left-out parts of the drives are predicted better with it. Before any drive, shift and tilt
+are 0, give or take what vehicles differ from their profiles (tests/benchmarks/unlike_vehicles.py) and more, since no
+simulation holds all of a vehicle. A calibration is moved only if it then predicts left-out parts better, and only from
+a stated length of drive on.
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,10 @@ _MIDDLE_LIMIT = 1
 _DECIMALS = 4
 """Of the moved numbers: what is below differs between machines."""
 _NORMAL_TAIL = 1.2815515655446004
+_USUAL_FLOOR = 0.03
+"""Centre of the floor [rad/m] before any drive, where the profile has none: wheeled vehicles on paved ground."""
+_FLOOR_LOG_SD = 0.5, 1.0
+"""Standard deviation of its logarithm where the profile has one, and where it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +77,8 @@ class DriveUpdate:
     """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
     prior: DrivePrior
     posterior: MovePosterior
+    floor: tuple[float, float]
+    """C_r of even ground before and after, rad/m."""
     factor: tuple[float, float, float]
     """What the calibration's C_r is multiplied by in the middle of that range: low, median and high of 80 %."""
     ratio: tuple[float, float]
@@ -121,16 +129,35 @@ def update_from_drives(
             f"the calibration {calibration.id} was moved to drives already, and would count them twice. Check all "
             f"drives together, those of then and those of now, against a map made with the calibration {before}"
         )
-    evidence, lost = collect_evidence(stretches, float(calibration.vehicle["speed_mps"]), 0.0)
+    floor = calibration.floor
+    evidence, lost = collect_evidence(stretches, float(calibration.vehicle["speed_mps"]), floor)
     _require_enough(evidence, lost, settings)
-    middle = math.log(calibration.class_limits[_MIDDLE_LIMIT])
-    prior = DrivePrior(middle, (settings.shift_sd, settings.tilt_sd), -math.inf)
-    before, after = hold_out(evidence, prior, moved=False), hold_out(evidence, prior)
-    update = _described(calibration, evidence, lost, prior, (before, after))
+    plain = DrivePrior(
+        middle=math.log(calibration.class_limits[_MIDDLE_LIMIT]),
+        sd=(settings.shift_sd, settings.tilt_sd),
+        log_floor=math.log(floor) if floor else -math.inf,
+    )
+    prior, after = _best_prior(evidence, plain, settings)
+    update = _described(calibration, evidence, lost, prior, (hold_out(evidence, plain, moved=False), after))
     if not update.gain[0] > settings.least_gain * update.gain[1]:
         raise BadInputError(_agree(update))
-    move = LogMove.of(prior, update.posterior)
-    return moved_calibration(calibration, move, update.to_record()), update
+    record = update.to_record()
+    moved = moved_calibration(calibration, LogMove.of(prior, update.posterior), record)
+    if update.floor[0] != update.floor[1]:
+        moved = replace(moved, vehicle=moved.vehicle | {"floor": {"c_r_radpm": update.floor[1]}})
+    return moved, update
+
+
+def _best_prior(
+    evidence: DriveEvidence, plain: DrivePrior, settings: UpdateSettings
+) -> tuple[DrivePrior, HeldOutScore]:
+    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one."""
+    own = math.isfinite(plain.log_floor)
+    centre, sd = (plain.log_floor, _FLOOR_LOG_SD[0]) if own else (math.log(_USUAL_FLOOR), _FLOOR_LOG_SD[1])
+    floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
+    fixed, free = hold_out(evidence, plain), hold_out(evidence, floored)
+    gain, error = free.gain_over(fixed)
+    return (floored, free) if gain > settings.least_gain * error else (plain, fixed)
 
 
 def _require_enough(evidence: DriveEvidence, lost: LeftOut, settings: UpdateSettings) -> None:
@@ -159,9 +186,11 @@ def _described(
 ) -> DriveUpdate:
     posterior = _rounded(fit_move(evidence, prior))
     before, after = held_out
+    fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
     middle = np.array([np.median(evidence.log_c_r)])
     value, slope = respond(posterior.mean, middle, prior)
-    by = float(value[0] - respond(prior.mean, middle, prior)[0][0])
+    floor = calibration.floor
+    by = float(value[0]) - 0.5 * float(np.logaddexp(2 * middle[0], 2 * math.log(floor) if floor else -math.inf))
     sd = math.sqrt(float(slope[0] @ posterior.covariance @ slope[0]))
     low, high = np.exp(np.quantile(evidence.log_c_r, (0.1, 0.9))).tolist()
     return DriveUpdate(
@@ -174,16 +203,13 @@ def _described(
         c_r_range=(low, high),
         prior=prior,
         posterior=posterior,
+        floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
         factor=(math.exp(by - _NORMAL_TAIL * sd), math.exp(by), math.exp(by + _NORMAL_TAIL * sd)),
-        ratio=(_median_ratio(evidence, prior.mean, prior), _median_ratio(evidence, posterior.mean, prior)),
+        ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
         held_out_error=(before.error, after.error),
         gain=after.gain_over(before),
         parts=after.parts,
     )
-
-
-def _median_ratio(evidence: DriveEvidence, numbers: Floats, prior: DrivePrior) -> float:
-    return float(np.exp(np.median(respond(numbers, evidence.log_c_r, prior)[0] - evidence.log_measured)))
 
 
 def _rounded(found: MovePosterior) -> MovePosterior:

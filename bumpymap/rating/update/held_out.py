@@ -21,6 +21,8 @@ class HeldOutScore:
     """Number of parts that were left out in turn."""
     error: float
     """Median of abs(predicted / measured - 1)."""
+    median_ratio: float
+    """Median of predicted / measured."""
     log_score: Floats
     """(parts,) sum of the log probability densities of the stretches of each part, apart from a constant."""
 
@@ -42,4 +44,4 @@ def hold_out(evidence: DriveEvidence, prior: DrivePrior, *, moved: bool = True) 
     score = -0.5 * (FREEDOM + 1.0) * np.log1p(left**2 / (FREEDOM * variance))
     parts = int(evidence.fold.max()) + 1
     by_part = np.asarray(np.bincount(evidence.fold, score, parts), np.float64)
-    return HeldOutScore(parts, float(np.median(np.abs(np.expm1(-left)))), by_part)
+    return HeldOutScore(parts, float(np.median(np.abs(np.expm1(-left)))), float(np.exp(-np.median(left))), by_part)
