@@ -8,6 +8,7 @@ board would measure it; how much that is, is recorded beside it. Length and pitc
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +22,7 @@ from bumpymap.lab.simulate.relief import ReliefGround, corridor_triangles
 from bumpymap.lab.simulate.terrain import Strip
 from bumpymap.rating import Vehicle
 
-__all__ = ["WayDrive", "drive_way", "follow_guide"]
+__all__ = ["Stop", "WayDrive", "drive_way", "follow_guide", "vehicle_on_way"]
 
 _LOOK_AHEAD = 1.0
 """Distance to the point that is steered to, in wheelbases."""
@@ -33,6 +34,16 @@ _TURNING_RAD = math.radians(15)
 """At a larger angle to the point ahead, the vehicle counts as turning."""
 _STUCK_WINDOW_S = 10.0
 """A vehicle is stuck if it covers too little of the line in this time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A stop on the way."""
+
+    at_m: float
+    """Distance along the line at which the vehicle begins to brake, m."""
+    seconds: float
+    """How long it stands, s."""
 
 
 @dataclass(slots=True)
@@ -93,20 +104,32 @@ def drive_way(
     """
     settings = settings or DriveSettings()
     guide = GuideLine.along(corners, offset)
+    return follow_guide(vehicle_on_way(profile, ground, guide, settings), guide, profile, tile_size, settings)
+
+
+def vehicle_on_way(profile: Vehicle, ground: ReliefGround, guide: GuideLine, settings: DriveSettings) -> DartVehicle:
+    """Return a vehicle in DART at the start of a line, with the ground along the line as a mesh."""
     half_width = profile.wheelbase_m / 2 + profile.track_m / 2 + profile.wheel.radius_m + settings.margin_m
     easting, northing = guide.points[0].tolist()
     strip = Strip(easting, northing, guide.heading, guide.length, half_width)
     # Beyond the end of the line there is ground too: the chassis' front reaches farther than its middle.
     beyond = np.array([guide.ahead(len(guide.points) - 1, metres) for metres in np.arange(0.1, 1.0, 0.1)])
     triangles = corridor_triangles(ground, np.concatenate([guide.points, beyond]), half_width)
-    vehicle = DartVehicle(profile, ground.sloped_at(easting, northing), strip, settings.physics, triangles)
-    return follow_guide(vehicle, guide, profile, tile_size, settings)
+    return DartVehicle(profile, ground.sloped_at(easting, northing), strip, settings.physics, triangles)
 
 
 def follow_guide(
-    vehicle: VehicleModel, guide: GuideLine, profile: Vehicle, tile_size: float, settings: DriveSettings
+    vehicle: VehicleModel,
+    guide: GuideLine,
+    profile: Vehicle,
+    tile_size: float,
+    settings: DriveSettings,
+    stops: Sequence[Stop] = (),
 ) -> WayDrive:
-    """Drive a vehicle along a line and integrate its gyroscope readings; it stands at the start of the line."""
+    """Drive a vehicle along a line and integrate its gyroscope readings; it stands at the start of the line.
+
+    ``stops`` are in the order of their distances.
+    """
     period = 1 / settings.sample_hz
     quiet = round((settings.settle_s + settings.ramp_s + settings.cruise_s) / period)
     made = WayDrive("completed")
@@ -114,9 +137,11 @@ def follow_guide(
     recent: deque[int] = deque(maxlen=round(_STUCK_WINDOW_S / period))
     least = settings.stuck_share * profile.speed_mps * _STUCK_WINDOW_S
     pose, speed, sample, at = vehicle.pose(), 0.0, 0, 0
+    halts = _Halts(stops)
     while at < len(guide.points) - 1:
         angle = _angle_to(guide.ahead(at, _LOOK_AHEAD * profile.wheelbase_m), pose)
-        speed = _next_speed(speed, angle, sample * period, profile, settings)
+        held = sample * period < settings.settle_s or halts.hold(at * guide.step, speed, period)
+        speed = _next_speed(speed, 0.0 if held else max(math.cos(angle), 0.0) ** 2, profile, settings)
         _command(vehicle, angle, speed, profile)
         vehicle.advance(settings.steps_per_sample)
         before, pose = pose, vehicle.pose()
@@ -126,6 +151,8 @@ def follow_guide(
         if sample > quiet:
             _record(made, tiles, before, pose, period, tile_size, turning=abs(angle) > _TURNING_RAD)
             recent.append(at)
+        if held:
+            recent.clear()
         if pose.tilt > math.radians(settings.rolled_deg):
             made.outcome = "rolled"
             break
@@ -144,11 +171,30 @@ def _angle_to(place: tuple[float, float], pose: Pose) -> float:
     return math.remainder(aim - pose.heading, 2 * math.pi)
 
 
-def _next_speed(speed: float, angle: float, seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
-    """Return the commanded speed, m/s: less the more the vehicle must turn, changed as gently as on the ramp."""
-    wanted = 0.0 if seconds < settings.settle_s else profile.speed_mps * max(math.cos(angle), 0.0) ** 2
+def _next_speed(speed: float, share: float, profile: Vehicle, settings: DriveSettings) -> float:
+    """Return the commanded speed, m/s: towards a share of the profile's speed, changed as gently as on the ramp."""
+    wanted = profile.speed_mps * share
     most = profile.speed_mps / (settings.ramp_s * settings.sample_hz) if settings.ramp_s > 0 else profile.speed_mps
     return min(max(wanted, speed - most), speed + most)
+
+
+class _Halts:
+    """The stops that are still ahead, and how long the vehicle has stood at the present one."""
+
+    def __init__(self, stops: Sequence[Stop]) -> None:
+        self._ahead = deque(stops)
+        self._stood = 0.0
+
+    def hold(self, along: float, speed: float, period: float) -> bool:
+        """Return whether the vehicle brakes or stands now, ``along`` m after the start of the line."""
+        if not self._ahead or along < self._ahead[0].at_m:
+            return False
+        self._stood += period if speed == 0 else 0.0
+        if self._stood < self._ahead[0].seconds:
+            return True
+        self._ahead.popleft()
+        self._stood = 0.0
+        return False
 
 
 def _command(vehicle: VehicleModel, angle: float, speed: float, profile: Vehicle) -> None:

@@ -1,0 +1,5 @@
+"""A map of the ground against real drives over it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

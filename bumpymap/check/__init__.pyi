@@ -1,0 +1,20 @@
+from .drive_measure import (
+    LEFT_OUT as LEFT_OUT,
+    DriveMeasure as DriveMeasure,
+    WayStretch as WayStretch,
+)
+from .measure import (
+    measure_drive as measure_drive,
+)
+from .places import (
+    MetrePlaces as MetrePlaces,
+    local_metres as local_metres,
+    metre_places as metre_places,
+)
+from .settings import (
+    CheckConfig as CheckConfig,
+    MeasureSettings as MeasureSettings,
+)
+from .stretches import (
+    cut_stretches as cut_stretches,
+)

@@ -1,0 +1,215 @@
+"""The way of a drive: positions, heading by the gyroscope, wheels and stops put together by least squares.
+
+Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is what
+makes the positions most probable.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from bumpymap.check.places import MetrePlaces, Scatter, scatter_of
+from bumpymap.check.signals import EvenImu
+from bumpymap.check.track_system import DRIFT, GLOBALS, OFFSET, SCALE, STATES, Knots, TrackProblem, TrackState
+from bumpymap.core import WheelTrack
+
+__all__ = ["DrivenTrack", "TrackStart", "fit_track"]
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_KNOT_S = 0.25
+_MOST_KNOTS = 20_000
+_STEPS = 12
+_SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
+"""Candidates of how fast the speed changes, m/s/sqrt(s)."""
+_BESIDE_STOP_S = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class TrackStart:
+    """Where the fit begins."""
+
+    offset_s: float
+    heading_0: float
+    """What to add to the gyroscope's heading, rad."""
+    force: NDArray[np.complex128] | None = None
+    """(n,) acceleration along the sensor's levelled axes, x + i y, m/s2; None without an accelerometer."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenTrack:
+    """The way of a drive, at evenly spaced knots."""
+
+    time: Floats
+    """(k,) s, on the clock of the IMU."""
+    easting: Floats
+    """(k,) m."""
+    northing: Floats
+    """(k,) m."""
+    speed: Floats
+    """(k,) m/s, negative backwards."""
+    course: Floats
+    """(k,) direction of driving, rad, east 0."""
+    offset_s: float
+    offset_sd_s: float
+    drift: float
+    drift_sd: float
+    scatter: Scatter
+    _factor: SuperLU
+    """Of the normal equations."""
+
+    def way_sd(self, start_s: Floats, end_s: Floats) -> Floats:
+        """Return standard deviations of the length of the way between times, m, (n,)."""
+        weights = _between(self.time, start_s, end_s) * (self.time[1] - self.time[0])
+        return self._sd(weights * np.sign(self.speed), 2)
+
+    def place_sd(self, at_s: Floats) -> Floats:
+        """Return standard deviations of the place along one axis at some times, m, (n,)."""
+        knot = np.clip(np.searchsorted(self.time, at_s), 0, len(self.time) - 1)
+        one = np.zeros((len(at_s), len(self.time)))
+        one[np.arange(len(at_s)), knot] = 1.0
+        return np.asarray(np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2)))
+
+    def _sd(self, weights: Floats, part: int) -> Floats:
+        k = len(self.time)
+        right = np.zeros((STATES * k + GLOBALS, len(weights)))
+        right[part:-GLOBALS:STATES] = weights.T
+        return np.asarray(np.sqrt(np.maximum((right * self._factor.solve(right)).sum(axis=0), 0.0)))
+
+
+def _between(time: Floats, start_s: Floats, end_s: Floats) -> Floats:
+    """Return the share of the interval around each knot that lies between times, (n, k)."""
+    half = 0.5 * (time[1] - time[0])
+    low = np.maximum(start_s[:, None], time - half)
+    return np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half)
+
+
+def fit_track(
+    imu: EvenImu,
+    heading: Floats,
+    standing: Mask,
+    places: MetrePlaces | None,
+    wheels: WheelTrack | None,
+    start: TrackStart,
+) -> DrivenTrack:
+    """Find the way of a drive, and the offset of the clocks with it.
+
+    Parameters
+    ----------
+    imu : EvenImu
+    heading : float64 array (n,)
+        By the gyroscope, rad; any zero.
+    standing : bool array (n,)
+    places : MetrePlaces or None
+    wheels : WheelTrack or None
+    start : TrackStart
+    """
+    knots = _knots(imu, heading, standing, wheels, start)
+    scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
+    best: tuple[float, TrackState, SuperLU] | None = None
+    state = _first(knots, places, start)
+    for change in _SPEED_CHANGES if places is not None else (_SPEED_CHANGES[-2],):
+        problem = TrackProblem(knots, places, scatter, change, start.offset_s)
+        state, factor, badness = _solve(problem, state)
+        if best is None or badness < best[0]:
+            best = badness, state, factor
+    if best is None:
+        raise AssertionError("there is at least one candidate")
+    return _track(knots, best[1], best[2], scatter)
+
+
+def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:
+    seconds = imu.time[-1] - imu.time[0]
+    count = int(np.clip(seconds / _KNOT_S, 8, _MOST_KNOTS)) + 1
+    time = np.linspace(imu.time[0], imu.time[-1], count)
+    direction = np.exp(1j * (heading + start.heading_0))
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (direction[1:] + direction[:-1]))]) / imu.hertz
+    steps = np.diff(np.interp(time, imu.time, total.real) + 1j * np.interp(time, imu.time, total.imag))
+    nearest = np.clip(np.round((time - imu.time[0]) * imu.hertz).astype(np.int64), 0, len(imu.time) - 1)
+    stands = standing[nearest]
+    beside = round(_BESIDE_STOP_S / (time[1] - time[0]))
+    near = np.convolve(stands, np.ones(2 * beside + 1), mode="same") > 0
+    gap = ~imu.known[nearest]
+    changing = (near & ~stands)[1:] | (near & ~stands)[:-1] | gap[1:] | gap[:-1]
+    speed = np.full(count, np.nan)
+    if wheels is not None:
+        speed = _wheel_speed(wheels, time)
+    turned = np.interp(time, imu.time, heading + start.heading_0)
+    gained = np.full(count - 1, np.nan + 0j)
+    if start.force is not None:
+        felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
+        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+    return Knots(time, steps, turned, gained, stands, changing, speed)
+
+
+def _wheel_speed(wheels: WheelTrack, time: Floats) -> Floats:
+    good = np.isfinite(wheels.speed) & np.isfinite(wheels.time)
+    if good.sum() < 2:
+        return np.full(len(time), np.nan)
+    at, value = wheels.time[good], wheels.speed[good]
+    speed = np.interp(time, at, value, left=np.nan, right=np.nan)
+    gap = np.diff(at, prepend=-np.inf, append=np.inf)[np.searchsorted(at, time)]
+    return np.where(gap > max(1.0, 3.0 * float(np.median(np.diff(at)))), np.nan, speed)
+
+
+def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> TrackState:
+    k = len(knots.time)
+    values = np.zeros(STATES * k + GLOBALS)
+    values[STATES * k + SCALE] = 1.0
+    values[STATES * k + OFFSET] = start.offset_s
+    speed = np.nan_to_num(knots.wheels)
+    if places is not None:
+        at = knots.time - start.offset_s
+        east, north = (np.interp(at, places.time, part) for part in (places.place.real, places.place.imag))
+        values[0:-GLOBALS:STATES], values[1:-GLOBALS:STATES] = east, north
+        lag = max(round(2.0 / knots.step_s), 1)
+        ahead, behind = np.minimum(np.arange(k) + lag, k - 1), np.maximum(np.arange(k) - lag, 0)
+        moved = (east[ahead] - east[behind]) + 1j * (north[ahead] - north[behind])
+        way = np.concatenate([[0.0], np.cumsum(knots.steps)])
+        speed = (moved * np.exp(-1j * np.angle(way[ahead] - way[behind]))).real / ((ahead - behind) * knots.step_s)
+    values[2:-GLOBALS:STATES] = np.where(knots.standing, 0.0, speed)
+    return TrackState(values)
+
+
+def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperLU, float]:
+    """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
+    factor, left, matrix = None, np.zeros(0), None
+    for _ in range(_STEPS):
+        matrix, left = problem.linear(state)
+        factor = splu(csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        step = factor.solve(matrix.T @ left)
+        state = replace(state, values=state.values - step)
+        moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))
+        if moved < 1e-3 and abs(step[OFFSET - GLOBALS]) < 1e-4:
+            break
+    if factor is None:
+        raise AssertionError("there is at least one step")
+    _, left = problem.linear(state)
+    changes = len(problem.knots.time) - 1
+    badness = float(left @ left) + float(np.log(np.abs(factor.U.diagonal())).sum())
+    return state, factor, badness + 2.0 * changes * np.log(problem.speed_change)
+
+
+def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -> DrivenTrack:
+    east, north, speed, turn = (state.part(number) for number in range(4))
+    course = knots.heading + turn
+    ends = np.zeros((len(state.values), 2))
+    ends[[OFFSET - GLOBALS, DRIFT - GLOBALS], [0, 1]] = 1.0
+    spread = np.sqrt(np.maximum((ends * factor.solve(ends)).sum(axis=0), 0.0))
+    return DrivenTrack(
+        time=knots.time,
+        easting=east,
+        northing=north,
+        speed=speed,
+        course=course,
+        offset_s=float(state.whole[OFFSET]),
+        offset_sd_s=float(spread[0]),
+        drift=float(state.whole[DRIFT]),
+        drift_sd=float(spread[1]),
+        scatter=scatter,
+        _factor=factor,
+    )

@@ -1,0 +1,161 @@
+"""Drives of known truth for `drive_check.py`: ways over a map, driven in DART once and kept."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.lab.evaluate.routes.measured import driven_heights
+from bumpymap.lab.evaluate.routes.pairs import choose_pairs
+from bumpymap.lab.evaluate.routes.planner import RoutePlanner
+from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
+from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
+from bumpymap.lab.simulate.relief import ReliefGround
+from bumpymap.lab.simulate.way import Stop
+from bumpymap.lab.worlds import TrueDrive, read_motion, save_motion
+from bumpymap.layers import RouteMap, open_map
+from bumpymap.rating import Vehicle
+from bumpytiles import TileWindow
+
+_ROOM_TILES = 3
+_STOP_S = 3.0
+_SMOOTH_SEED, _ROUGH_SEED = 11, 23
+
+
+GroundAlong = Callable[[NDArray[np.float64]], tuple[ReliefGround, NDArray[np.float64]]]
+"""Line (n, 2), easting and northing [m] -> the ground around it, and its south-west corner (2,), m."""
+
+
+@dataclass(frozen=True)
+class KeptDrive:
+    """A drive and the map that it was driven over."""
+
+    name: str
+    folder: Path
+    layers: Path
+
+    @cached_property
+    def motion(self) -> TrueDrive:
+        """The motion; easting and northing are those of the map."""
+        return read_motion(self.folder / f"{self.name}.npz")
+
+    @cached_property
+    def facts(self) -> dict[str, object]:
+        """Vehicle, outcome and C_r of the whole way."""
+        return json.loads((self.folder / f"{self.name}.json").read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True)
+class WayTask:
+    """One drive to make."""
+
+    name: str
+    line: NDArray[np.float64]
+    """(n, 2) easting and northing, m."""
+    vehicle: Vehicle
+
+
+def stiff(profile: Vehicle, factor: float, damping: float = 1.0) -> Vehicle:
+    """Return the vehicle with a stiffer suspension than its profile says."""
+    rocker = replace(
+        profile.rocker,
+        stiffness_nm_per_rad=profile.rocker.stiffness_nm_per_rad * factor,
+        damping_nms_per_rad=profile.rocker.damping_nms_per_rad * damping,
+    )
+    return replace(profile, rocker=rocker)
+
+
+def kept_ways(path: Path, layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
+    """Return planned ways, from a file if they were planned before."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *_planned_ways(layers, count, weights))
+    with np.load(path) as held:
+        return [held[name] for name in held.files]
+
+
+def _planned_ways(layers: Path, count: int, weights: tuple[float, float]) -> list[NDArray[np.float64]]:
+    """Plan ways of 60 to 150 m between random places of a map; corners (n, 2) in its easting and northing, m.
+
+    ``weights`` are those of ride and failure. With those of the vehicle the ways keep to smooth ground; with small ones
+    they are short and rough.
+    """
+    opened = open_map([layers])
+    ride, fail = weights
+    rule = replace(opened.rule, ride_weight=ride, fail_weight=fail)
+    site = replace(opened, sheets=tuple(replace(sheet, rule=rule) for sheet in opened.sheets))
+    seed = _SMOOTH_SEED if ride else _ROUGH_SEED
+    settings = RouteTrialSettings(total_pairs=count, seed=seed, least_m=60.0, most_m=150.0, most_shared=1.0)
+    pairs = choose_pairs(site.read(site.window), RoutePlanner.of(site), settings, _Silent())
+    return [_placed(site, pair.best) for pair in pairs]
+
+
+def _placed(site: RouteMap, line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert field coordinates to easting and northing, m."""
+    window = site.window
+    corners = np.stack([window.col + line[:, 1], window.row + window.rows - line[:, 0]], axis=1)
+    return corners * site.grid.tile_size
+
+
+def heights_of(layers: Path) -> GroundAlong:
+    """Return the heights of a map as ground."""
+    return partial(_heights_along, open_map([layers]))
+
+
+def _heights_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGround, NDArray[np.float64]]:
+    size = site.grid.tile_size
+    low = np.floor(line.min(axis=0) / size).astype(int) - _ROOM_TILES
+    high = np.ceil(line.max(axis=0) / size).astype(int) + _ROOM_TILES
+    window = TileWindow(*low.tolist(), *(high - low).tolist())
+    heights = driven_heights(site.heights(window), site.objects(window))
+    return ReliefGround.from_heightmap(heights, site.grid.pixel_size), low * size
+
+
+def make_drives(tasks: list[WayTask], ground: GroundAlong, layers: Path, folder: Path) -> Iterator[KeptDrive]:
+    """Drive all ways that are not yet in the folder, and yield all that were driven to their end."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for task in tasks:
+        kept = KeptDrive(task.name, folder, layers)
+        if not (folder / f"{task.name}.json").exists():
+            begin = time.process_time()
+            _make(task, ground, kept)
+            said = [str(kept.facts[name]) for name in ("outcome", "path_m", "c_r")]
+            sys.stdout.write(f"{task.name}: {' '.join(said)}, {time.process_time() - begin:.0f} s\n")
+            sys.stdout.flush()
+        if kept.facts["outcome"] == "completed":
+            yield kept
+
+
+def _make(task: WayTask, ground_along: GroundAlong, kept: KeptDrive) -> None:
+    ground, corner = ground_along(task.line)
+    length = math.fsum(math.dist(a, b) for a, b in pairwise(task.line.tolist()))
+    stops = tuple(Stop(share * length, _STOP_S) for share in (0.3, 0.65))
+    made = record_way(task.vehicle, ground, task.line - corner, RecordSettings(stops=stops))
+    shift = np.array([*corner, 0.0])
+    save_motion(replace(made.motion, place=made.motion.place + shift), kept.folder / f"{kept.name}.npz")
+    facts = {
+        "vehicle": task.vehicle.to_dict(),
+        "outcome": made.result.outcome,
+        "c_r": made.result.c_r,
+        "path_m": made.result.path_m,
+        "layers": str(kept.layers.name),
+    }
+    (kept.folder / f"{kept.name}.json").write_text(json.dumps(facts), encoding="utf-8")
+
+
+class _Silent:
+    """Progress that shows nothing."""
+
+    def start(self, *_: object) -> None:
+        """Begin."""
+
+    def advance(self, *_: object) -> None:
+        """Go on."""
