@@ -54,9 +54,7 @@ class Mounting:
     """Standard deviation of the yaw, degrees."""
 
 
-def find_mounting(
-    imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask
-) -> Mounting:
+def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
     Parameters
@@ -106,9 +104,7 @@ def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) ->
     return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
-def _yaw(
-    imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask
-) -> tuple[float, float]:
+def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
     felt = _band(level_force(imu, rotation, upward), imu.hertz)
     speeding = np.gradient(motion.speed) * imu.hertz

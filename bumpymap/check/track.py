@@ -142,7 +142,11 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     gained = np.full(count - 1, np.nan + 0j)
     if start.force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
-        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+        gained = np.where(
+            gap[1:] | gap[:-1],
+            np.nan,
+            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
+        )
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 
@@ -180,7 +184,9 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     factor, left, matrix = None, np.zeros(0), None
     for _ in range(_STEPS):
         matrix, left = problem.linear(state)
-        factor = splu(csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = splu(
+            csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         step = factor.solve(matrix.T @ left)
         state = replace(state, values=state.values - step)
         moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))

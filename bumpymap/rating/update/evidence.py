@@ -27,6 +27,8 @@ _LEAST_DRIVES = 3
 _INTERVAL_SD = 2 * 1.2815515655446004
 """Width of an 80 % interval in standard deviations."""
 _LEAST_MAP_SD = 0.03
+_LEAST_STRETCHES = 8
+_TINY = 1e-9
 _LEAST_SHARE = 0.1
 """Least part of the map's C_r that is not its floor, and of a standard error that a measurement may be."""
 
@@ -88,24 +90,36 @@ def collect_evidence(stretches: DrivenStretches, speed_mps: float, floor: float)
     with np.errstate(all="ignore"):
         fast = known & (np.abs(np.log(s.speed_mps / speed_mps)) > np.log(SPEED_FACTOR))
         factor = np.median(s.measured[known & ~fast] / s.c_r[known & ~fast]) if (known & ~fast).any() else 1.0
-        # By what the map says, not by what was measured: a choice by the measured value would favour high ones.
-        scale = s.c_r * max(float(factor), 1e-3)
-        low = known & ~fast & (s.measured_sd > MOST_SENSOR_SHARE * scale)
+    scale = s.c_r * max(float(factor), 1e-3)
+    sd = np.where(known, s.measured_sd, np.nan)
+    sd[known] = _expected_sd(s.measured[known], sd[known], scale[known])
+    low = known & ~fast & (sd > MOST_SENSOR_SHARE * scale)
     rows = known & ~fast & ~low
     way = s.way_m
     lost = LeftOut(*(float(way[each].sum()) for each in (~known, fast, low)))
-    return _evidence(s, rows, scale[rows], floor), lost
+    return _evidence(s, rows, sd[rows] / scale[rows], floor), lost
 
 
-def _evidence(s: DrivenStretches, rows: NDArray[np.bool_], scale: Floats, floor: float) -> DriveEvidence:
+def _expected_sd(measured: Floats, sd: Floats, scale: Floats) -> Floats:
+    """Return standard errors as if each stretch had measured what is expected of it, ``scale``; all (n,), rad/m.
+
+    Errors that grow with what was measured would otherwise give low readings more weight than high ones.
+    """
+    above = np.log(np.maximum(measured, _LEAST_SHARE * sd + _TINY) / scale)
+    terms = np.column_stack((np.ones(len(sd)), np.log(scale), above))
+    growth = np.linalg.lstsq(terms, np.log(sd + _TINY), rcond=None)[0][2] if len(sd) >= _LEAST_STRETCHES else 0.0
+    return np.asarray(sd * np.exp(-np.clip(growth, 0.0, 1.0) * above))
+
+
+def _evidence(s: DrivenStretches, rows: NDArray[np.bool_], relative: Floats, floor: float) -> DriveEvidence:
     c_r, place, sd, way = s.c_r[rows], np.nan_to_num(s.place_sd[rows]), s.measured_sd[rows], s.way_m[rows]
     without_floor = np.sqrt(np.maximum(c_r**2 - floor**2, (_LEAST_SHARE * c_r) ** 2))
     place_of = np.column_stack((s.easting[rows], s.northing[rows]))
     drive = s.drive[rows]
     return DriveEvidence(
         log_c_r=np.log(without_floor),
-        log_measured=np.log(np.maximum(s.measured[rows], np.maximum(_LEAST_SHARE * sd, 1e-9))),
-        own_variance=(sd / scale) ** 2 + (place / c_r) ** 2,
+        log_measured=np.log(np.maximum(s.measured[rows], _LEAST_SHARE * sd + _TINY)),
+        own_variance=relative**2 + (place / c_r) ** 2,
         map_sd=np.maximum(np.log(s.c_r_high[rows] / s.c_r_low[rows]) / _INTERVAL_SD, _LEAST_MAP_SD),
         square=_numbered(np.floor(place_of / SQUARE_M).astype(np.int64)),
         fold=_folds(drive, s.start_s[rows], way),

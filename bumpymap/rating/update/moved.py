@@ -21,6 +21,7 @@ __all__ = ["LogMove", "moved_calibration"]
 
 Floats = NDArray[np.float64]
 _DIGITS = 10
+_POINTS = 31
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +91,27 @@ def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str,
 
 def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
     old = Correction.from_record(record)
-    low, high = (np.log(move.sd(np.exp(sd), np.exp(x))) for sd, x in zip(old.spread, old.log_range, strict=True))
     new = replace(
         old,
         c_r=_moved_terms(old.c_r, move),
-        # The geometric C_r is about that of the drives: good enough for where on the line an end of the range lies.
-        spread=(_short(low), _short(high)),
+        spread=_moved_spread(old, move),
         noise_low=_each(old.noise_low, lambda value: value * move.slope),
         noise_middle=_each(old.noise_middle, lambda value: value * move.slope),
         noise_high=_each(old.noise_high, lambda value: value * move.slope),
     )
     return record | new.to_record()
+
+
+def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
+    """Return ln of the moved spread at both ends: the straight line nearest to it over the whole range.
+
+    Where on the range a C_r lies is told by the geometric C_r, which is near that of the drives.
+    """
+    log_g = np.linspace(*old.log_range, _POINTS)
+    own = np.exp(np.interp(log_g, old.log_range, old.spread))
+    wanted = np.log([move.sd(sd, np.exp(at)) for sd, at in zip(own.tolist(), log_g.tolist(), strict=True)])
+    slope, start = np.polyfit(np.linspace(0.0, 1.0, _POINTS), wanted, 1).tolist()
+    return _short(start), _short(start + slope)
 
 
 def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
