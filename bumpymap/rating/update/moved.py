@@ -103,7 +103,7 @@ def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
 
 
 def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
-    """Return ln of the moved spread at both ends: the straight line nearest to it over the whole range.
+    """Return ln of the moved spread at both ends: the straight line nearest to it, nowhere below the simulation's.
 
     Where on the range a C_r lies is told by the geometric C_r, which is near that of the drives.
     """
@@ -111,7 +111,9 @@ def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
     own = np.exp(np.interp(log_g, old.log_range, old.spread))
     wanted = np.log([move.sd(sd, np.exp(at)) for sd, at in zip(own.tolist(), log_g.tolist(), strict=True)])
     slope, start = np.polyfit(np.linspace(0.0, 1.0, _POINTS), wanted, 1).tolist()
-    return _short(start), _short(start + slope)
+    least = np.log(move.widening * move.slope)
+    low, high = (max(new, sd + least) for new, sd in zip((start, start + slope), old.spread, strict=True))
+    return _short(low), _short(high)
 
 
 def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
