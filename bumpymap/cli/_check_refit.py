@@ -137,6 +137,6 @@ def _words(update: "DriveUpdate") -> Iterator[str]:
     )
     if update.posterior.map_scale > _LEAST_WIDENING:
         yield (
-            f"The drives scatter {update.posterior.map_scale:.1f} times as much about the map as its intervals say; "
-            "those of the new calibration are wider by that"
+            f"Over the same ground the drives are off the map {update.posterior.map_scale:.1f} times as far as its "
+            "intervals say; those of the new calibration are wider by that"
         )

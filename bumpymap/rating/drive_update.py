@@ -137,8 +137,10 @@ def update_from_drives(
         sd=(settings.shift_sd, settings.tilt_sd),
         log_floor=math.log(floor) if floor else -math.inf,
     )
-    prior, after = _best_prior(evidence, plain, settings)
-    update = _described(calibration, evidence, lost, prior, (hold_out(evidence, plain, moved=False), after))
+    line_sd = fit_move(evidence, plain).line_sd
+    prior, after = _best_prior(evidence, plain, line_sd, settings)
+    before = hold_out(evidence, plain, line_sd, moved=False)
+    update = _described(calibration, evidence, lost, prior, (before, after))
     if not update.gain[0] > settings.least_gain * update.gain[1]:
         raise BadInputError(_agree(update))
     record = update.to_record()
@@ -149,13 +151,13 @@ def update_from_drives(
 
 
 def _best_prior(
-    evidence: DriveEvidence, plain: DrivePrior, settings: UpdateSettings
+    evidence: DriveEvidence, plain: DrivePrior, line_sd: float, settings: UpdateSettings
 ) -> tuple[DrivePrior, HeldOutScore]:
     """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one."""
     own = math.isfinite(plain.log_floor)
     centre, sd = (plain.log_floor, _FLOOR_LOG_SD[0]) if own else (math.log(_USUAL_FLOOR), _FLOOR_LOG_SD[1])
     floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
-    fixed, free = hold_out(evidence, plain), hold_out(evidence, floored)
+    fixed, free = hold_out(evidence, plain, line_sd), hold_out(evidence, floored, line_sd)
     gain, error = free.gain_over(fixed)
     return (floored, free) if gain > settings.least_gain * error else (plain, fixed)
 
@@ -217,7 +219,7 @@ def _rounded(found: MovePosterior) -> MovePosterior:
         np.round(found.mean, _DECIMALS),
         np.round(found.covariance, 2 * _DECIMALS),
         round(found.map_scale, _DECIMALS),
-        round(found.common_share, _DECIMALS),
+        round(found.line_sd, _DECIMALS),
     )
 
 

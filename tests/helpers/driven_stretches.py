@@ -8,8 +8,7 @@ STRETCH_M = 10.0
 
 
 def driven_stretches(calibration, n=50, *, shift=0.3, tilt=0.0, seed=0, **options):
-    """Drives along a line, ``n`` stretches; the map's error is ``map_sd`` (half of it common to 30 m), that of the
-    measurement ``sd``."""
+    """Drives along a line, ``n`` stretches; the map's error is ``map_sd`` (half of it common to 30 m)."""
     rng = np.random.default_rng(seed)
     middle = np.log(calibration.class_limits[1])
     log_c_r = middle - 0.5 + np.repeat(rng.normal(0, 0.6, n // 5 + 1), 5)[:n] + rng.normal(0, 0.2, n)

@@ -32,15 +32,25 @@ class HeldOutScore:
         return float(gain.sum()), float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
-def hold_out(evidence: DriveEvidence, prior: DrivePrior, *, moved: bool = True) -> HeldOutScore:
-    """Predict each part from the others; with ``moved=False`` by the calibration as it is."""
+def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True) -> HeldOutScore:
+    """Predict each part from the others.
+
+    Parameters
+    ----------
+    evidence : DriveEvidence
+    prior : DrivePrior
+    line_sd : float
+        Of `MovePosterior`: what is expected of errors.
+    moved : bool
+        False: by the calibration as it is.
+    """
     predicted = respond(prior.mean, evidence.log_c_r, prior)[0]
     for part in np.unique(evidence.fold) if moved else ():
         out = evidence.fold == part
         numbers = fit_move(evidence.chosen(~out), prior).mean
         predicted[out] = respond(numbers, evidence.log_c_r[out], prior)[0]
     left = evidence.log_measured - predicted
-    variance = TAIL_SCALE * (evidence.own_variance + evidence.map_sd**2)
+    variance = TAIL_SCALE * (evidence.own_variance + evidence.map_sd**2 + line_sd**2)
     score = -0.5 * (FREEDOM + 1.0) * np.log1p(left**2 / (FREEDOM * variance))
     parts = int(evidence.fold.max()) + 1
     by_part = np.asarray(np.bincount(evidence.fold, score, parts), np.float64)

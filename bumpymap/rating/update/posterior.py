@@ -1,11 +1,11 @@
 """Bayes' rule for a few numbers of a calibration: prior from simulation, likelihood from measured stretches.
 
 ln C_r of the vehicle = middle + shift + (1 + tilt) (ln C_r of the calibration - middle), and a floor in power. What a
-stretch is off by is its own (measurement, place, a part of the map's error) and common to its square of ground (the
-rest of the map's error). Own errors have the long tails of Student's distribution. How large the map's error is beside
-its interval, and which share of it is common, is not known: the answer is the mean over a grid of both, each weighted
-by how well it explains the drives (Laplace's approximation). All sums run over stretches and squares: no matrix is
-larger than the few numbers.
+stretch is off by is its own (measurement, place, and that a drive follows one line where the map tells the mean over
+many) or common to its square of ground (the map's error). Own errors have the long tails of Student's distribution.
+How much lines differ, and how large the map's error is beside its interval, is not known: the answer is the mean over a
+grid of both, each weighted by how well it explains the drives (Laplace's approximation). All sums run over stretches
+and squares: no matrix is larger than the few numbers.
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ TAIL_SCALE = 0.766
 """Its squared scale for errors of variance 1: where they are normal, the size that is found is theirs."""
 _SURENESS = 0.717
 """Fisher information of normal errors under these weights, over the sum of the weights."""
-_SCALES = np.array([0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
+_SCALES = np.array([0.25, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Grid of the map's error over what its interval says."""
 _SCALE_LOG_SD = 0.5
-_SHARES = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
-"""Grid of the share of the map's error (variance) that is common to a square of ground."""
+_LINES = np.array([0.0, 0.06, 0.1, 0.15, 0.22, 0.33, 0.5])
+"""Grid of the standard deviation of ln C_r between lines over the ground of a stretch."""
 _STEPS = 12
 
 
@@ -59,8 +59,8 @@ class MovePosterior:
     """(p, p)"""
     map_scale: float
     """The map's error over what its interval says."""
-    common_share: float
-    """Share of it (variance) that is common to a square of ground."""
+    line_sd: float
+    """Standard deviation of ln C_r between lines over the ground of a stretch."""
 
 
 def respond(numbers: Floats, log_c_r: Floats, prior: DrivePrior) -> tuple[Floats, Floats]:
@@ -84,8 +84,8 @@ def respond(numbers: Floats, log_c_r: Floats, prior: DrivePrior) -> tuple[Floats
 
 def fit_move(evidence: DriveEvidence, prior: DrivePrior) -> MovePosterior:
     """Return what prior and drives say together."""
-    grid = [(scale, share) for scale in _SCALES.tolist() for share in _SHARES.tolist()]
-    found = [_fit_at(evidence, prior, scale, share) for scale, share in grid]
+    grid = [(scale, line_sd) for scale in _SCALES.tolist() for line_sd in _LINES.tolist()]
+    found = [_fit_at(evidence, prior, scale, line_sd) for scale, line_sd in grid]
     log_weight = np.array([weight for _, _, weight in found])
     log_weight -= 0.5 * (np.log([scale for scale, _ in grid]) / _SCALE_LOG_SD) ** 2
     weight = np.exp(log_weight - log_weight.max())
@@ -95,14 +95,13 @@ def fit_move(evidence: DriveEvidence, prior: DrivePrior) -> MovePosterior:
     away = means - mean
     covariance = np.einsum("g,gij->ij", weight, np.array([each for _, each, _ in found]))
     covariance += np.einsum("g,gi,gj->ij", weight, away, away)
-    scale, share = weight @ np.array(grid)
-    return MovePosterior(mean, covariance, float(scale), float(share))
+    scale, line_sd = weight @ np.array(grid)
+    return MovePosterior(mean, covariance, float(scale), float(line_sd))
 
 
-def _fit_at(evidence: DriveEvidence, prior: DrivePrior, scale: float, share: float) -> tuple[Floats, Floats, float]:
-    """Return mean, covariance and log evidence at one size of the map's error and one common share of it."""
-    spread = (scale * evidence.map_sd) ** 2
-    own, common = TAIL_SCALE * (evidence.own_variance + (1.0 - share) * spread), np.sqrt(share * spread)
+def _fit_at(evidence: DriveEvidence, prior: DrivePrior, scale: float, line_sd: float) -> tuple[Floats, Floats, float]:
+    """Return mean, covariance and log evidence at one size of the map's error and of what lines differ."""
+    own, common = TAIL_SCALE * (evidence.own_variance + line_sd**2), scale * evidence.map_sd
     square = evidence.square
     sure = np.diag(1.0 / np.square(prior.sd))
     numbers, offset = prior.mean, np.zeros(int(square.max()) + 1)

@@ -9,24 +9,24 @@ MIDDLE = np.log(0.25)
 PRIOR = DrivePrior(MIDDLE, (0.2, 0.1), -np.inf)
 
 
-def evidence_of(rng, n=45, numbers=(0.2, 0.05), *, prior=PRIOR, scale=1.0, share=0.5):
+def evidence_of(rng, n=45, numbers=(0.2, 0.05), *, prior=PRIOR, scale=1.0, line_sd=0.1):
     """Stretches in squares of three; what the map is off by is ``scale`` times what it says."""
     square = np.arange(n) // 3
     log_c_r = MIDDLE - 0.3 + rng.normal(0, 0.7, n)
-    map_sd, sd = np.full(n, 0.12), np.full(n, 0.08)
-    off = np.sqrt(share) * rng.normal(size=n)[square] + np.sqrt(1 - share) * rng.normal(size=n)
-    measured = respond(np.array(numbers), log_c_r, prior)[0] + scale * map_sd * off + sd * rng.normal(size=n)
+    map_sd, sd = np.full(n, 0.1), np.full(n, 0.05)
+    off = scale * map_sd * rng.normal(size=n)[square] + np.hypot(sd, line_sd) * rng.normal(size=n)
+    measured = respond(np.array(numbers), log_c_r, prior)[0] + off
     whole = np.zeros(n, np.int64)
     return DriveEvidence(log_c_r, measured, sd**2, map_sd, square, whole, whole, np.full(n, 10.0), np.full(n, 10.0))
 
 
 @pytest.fixture
 def normal_errors(monkeypatch):
-    """Normal own errors, and a map's error whose size and common share are known."""
+    """Normal own errors, a map's error and a scatter of lines of known sizes."""
     for name, value in (("FREEDOM", 1e12), ("TAIL_SCALE", 1.0), ("_SURENESS", 1.0)):
         monkeypatch.setattr(posterior, name, value)
     monkeypatch.setattr(posterior, "_SCALES", np.array([1.3]))
-    monkeypatch.setattr(posterior, "_SHARES", np.array([0.4]))
+    monkeypatch.setattr(posterior, "_LINES", np.array([0.15]))
 
 
 @pytest.mark.usefixtures("normal_errors")
@@ -36,7 +36,7 @@ def test_normal_errors_give_the_textbook_answer():
     design = np.column_stack((np.ones(len(x)), x))
     spread = 1.3 * evidence.map_sd
     same = evidence.square[:, None] == evidence.square
-    errors = np.diag(evidence.own_variance + 0.6 * spread**2) + 0.4 * np.outer(spread, spread) * same
+    errors = np.diag(evidence.own_variance + 0.15**2) + np.outer(spread, spread) * same
     inverse = np.linalg.inv(errors)
     precision = design.T @ inverse @ design + np.diag(1 / np.square(PRIOR.sd))
     mean = np.linalg.solve(precision, design.T @ inverse @ (evidence.log_measured - evidence.log_c_r))
@@ -49,7 +49,7 @@ def test_normal_errors_give_the_textbook_answer():
 def test_one_stretch_moves_the_shift_by_its_share_of_the_variance():
     one = evidence_of(np.random.default_rng(1)).chosen(np.arange(45) == 7)
     prior = DrivePrior(float(one.log_c_r[0]), (0.2, 0.1), -np.inf)
-    variance = float(one.own_variance[0] + (1.3 * one.map_sd[0]) ** 2)
+    variance = float(one.own_variance[0] + 0.15**2 + (1.3 * one.map_sd[0]) ** 2)
     found = fit_move(one, prior)
     off = float(one.log_measured[0] - one.log_c_r[0])
     assert found.mean == pytest.approx([off * 0.04 / (0.04 + variance), 0.0])
@@ -69,22 +69,23 @@ def test_the_stated_uncertainty_holds(options, low, high):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_the_stated_uncertainty_holds_over_200_drives(share):
+@pytest.mark.parametrize("line_sd", [0.0, 0.1, 0.25])
+def test_the_stated_uncertainty_holds_over_200_drives(line_sd):
     inside = []
     for seed in range(200):
         rng = np.random.default_rng([seed, 6])
         numbers = rng.normal(0.0, PRIOR.sd)
-        found = fit_move(evidence_of(rng, numbers=numbers, share=share), PRIOR)
+        found = fit_move(evidence_of(rng, numbers=numbers, line_sd=line_sd), PRIOR)
         inside.append(np.abs(found.mean - numbers) < 1.2816 * np.sqrt(np.diag(found.covariance)))
     assert 0.76 < np.mean(inside) < 0.9
 
 
-def test_the_size_of_the_maps_error_is_found():
+def test_the_maps_error_and_the_scatter_of_lines_are_told_apart():
     rng = np.random.default_rng(3)
-    small, large = (fit_move(evidence_of(rng, 300, scale=scale), PRIOR).map_scale for scale in (0.6, 2.0))
-    assert small == pytest.approx(0.6, abs=0.25)
-    assert large == pytest.approx(2.0, rel=0.25)
+    for scale, line_sd in ((0.6, 0.1), (2.0, 0.05), (1.0, 0.25)):
+        found = fit_move(evidence_of(rng, 300, scale=scale, line_sd=line_sd), PRIOR)
+        assert found.map_scale == pytest.approx(scale, rel=0.3)
+        assert found.line_sd == pytest.approx(line_sd, abs=0.05)
 
 
 def test_wild_stretches_hardly_move_anything():
@@ -98,7 +99,7 @@ def test_wild_stretches_hardly_move_anything():
 
 def test_ground_driven_again_says_little_more():
     """Five passes over the same squares, each with its own measurement, where the map's error rules."""
-    once = evidence_of(np.random.default_rng(5), 30, share=1.0)
+    once = evidence_of(np.random.default_rng(5), 30, line_sd=0.0)
     once.own_variance[:] = 0.02**2
     rows = np.tile(np.arange(30), 5)
     again = once.chosen(rows)
