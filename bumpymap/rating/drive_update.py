@@ -52,11 +52,15 @@ class UpdateSettings:
     """Standard deviation of the shift of ln C_r before any drive."""
     tilt_sd: float = 0.1
     """The same of its tilt."""
+    speed_mps: float | None = None
+    """Speed that the map's C_r is for, m/s; None: that of the profile."""
     least_m: float = 200.0
     """Least length of driven ground, m; ground that was driven twice counts once."""
     least_stretches: int = 12
     least_gain: float = 1.28
-    """Least gain on drives that were left out, in its standard errors: by chance alone, one in ten has it."""
+    """Least gain on parts that were left out, in its standard errors: by chance alone, one in ten has it."""
+    least_floor_gain: float = 2.0
+    """The same for a floor that moves, over one that does not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +134,9 @@ def update_from_drives(
             f"drives together, those of then and those of now, against a map made with the calibration {before}"
         )
     floor = calibration.floor
-    evidence, lost = collect_evidence(stretches, float(calibration.vehicle["speed_mps"]), floor)
-    _require_enough(evidence, lost, settings)
+    speed = settings.speed_mps or float(calibration.vehicle["speed_mps"])
+    evidence, lost = collect_evidence(stretches, speed, floor)
+    _require_enough(evidence, lost, speed, settings)
     plain = DrivePrior(
         middle=math.log(calibration.class_limits[_MIDDLE_LIMIT]),
         sd=(settings.shift_sd, settings.tilt_sd),
@@ -159,22 +164,22 @@ def _best_prior(
     floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
     fixed, free = hold_out(evidence, plain, line_sd), hold_out(evidence, floored, line_sd)
     gain, error = free.gain_over(fixed)
-    return (floored, free) if gain > settings.least_gain * error else (plain, fixed)
+    return (floored, free) if gain > settings.least_floor_gain * error else (plain, fixed)
 
 
-def _require_enough(evidence: DriveEvidence, lost: LeftOut, settings: UpdateSettings) -> None:
+def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settings: UpdateSettings) -> None:
     number, new_m = len(evidence.way_m), float(evidence.new_m.sum())
     if number >= settings.least_stretches and new_m >= settings.least_m:
         return
     reasons = {
         "off the map": lost.off_map,
-        "at a speed unlike the profile's": lost.other_speed,
+        f"not near {speed:g} m/s, the speed of the map": lost.other_speed,
         "with less motion than the sensor tells": lost.below_sensor,
     }
     named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
     raise BadInputError(
         f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
-        f"{f' (not {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
+        f"{f' ({named} do not count)' if named else ''}. It takes at least {settings.least_m:.0f} m on "
         f"{settings.least_stretches} stretches; drive more, over smooth ground and rough, and give all drives together"
     )
 

@@ -99,7 +99,10 @@ def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
         noise_middle=_each(old.noise_middle, lambda value: value * move.slope),
         noise_high=_each(old.noise_high, lambda value: value * move.slope),
     )
-    return record | new.to_record()
+    moved = record | new.to_record()
+    if moved.get("model_error"):
+        moved["model_error"] = _short(move.widening * move.slope * moved["model_error"])
+    return moved
 
 
 def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
