@@ -173,7 +173,7 @@ def test_no_message_that_a_python_caller_can_see_names_an_option():
 
 
 def test_every_setting_in_backquotes_is_one():
-    known = set(MapConfig.__dataclass_fields__) | {"fit"}
+    known = set(MapConfig.__dataclass_fields__) | {"fit", "check"}
     known |= set(BatchConfig.__dataclass_fields__)
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
     known |= set(ScanConfig.__dataclass_fields__)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"blake3", "fsspec", "numpy", "onnxruntime", "pyproj"}),
-    "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pypcd4", "pyproj", "rosbags"}),
+    "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rosbags"}),
     "patches": ({"core"}, {"CSF", "numpy", "scipy"}),
     "rating": ({"core"}, {"numpy"}),
     "layers": (

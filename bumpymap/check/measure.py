@@ -27,7 +27,7 @@ SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 
 _UNSURE_OFFSET_S = 0.2
 _UNSURE_DRIFT = 5e-5
-_LEAST_WAY_M = 1.0
+_LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
 """Yaw rates are averaged over this: bumps turn a vehicle to and fro."""
 
@@ -76,17 +76,18 @@ def measure_drive(
     notes: list[str] = []
     imu = _usable_force(imu, notes)
     rates = _rates(log, imu, places, settings.band_hz)
-    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force)
+    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
-    speed = np.interp(imu.time, track.time, track.speed)
-    _refuse_parked(log, speed, imu.hertz)
+    _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
+    if mounting is not None:  # again, with gravity and driving told apart
+        start = replace(start, force=level_force(imu, mounting.rotation, mounting.upward), rough=False)
+        track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
+        mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
         notes.append("there is no accelerometer, so how the sensor is mounted cannot be told: no tilt is assumed")
     elif np.isnan(mounting.degrees[2]):
-        notes.append(
-            "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told"
-        )
+        notes.append("the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told")
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
     told = places is not None and rates.clock.sure and track.offset_sd_s < _UNSURE_OFFSET_S
@@ -94,7 +95,7 @@ def measure_drive(
         name=log.name,
         time=imu.time,
         pitch_rate=vehicle[:, 1],
-        speed=speed,
+        speed=np.interp(imu.time, track.time, track.speed),
         easting=np.interp(imu.time, track.time, track.easting),
         northing=np.interp(imu.time, track.time, track.northing),
         reason=_reasons(imu, vehicle, track, places, settings),
@@ -153,12 +154,12 @@ def _rough_speed(log: DriveLog, imu: EvenImu, places: MetrePlaces | None) -> tup
     return np.interp(imu.time, even, speed), min(error, 0.3)
 
 
-def _refuse_parked(log: DriveLog, speed: Floats, hertz: float) -> None:
-    way = float(np.abs(speed).sum() / hertz)
-    fast = float(np.abs(speed[np.abs(speed) > 0.1]).sum() / hertz)
-    if fast < _LEAST_WAY_M:
+def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
+    speed, step = np.abs(track.speed), track.time[1] - track.time[0]
+    if float(speed[speed > _PARKED_MPS].sum() * step) < _LEAST_WAY_M:
         raise BadInputError(
-            f"{log.name}: the vehicle moves {way:.1f} m in {len(speed) / hertz:.0f} s and never drives. Give a log of a drive"
+            f"{log.name}: the vehicle moves {speed.sum() * step:.1f} m in {len(speed) * step:.0f} s and never drives. "
+            "Give a log of a drive"
         )
 
 

@@ -52,9 +52,13 @@ class Mounting:
     """Roll, pitch and yaw, NaN where not told."""
     yaw_sd: float
     """Standard deviation of the yaw, degrees."""
+    upward: Floats
+    """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
 
-def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
+def find_mounting(
+    imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask
+) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
     Parameters
@@ -79,7 +83,7 @@ def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: Driven
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
     yaw_found = yaw_sd <= _MOST_YAW_SD
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
-    return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)))
+    return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)), upward)
 
 
 def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:
@@ -104,7 +108,9 @@ def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) ->
     return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
-def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
+def _yaw(
+    imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask
+) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
     felt = _band(level_force(imu, rotation, upward), imu.hertz)
     speeding = np.gradient(motion.speed) * imu.hertz

@@ -133,7 +133,7 @@ def low_pass(values: Floats, known: Mask, hertz: float, cutoff_hz: float) -> Flo
     sos = butter(_ORDER, min(cutoff_hz / (0.5 * hertz), 0.99), output="sos")
     pad = round(2.0 * hertz / cutoff_hz)
     for part in pieces(known):
-        out[part] = sosfiltfilt(sos, values[part], axis=0, padlen=min(pad, part.stop - part.start - 1))
+        out[part] = sosfiltfilt(sos, values[part], axis=0, padtype="even", padlen=min(pad, part.stop - part.start - 1))
     return out
 
 

@@ -23,9 +23,13 @@ Mask = NDArray[np.bool_]
 
 _KNOT_S = 0.25
 _MOST_KNOTS = 20_000
-_STEPS = 12
+_STEPS = 20
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
-"""Candidates of how fast the speed changes, m/s/sqrt(s)."""
+"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
+_FIRST_CHANGES = (0.06, 0.2)
+"""Candidates of a rough fit."""
+_FORCE_CHANGE = 0.01
+"""How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
 
 
@@ -38,6 +42,8 @@ class TrackStart:
     """What to add to the gyroscope's heading, rad."""
     force: NDArray[np.complex128] | None = None
     """(n,) acceleration along the sensor's levelled axes, x + i y, m/s2; None without an accelerometer."""
+    rough: bool = False
+    """Try few candidates only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +65,8 @@ class DrivenTrack:
     drift: float
     drift_sd: float
     scatter: Scatter
+    chosen: tuple[float, float]
+    """How fast the speed changes, and the error of the acceleration (0: it was not used)."""
     _factor: SuperLU
     """Of the normal equations."""
 
@@ -110,16 +118,28 @@ def fit_track(
     """
     knots = _knots(imu, heading, standing, wheels, start)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
-    best: tuple[float, TrackState, SuperLU] | None = None
-    state = _first(knots, places, start)
-    for change in _SPEED_CHANGES if places is not None else (_SPEED_CHANGES[-2],):
-        problem = TrackProblem(knots, places, scatter, change, start.offset_s)
-        state, factor, badness = _solve(problem, state)
-        if best is None or badness < best[0]:
-            best = badness, state, factor
-    if best is None:
-        raise AssertionError("there is at least one candidate")
-    return _track(knots, best[1], best[2], scatter)
+    first = _first(knots, places, start)
+    if places is None:
+        problem = TrackProblem(knots, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
+        return _track(problem, *_solve(problem, first)[:2])
+    return _track(*_best(knots, places, scatter, first, start))
+
+
+def _best(
+    knots: Knots, places: MetrePlaces, scatter: Scatter, first: TrackState, start: TrackStart
+) -> tuple[TrackProblem, TrackState, SuperLU]:
+    """Try how fast speed and errors change, and return the most probable."""
+    blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
+    felt = bool(np.isfinite(knots.gained).any())
+    speeds = _FIRST_CHANGES if start.rough else _SPEED_CHANGES
+    tries = [(own, speed, _FORCE_CHANGE) for own in ([knots] if felt else [blind]) for speed in speeds]
+    tries += [(blind, speed, _FORCE_CHANGE) for speed in speeds if felt and not start.rough]
+    found: list[tuple[float, TrackProblem, TrackState, SuperLU]] = []
+    for own, speed_change, force_change in tries:
+        problem = TrackProblem(own, places, scatter, speed_change, force_change, start.offset_s)
+        state, factor, badness = _solve(problem, first)
+        found.append((badness, problem, state, factor))
+    return min(found, key=lambda one: one[0])[1:]
 
 
 def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:
@@ -142,11 +162,7 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     gained = np.full(count - 1, np.nan + 0j)
     if start.force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
-        gained = np.where(
-            gap[1:] | gap[:-1],
-            np.nan,
-            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
-        )
+        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 
@@ -181,26 +197,32 @@ def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> Track
 
 def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperLU, float]:
     """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
-    factor, left, matrix = None, np.zeros(0), None
+    factor, before = None, 0.0
     for _ in range(_STEPS):
         matrix, left = problem.linear(state)
         factor = splu(
-            csc_array(matrix.T @ matrix), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            csc_array(matrix.T @ matrix),
+            permc_spec="NATURAL",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
         )
         step = factor.solve(matrix.T @ left)
-        state = replace(state, values=state.values - step)
+        shift = float(step[OFFSET - GLOBALS])
+        # the offset of the clocks enters the equations bent: where a step takes back the last one, it is halved
+        state = replace(state, values=state.values - (0.5 if shift * before < 0.0 else 1.0) * step)
+        before = shift
         moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))
-        if moved < 1e-3 and abs(step[OFFSET - GLOBALS]) < 1e-4:
+        if moved < 2e-3 and abs(shift) < 5e-4:
             break
     if factor is None:
         raise AssertionError("there is at least one step")
     _, left = problem.linear(state)
-    changes = len(problem.knots.time) - 1
     badness = float(left @ left) + float(np.log(np.abs(factor.U.diagonal())).sum())
-    return state, factor, badness + 2.0 * changes * np.log(problem.speed_change)
+    return state, factor, badness + 2.0 * problem.log_spread
 
 
-def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -> DrivenTrack:
+def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenTrack:
+    knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
     ends = np.zeros((len(state.values), 2))
@@ -214,8 +236,9 @@ def _track(knots: Knots, state: TrackState, factor: SuperLU, scatter: Scatter) -
         course=course,
         offset_s=float(state.whole[OFFSET]),
         offset_sd_s=float(spread[0]),
+        chosen=(problem.speed_change, problem.force_change if np.isfinite(knots.gained).any() else 0.0),
         drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),
-        scatter=scatter,
+        scatter=problem.scatter,
         _factor=factor,
     )

@@ -37,8 +37,8 @@ _CHANGE = 12.0
 _WEAK = (0.3, 1.0, 1.0, 0.5, 0.3, 1.0, 1e-4)
 """Standard deviations of what is assumed of the whole drive before any measurement."""
 _WEAK_SPEED, _WEAK_TURN = 5.0, 3.0
-_FORCE_MPS2, _FORCE_CHANGE = 0.15, 0.02
-"""Error of the acceleration along the vehicle (levelling, bias), and its change in a second."""
+_FORCE_MPS2 = 0.15
+"""Error of the acceleration along the vehicle at first: levelling, bias."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +98,8 @@ class TrackProblem:
     scatter: Scatter
     speed_change: float
     """The speed changes by this in a second, m/s/sqrt(s)."""
+    force_change: float
+    """The error of the acceleration changes by this in a second, m/s2/sqrt(s)."""
     offset_s: float
     """First estimate of the offset of the clocks, s."""
 
@@ -109,9 +111,13 @@ class TrackProblem:
         matrix = sparse.vstack([part for part, _ in rows], format="csr")
         return matrix, np.concatenate([left for _, left in rows])
 
-    def _matrix(
-        self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]
-    ) -> sparse.coo_array:
+    @property
+    def log_spread(self) -> float:
+        """Sum of the logarithms of those standard deviations that differ between candidates."""
+        faster = np.where(np.isfinite(self.knots.gained), 1.0, np.where(self.knots.changing, _CHANGE, 1.0))
+        return float(np.log(self.speed_change * self.force_change * faster).sum())
+
+    def _matrix(self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]) -> sparse.coo_array:
         row, col, value = (np.concatenate([entry[axis] for entry in entries]) for axis in range(3))
         return sparse.coo_array((value, (row, col)), shape=(count, STATES * len(self.knots.time) + GLOBALS))
 
@@ -129,7 +135,9 @@ class TrackProblem:
             entries += [(row, STATES * (number + 1) + axis, one), (row, STATES * number + axis, -one)]
             entries += [(row, STATES * (number + side) + 2, -0.5 * way * one) for side in (0, 1)]
             entries += [(row, STATES * (number + side) + 3, -0.5 * mean * across * one) for side in (0, 1)]
-        left = np.concatenate([(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one])
+        left = np.concatenate(
+            [(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one]
+        )
         return self._matrix(2 * (k - 1), entries), left
 
     def _smooth(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
@@ -146,7 +154,7 @@ class TrackProblem:
             3: (_TURN_RAD * np.sqrt(step) * faster, 1.0),
             4: (wander, keep),
             5: (wander, keep),
-            6: (_FORCE_CHANGE * np.sqrt(step) * one, 1.0),
+            6: (self.force_change * np.sqrt(step) * one, 1.0),
         }
         entries, left = [], []
         for place, (part, (sd, factor)) in enumerate(spreads.items()):
@@ -190,9 +198,7 @@ class TrackProblem:
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
         if self.places is None:  # nothing else says where
-            col, sd, guess = (
-                np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess))
-            )
+            col, sd, guess = (np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess)))
         left = (state.values[col] - guess) / sd
         return self._matrix(len(col), [(np.arange(len(col)), col, 1.0 / sd)]), left
 
@@ -201,9 +207,7 @@ class TrackProblem:
         k, step, first = state.count, self.knots.step_s, self.knots.time[0]
         since = places.time - 0.5 * (first + self.knots.time[-1])
         at = places.time + state.whole[OFFSET] + state.whole[DRIFT] * since
-        exact = np.clip((at - first) / step, 0.0, k - 1.000001)
-        knot = exact.astype(np.int64)
-        share = exact - knot
+        (knot, share), (own_knot, own_share) = self._between(at), self._between(places.time + self.offset_s)
         inside = ((at >= first) & (at <= self.knots.time[-1])) / self.scatter.white_m
         ahead = np.exp(1j * np.interp(at, self.knots.time, self.knots.heading + state.part(3)))
         antenna = ahead * (state.whole[AHEAD] + 1j * state.whole[LEFT])
@@ -213,15 +217,20 @@ class TrackProblem:
             zip(*((part.real, part.imag) for part in (places.place, antenna, ahead, 1j * ahead)), strict=True)
         ):
             value, error = state.part(axis), state.part(4 + axis)
-            both = value + error
-            miss = (1 - share) * both[knot] + share * both[knot + 1] + arm - measured
+            seen = (1 - own_share) * error[own_knot] + own_share * error[own_knot + 1]
+            miss = (1 - share) * value[knot] + share * value[knot + 1] + seen + arm - measured
             weight = inside * np.sqrt(np.minimum(1.0, 3.0 / np.maximum(np.abs(miss) * inside, 1e-9)))
             row = number + axis * len(at)
-            for part in (axis, 4 + axis):
-                entries += [(row, STATES * knot + part, (1 - share) * weight)]
-                entries += [(row, STATES * (knot + 1) + part, share * weight)]
+            for part, here, next_ in ((axis, knot, share), (4 + axis, own_knot, own_share)):
+                entries += [(row, STATES * here + part, (1 - next_) * weight)]
+                entries += [(row, STATES * (here + 1) + part, next_ * weight)]
             speed = (value[knot + 1] - value[knot]) / step
             whole_drive = ((AHEAD, along), (LEFT, across), (OFFSET, speed), (DRIFT, speed * since))
             entries += [(row, np.full(len(at), whole + name), slope * weight) for name, slope in whole_drive]
             left.append(miss * weight)
         return self._matrix(2 * len(at), entries), np.concatenate(left)
+
+    def _between(self, at: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Return the knot before each time, and how far it is to the next one, 0..1."""
+        exact = np.clip((at - self.knots.time[0]) / self.knots.step_s, 0.0, len(self.knots.time) - 1.000001)
+        return exact.astype(np.int64), exact - exact.astype(np.int64)

@@ -18,6 +18,7 @@ __all__ = ["command"]
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
 @click.option("--out", type=PATH, metavar="FILE", help="File to write [default: LAYERS/report.html].")
 @click.option("--route", type=PATH, metavar="DIR", help="Draw the ways that `bumpymap route` wrote there.")
+@click.option("--check", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there.")
 @click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
 @output_options("Print nothing.")
 def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
@@ -27,6 +28,7 @@ def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: A
 
     \b
     bumpymap report layers --route way
+    bumpymap report layers --check checked
     bumpymap report may_layers june_layers --out may_and_june.html
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)

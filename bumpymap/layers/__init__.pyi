@@ -31,11 +31,32 @@ from .change_pair import (
     SurveyTiles as SurveyTiles,
     open_pair as open_pair,
 )
+from .check.folder import (
+    write_check as write_check,
+)
+from .check.ground import (
+    CheckGround as CheckGround,
+)
+from .check.names import (
+    CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
+    CHECK_NAMES as CHECK_NAMES,
+    CHECK_VIEW_NAMES as CHECK_VIEW_NAMES,
+    check_check_out as check_check_out,
+)
+from .check.record import (
+    read_check as read_check,
+)
+from .check.words import (
+    check_headline as check_headline,
+    check_verdict as check_verdict,
+    level_words as level_words,
+)
 from .colours import (
     BARRED_COLOURS as BARRED_COLOURS,
     CHANGE_COLOURS as CHANGE_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
     OBJECT_COLOURS as OBJECT_COLOURS,
+    OFF_COLOURS as OFF_COLOURS,
     REASON_COLOURS as REASON_COLOURS,
 )
 from .completed_run import (

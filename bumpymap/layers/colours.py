@@ -8,6 +8,7 @@ __all__ = [
     "CLASS_COLOURS",
     "COST_COLOURS",
     "OBJECT_COLOURS",
+    "OFF_COLOURS",
     "REASON_COLOURS",
     "UNKNOWN_OBJECT",
 ]
@@ -66,3 +67,15 @@ COST_COLOURS: dict[float, tuple[int, int, int, int]] = {
     16.0: (59, 15, 112, 255),
 }
 """Red, green, blue, alpha of costs (factor on distance), from pale (as good as level road) to dark."""
+OFF_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    0: (90, 15, 110, 255),
+    1: (153, 86, 176, 255),
+    2: (205, 170, 216, 255),
+    3: (250, 250, 250, 255),
+    4: (158, 214, 152, 255),
+    5: (62, 155, 76, 255),
+    6: (0, 84, 40, 255),
+    7: (160, 160, 160, 255),
+}
+"""Red, green, blue, alpha of how far a map is off a drive: purple where it reads too low, green where too high; neither
+is a colour of a class, and colour-blind readers tell them apart."""

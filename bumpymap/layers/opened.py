@@ -230,6 +230,7 @@ class Layers:
         out: str | os.PathLike[str] | None = None,
         *,
         route: str | os.PathLike[str] | None = None,
+        check: str | os.PathLike[str] | None = None,
         overwrite: bool = False,
     ) -> Path:
         """Write the page of this map, as ``bumpymap report`` does.
@@ -240,6 +241,8 @@ class Layers:
             The file; default is report.html in the folder of the layers.
         route : path, optional
             A folder that ``bumpymap route`` wrote: its ways are drawn.
+        check : path, optional
+            A folder that ``bumpymap check`` wrote for this map: its drives are shown.
         overwrite : bool
             Replace ``out`` if it exists.
 
@@ -255,7 +258,7 @@ class Layers:
         """
         from bumpymap.layers.report.write import write_reports
 
-        return write_reports([self.folder], out, route=route, overwrite=overwrite)
+        return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))

@@ -10,6 +10,12 @@ from .detect import (
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
+from .drives.choice import (
+    parse_columns as parse_columns,
+)
+from .drives.read import (
+    read_drive as read_drive,
+)
 from .find import (
     find_surveys as find_surveys,
 )

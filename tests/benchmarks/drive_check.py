@@ -3,8 +3,8 @@
 python tests/benchmarks/drive_check.py --work FOLDER --layers LAYERS [--sets good cheap] [--only NAME]
 
 LAYERS are those of godie_espacio.laz at default settings. The drives are made in DART once and kept in FOLDER: over
-that map and over a site of the terrain library. Their sensors are simulated with the faults of `_sensor_sets.py`, and what
-was measured is compared with what was put in: C_r of every stretch of 10 m, clock offset, mounting, floor. With
+that map and over a site of the terrain library. Their sensors are simulated with the faults of `_sensor_sets.py`, and
+what was measured is compared with what was put in: C_r of every stretch of 10 m, clock offset, mounting, floor. With
 --stiffness and --damping the vehicle is another than its profile says; --sets without a name makes the drives alone.
 """
 

@@ -62,6 +62,7 @@ def test_the_page_of_a_comparison_is_made_again(layers, tmp_path):
         (["may", "june", "may", "--out", "a.html"], 2, "3 folders"),
         (["may", "--out", "a.json"], 2, "ends in .html"),
         (["may", "--route", "june"], 3, "--route"),
+        (["may", "--check", "june"], 3, "Give the folder that `bumpymap check` wrote, as --check"),
         (["nothing"], 3, "there is no folder"),
     ],
 )

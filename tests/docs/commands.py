@@ -178,6 +178,24 @@ def _drive(folder: Path) -> None:
     packed = head.encode() + np.ascontiguousarray(points).tobytes()
     (folder / "frame.pcd").write_bytes(packed)
     _bag(folder)
+    _drive_log(folder)
+
+
+def _drive_log(folder: Path) -> None:
+    """Write the log of a robot that drives over the sample survey: one CSV, positions in every tenth row."""
+    sys.path.append(str(ROOT / "tests" / "check"))
+    from made_drives import MadeDrive, log_of
+
+    log, _, _ = log_of(MadeDrive(seconds=115.0, turning=0.5, noise=1e-3, place_white=0.02, mount_deg=(1.0, -2.0, 1.0)))
+    lon, lat = pyproj.Transformer.from_crs("EPSG:32632", "OGC:CRS84", always_xy=True).transform(
+        512_352.0 + log.places.x, 5_403_239.0 + log.places.y
+    )
+    rows = [[*row, "", ""] for row in np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration]).tolist()]
+    for at, *place in zip(np.searchsorted(log.imu.time, log.places.time).tolist(), lon, lat, strict=True):
+        rows[at][7:] = place
+    head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2],lon,lat"
+    lines = [",".join(f"{value:.9f}" if value != "" else "" for value in row) for row in rows]
+    (folder / "drive.csv").write_text("\n".join([head, *lines]) + "\n")
 
 
 def _bag(folder: Path) -> None:

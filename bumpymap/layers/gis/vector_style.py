@@ -1,6 +1,6 @@
-"""How QGIS draws regions and tiles: filled by class; what is unknown or not passable is hatched."""
+"""How QGIS draws regions and tiles, filled by class, what is unknown or not passable hatched; and points."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
@@ -9,7 +9,7 @@ from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.gis.raster_style import NORMAL, Colour
 from bumpymap.layers.gis.xml_file import add
 
-__all__ = ["REGION_KIND", "TILE_KIND", "AreaLook", "areas_by_kind", "class_areas"]
+__all__ = ["REGION_KIND", "TILE_KIND", "AreaLook", "areas_by_kind", "class_areas", "points_by_kind"]
 
 AreaLook: TypeAlias = tuple[str, str, Colour, str]
 """Value, label, colour and pattern of a category."""
@@ -52,12 +52,25 @@ def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[E
 
 def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> list[ET.Element]:
     """Return what stands for areas in a style file: one look for each value of an attribute or expression ``kind``."""
+    symbols = [_fill(number, colour, pattern) for number, (_, _, colour, pattern) in enumerate(looks)]
+    return _by_kind(kind, [(value, label) for value, label, _, _ in looks], symbols, blend)
+
+
+def points_by_kind(kind: str, looks: Sequence[tuple[str, str, Colour]]) -> list[ET.Element]:
+    """Return what stands for points in a style file: value, label and colour for each value of ``kind``."""
+    symbols = [_disc(number, colour) for number, (_, _, colour) in enumerate(looks)]
+    return _by_kind(kind, [(value, label) for value, label, _ in looks], symbols, NORMAL)
+
+
+def _by_kind(
+    kind: str, entries: Sequence[tuple[str, str]], symbols: Sequence[ET.Element], blend: int
+) -> list[ET.Element]:
     renderer = ET.Element("renderer-v2", {"type": "categorizedSymbol", "attr": kind, "symbollevels": "0"})
-    categories, symbols = add(renderer, "categories"), add(renderer, "symbols")
-    for number, (value, label, colour, pattern) in enumerate(looks):
+    categories = add(renderer, "categories")
+    add(renderer, "symbols").extend(symbols)
+    for number, (value, label) in enumerate(entries):
         entry = {"value": value, "label": label, "symbol": str(number), "render": "true"}
         add(categories, "category", entry)
-        symbols.append(_fill(number, colour, pattern))
     found = [renderer]
     for tag, text in (("blendMode", str(blend)), ("featureBlendMode", str(NORMAL)), ("layerOpacity", "1")):
         element = ET.Element(tag)
@@ -68,9 +81,6 @@ def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> 
 
 def _fill(number: int, colour: Colour, pattern: str) -> ET.Element:
     """Return a filled symbol. Its outline has its colour: without one, hairlines shine through between areas."""
-    symbol = ET.Element("symbol", {"type": "fill", "name": str(number), "alpha": "1", "clip_to_extent": "1"})
-    layer = add(symbol, "layer", {"class": "SimpleFill", "enabled": "1", "pass": "0", "locked": "0"})
-    options = add(layer, "Option", {"type": "Map"})
     text = ",".join(map(str, colour))
     properties = {
         "color": text,
@@ -81,6 +91,28 @@ def _fill(number: int, colour: Colour, pattern: str) -> ET.Element:
         "outline_width_unit": "MM",
         "joinstyle": "miter",
     }
+    return _symbol(number, "fill", "SimpleFill", properties)
+
+
+def _disc(number: int, colour: Colour) -> ET.Element:
+    """Return a disc with a dark outline, so that a pale one is seen too."""
+    properties = {
+        "name": "circle",
+        "color": ",".join(map(str, colour)),
+        "outline_color": "35,35,35,255",
+        "outline_style": "solid",
+        "outline_width": "0.3",
+        "outline_width_unit": "MM",
+        "size": "3",
+        "size_unit": "MM",
+    }
+    return _symbol(number, "marker", "SimpleMarker", properties)
+
+
+def _symbol(number: int, kind: str, layer_class: str, properties: Mapping[str, str]) -> ET.Element:
+    symbol = ET.Element("symbol", {"type": kind, "name": str(number), "alpha": "1", "clip_to_extent": "1"})
+    layer = add(symbol, "layer", {"class": layer_class, "enabled": "1", "pass": "0", "locked": "0"})
+    options = add(layer, "Option", {"type": "Map"})
     for name, value in properties.items():
         add(options, "Option", {"type": "QString", "name": name, "value": value})
     return symbol

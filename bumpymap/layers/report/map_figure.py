@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, NO_CLASS, OBSTACLE, Barred
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS
+from bumpymap.layers.check.offset import OFF_KINDS
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS
 from bumpymap.layers.report.charts import swatch
 from bumpymap.layers.report.codes import NOT_KNOWN, ByteGrid
 from bumpymap.layers.report.markup import Html, join, raw, tag
@@ -44,6 +45,7 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
         *_OVERLAYS,
         ("objects", "Obstacles and canopy", dense < _DENSE),
         *([("ways", "Way", True)] if site.ways else []),
+        *([("stretches", "Real drives", True)] if site.check is not None else []),
     ]
     boxes = [
         tag("label", tag("input", type="checkbox", value=key, checked=checked), f" {name}")
@@ -57,7 +59,7 @@ def map_figure(site: Site, index: int, letter: str) -> Html:
         tag("figcaption", tag("strong", title)) if letter else "",
         controls_of(radios, boxes),
         stage_of(title, site.still, "roughness classes over shaded relief", index),
-        tag("div", *legends, _overlay_legend(site), class_="legends"),
+        tag("div", *legends, _overlay_legend(site), _drive_legend(site), class_="legends"),
         tag("p", _notes(site), class_="note"),
         class_="map",
         data_map=str(index),
@@ -169,6 +171,14 @@ def _overlay_legend(site: Site) -> Html:
     if site.ways:
         items.append(tag("li", swatch((214, 0, 147)), " way"))
     return tag("ul", *items, class_="legend also")
+
+
+def _drive_legend(site: Site) -> Html:
+    if site.check is None:
+        return Html()
+    items = [tag("li", swatch(OFF_COLOURS[code]), f" {name}") for code, name in enumerate(OFF_KINDS)]
+    items.append(tag("li", "large marks: errors do not explain the difference"))
+    return tag("ul", tag("li", tag("strong", "Real drives:")), *items, class_="legend also")
 
 
 def _notes(site: Site) -> Html:

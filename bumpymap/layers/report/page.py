@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, Barred, Reason
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS
 from bumpymap.layers.report.document import document
 from bumpymap.layers.report.map_figure import RAMP, map_figure
 from bumpymap.layers.report.markup import Html, join, tag
 from bumpymap.layers.report.sections import (
+    drive_section,
     ground_section,
     lettered,
     limit_section,
@@ -46,6 +47,7 @@ def render(sites: Sequence[Site]) -> str:
             *_to_sheets(sites),
             aria_labelledby="map",
         ),
+        drive_section(sites),
         way_section(sites),
         ground_section(sites),
         sheet_section(sites),
@@ -102,5 +104,6 @@ def _codes() -> dict[str, object]:
         "classColours": [CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))],
         "barredColours": [BARRED_COLOURS[code] for code in Barred],
         "objectColours": [OBJECT_COLOURS[code] for code in range(len(OBJECT_NAMES))],
+        "offColours": [OFF_COLOURS[code] for code in range(len(OFF_COLOURS))],
         "ramp": RAMP,
     }

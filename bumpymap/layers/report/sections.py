@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
+from bumpymap.layers.report.drive_section import drive_figures
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.sheet_table import sheet_table
@@ -20,6 +21,7 @@ from bumpymap.layers.report.words import (
 )
 
 __all__ = [
+    "drive_section",
     "ground_section",
     "lettered",
     "limit_section",
@@ -84,6 +86,16 @@ def way_section(sites: Sequence[Site]) -> Html:
     """Return the figures of ways; empty if there are none."""
     ways = [way for site in sites for way in site.ways]
     return _section("The way", "way", _way_table(ways)) if ways else Html()
+
+
+def drive_section(sites: Sequence[Site]) -> Html:
+    """Return what real drives show of the maps; empty if none was checked."""
+    checked = [(letter, site.name, site.check) for letter, site in lettered(sites) if site.check is not None]
+    parts = [
+        tag("div", tag("h3", f"{letter}: {name}") if letter else "", drive_figures(check, letter or "map"))
+        for letter, name, check in checked
+    ]
+    return _section("Against real drives", "drives", *parts) if parts else Html()
 
 
 def limit_section(sites: Sequence[Site]) -> Html:

@@ -12,6 +12,7 @@ from PIL import Image
 from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.report.codes import ByteGrid, packed
+from bumpymap.layers.report.drives import DrawnCheck
 from bumpymap.layers.report.ground import jpeg, object_grid, read_heights, shade, tile_heights
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
 from bumpymap.layers.report.ways import DrawnWay
@@ -55,6 +56,8 @@ class Site:
     ways: tuple[DrawnWay, ...] = ()
     has_links: bool = True
     """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
+    check: DrawnCheck | None = None
+    """What real drives show of the map."""
 
     @classmethod
     def read(
@@ -65,6 +68,7 @@ class Site:
         maps: int = 1,
         *,
         has_links: bool = True,
+        check: DrawnCheck | None = None,
     ) -> Self:
         """Read a folder of layers.
 
@@ -80,6 +84,8 @@ class Site:
             Maps that share the page.
         has_links : bool
             Whether the page lies beside the layers.
+        check : DrawnCheck, optional
+            What real drives show of the map.
 
         Raises
         ------
@@ -114,7 +120,8 @@ class Site:
                 break
             side //= 2
         still = _still(tiles, light)
-        return cls(plain_name(record), record, summary, tiles, grids, objects, text, relief, still, ways, has_links)
+        shown = (tiles, grids, objects, text, relief, still)
+        return cls(plain_name(record), record, summary, *shown, ways, has_links, check)
 
     @property
     def vehicle(self) -> str:
@@ -159,6 +166,7 @@ class Site:
             "grids": [grid.record() for grid in self.grids],
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
             "relief": self.relief,
+            "stretches": [] if self.check is None else self.check.places(),
             "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
         }
 

@@ -10,6 +10,7 @@ from bumpymap.core import BadInputError, OutputError, UsageError, atomic, utf8_p
 from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.products import REPORT_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
+from bumpymap.layers.report.drives import DrawnCheck, read_drawn_check
 from bumpymap.layers.report.page import render
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.ways import read_ways
@@ -46,6 +47,7 @@ def write_reports(
     out: str | os.PathLike[str] | None = None,
     *,
     route: str | os.PathLike[str] | None = None,
+    check: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the page of one map or one comparison again, or one page that shows two maps side by side.
@@ -58,6 +60,8 @@ def write_reports(
         The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
     route : path, optional
         A folder that `bumpymap route` wrote: its ways are drawn.
+    check : path, optional
+        A folder that `bumpymap check` wrote for one of the maps: its drives are drawn, with what they say of the map.
     overwrite : bool
         Replace ``out`` if it exists.
 
@@ -70,9 +74,10 @@ def write_reports(
     ------
     UsageError
         No layers or more than two, two without ``out``, or ``out`` is not named like a page; a comparison beside
-        another folder or with ``route``.
+        another folder, with ``route`` or with ``check``.
     BadInputError
-        A folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
+        A folder holds no complete layers, or they cannot be read, ``route`` holds no way, or ``check`` is not that of
+        one of the maps.
     OutputError
         The page cannot be written, or exists.
     """
@@ -83,16 +88,18 @@ def write_reports(
         raise UsageError("a page that compares two maps belongs to neither folder: name the file with `out`")
     path = folders[0] / REPORT_NAME if out is None else Path(out)
     if any(map(is_comparison, folders)):
-        return _write_comparison(folders, path, route=route, replace=overwrite or out is None)
+        asked = [name for name, given in (("route", route), ("check", check)) if given is not None]
+        return _write_comparison(folders, path, asked, replace=overwrite or out is None)
     records = [read_manifest(folder) for folder in folders]
     _check(path, replace=overwrite or out is None)
     sites = []
+    checks = _checks(check, folders, records)
     try:
-        for folder, record in zip(folders, records, strict=True):
+        for folder, record, drives in zip(folders, records, checks, strict=True):
             ways = () if route is None else read_ways(Path(route), record)
             with utf8_path(folder) as readable:
                 beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
-                sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside))
+                sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside, check=drives))
         _write(sites, path)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         named = " or ".join(str(folder / MANIFEST_NAME) for folder in folders)
@@ -112,14 +119,31 @@ def _check(path: Path, *, replace: bool) -> None:
         raise OutputError(f"{path} exists. Choose another `out`, or pass `overwrite=True` to replace it")
 
 
-def _write_comparison(
-    folders: Sequence[Path], path: Path, *, route: str | os.PathLike[str] | None, replace: bool
-) -> Path:
+def _checks(
+    check: str | os.PathLike[str] | None, folders: Sequence[Path], records: Sequence[Mapping[str, Any]]
+) -> list[DrawnCheck | None]:
+    """Return the drives over each map; of two maps, those of a check are of one at least."""
+    if check is None:
+        return [None] * len(folders)
+    found: list[DrawnCheck | None] = []
+    refused: list[BadInputError] = []
+    for folder, record in zip(folders, records, strict=True):
+        try:
+            found.append(read_drawn_check(Path(check), record, folder))
+        except BadInputError as error:
+            found.append(None)
+            refused.append(error)
+    if len(refused) == len(folders):
+        raise refused[0]
+    return found
+
+
+def _write_comparison(folders: Sequence[Path], path: Path, asked: Sequence[str], *, replace: bool) -> Path:
     if len(folders) > 1:
         found = next(folder for folder in folders if is_comparison(folder))
         raise UsageError(f"{found} holds a comparison of two surveys, which has a page of its own: give it alone")
-    if route is not None:
-        raise UsageError("`route` is drawn on the page of a map; this folder holds a comparison of two surveys")
+    if asked:
+        raise UsageError(f"`{asked[0]}` is drawn on the page of a map; this folder holds a comparison of two surveys")
     (folder,) = folders
     record = read_comparison(folder)
     _check(path, replace=replace)

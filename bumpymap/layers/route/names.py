@@ -11,6 +11,7 @@ from bumpymap.core import OutputError, UsageError
 from bumpymap.layers._replacing import refuse_present, require_folder
 
 __all__ = [
+    "OTHER_FILES",
     "REACH_KINDS",
     "ROUTE_KINDS",
     "ROUTE_MANIFEST_NAME",
@@ -32,7 +33,7 @@ REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """What a single file is, by its suffix."""
 ROUTE_NAMES = (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME)
 """Every file that a run may leave in its folder."""
-_OTHER_FILES = frozenset(
+OTHER_FILES = frozenset(
     {
         *(".csv", ".fgb", ".geojson", ".gpkg", ".gpx", ".html", ".jpeg", ".jpg", ".json", ".kml", ".kmz", ".parquet"),
         *(".pdf", ".plan", ".png", ".shp", ".svg", ".tif", ".tiff", ".txt", ".xlsx"),
@@ -82,7 +83,7 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> None:
         if lexists(out) and not overwrite:
             raise OutputError(f"{out} exists. Choose another `out`, or pass `overwrite=True` to replace it")
         return
-    if suffix in _OTHER_FILES and not out.is_dir():
+    if suffix in OTHER_FILES and not out.is_dir():
         raise UsageError(
             f"{out} is named like a {suffix} file, which is not written here. Give a folder as `out`, or a file that "
             f"ends in {', '.join(kinds)}"

@@ -11,7 +11,7 @@ from PIL import Image
 from bumpymap.core import Route, RouteFigures, atomic
 from bumpymap.layers.ride_scale import RideScale
 from bumpymap.layers.route._chart import FAINT, INK, draw_profile
-from bumpymap.layers.route._pen import Colour, Pen, bar_length, ticks
+from bumpymap.layers.route._pen import Colour, Pen, ticks
 from bumpymap.layers.route._relief import (
     BARRED_SHADE,
     HATCH,
@@ -21,6 +21,7 @@ from bumpymap.layers.route._relief import (
     hatched,
     paint_ground,
 )
+from bumpymap.layers.route.frame import draw_north, draw_scale
 from bumpymap.layers.route.geojson import stop_roles
 from bumpymap.layers.route.source import MapSource
 
@@ -95,8 +96,8 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
         _draw_way(pen, view.pixels(route.line) + corner, _colour(number))
     for route in reversed(routes):
         _draw_stops(pen, view.pixels(route.stops) + corner)
-    _draw_scale(pen, view)
-    _draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
+    draw_scale(pen, view, _EDGE, _TITLE)
+    draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
     pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
     _draw_legend(pen, routes, scale)
     top = _TITLE + view.height + 40
@@ -145,26 +146,6 @@ def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1)
     pen.disc(place, 13, fill, ink)
     label = str(number) if role == "via" else role[0].upper()
     pen.text(place, label, ink, size=15, anchor="mm")
-
-
-def _draw_scale(pen: Pen, view: MapView) -> None:
-    """Draw the scale bar at the lower left: a round length, a fifth of the panel at most."""
-    metres = bar_length(view.width * view.metres / 5)
-    length, left, bottom = metres / view.metres, _EDGE + 20.0, _TITLE + view.height - 22.0
-    pen.rectangle((left - 10, bottom - 34, left + length + 10, bottom + 12), _WHITE, FAINT)
-    for part, fill in ((0, INK), (1, _WHITE)):
-        start = left + part * length / 2
-        pen.rectangle((start, bottom - 6, start + length / 2, bottom + 2), fill, INK)
-    text = f"{metres:g} m" if metres < 1000 else f"{metres / 1000:g} km"
-    pen.text((left + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
-
-
-def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
-    """Draw an arrow to the north of the grid, which is up."""
-    x, y = place
-    pen.disc((x, y), 27, _WHITE, FAINT)
-    pen.polygon([(x, y - 22), (x + 9, y + 6), (x, y), (x - 9, y + 6)], INK)
-    pen.text((x, y + 15), "N", INK, size=15, anchor="mm")
 
 
 def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:

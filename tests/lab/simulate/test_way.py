@@ -12,7 +12,7 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.guide import GuideLine
 from bumpymap.lab.simulate.model import Pose
 from bumpymap.lab.simulate.relief import ReliefGround
-from bumpymap.lab.simulate.way import WayDrive, drive_way, follow_guide
+from bumpymap.lab.simulate.way import Stop, WayDrive, drive_way, follow_guide
 from bumpymap.rating.vehicle.profile import load_profile
 
 PROFILE = load_profile("warthog")
@@ -59,6 +59,16 @@ def test_a_way_with_corners_is_driven_to_its_end():
     assert made.pitched_rad == pytest.approx(0.2 * (made.seconds - 0.4), rel=0.01)
     assert 0 < made.turning_m < 6
     assert made.turning_rad > 0.2 * made.turning_m
+
+
+def test_it_stands_at_its_stops_and_then_drives_on():
+    stops = (Stop(3.0, 2.0), Stop(9.0, 12.0))
+    made = follow_guide(RollingVehicle(), GUIDE, PROFILE, 3.0, SETTINGS, stops)
+    plain = follow()
+    assert made.outcome == "completed"
+    # Braking and speeding up again take 0.1 s each beyond the drive without stops.
+    assert made.seconds - plain.seconds == pytest.approx(2.0 + 12.0 + 2 * 0.2, abs=0.25)
+    assert made.path_m == pytest.approx(plain.path_m, rel=0.01)
 
 
 def test_pitch_and_path_are_summed_by_tile():

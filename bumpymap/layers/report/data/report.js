@@ -331,7 +331,17 @@
         const object = this.objects && this.objectAt(right, down);
         if (object === 1 || object === 2) words.push(codes.objects[object]);
       }
+      const stretch = this.shows("stretches") && this.stretchAt(right, down);
+      if (stretch) words.push(stretch.text);
       this.readout.textContent = words.join(" · ");
+    }
+
+    /** The stretch of a drive whose mark lies there, the nearest one. */
+    stretchAt(right, down) {
+      const { about } = this;
+      const far = ({ east, north }) => Math.hypot(east - about.west - right, about.north - north - down) * this.scale;
+      const near = about.stretches.filter((stretch) => far(stretch) < 12);
+      return near.length ? near.reduce((one, other) => (far(other) < far(one) ? other : one)) : undefined;
     }
 
     objectAt(right, down) {
@@ -370,6 +380,7 @@
       if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
       if (this.shows("ways")) this.drawWays(left, top);
+      if (this.shows("stretches")) this.drawStretches(left, top);
       if (this.shows("places")) this.drawPlaces(left, top);
       if (this.crosshair) this.drawCrosshair();
       this.drawScale();
@@ -447,6 +458,24 @@
         }
         this.label("start", on(way.lines[0][0]));
         this.label("goal", on(way.lines.at(-1).at(-1)));
+      }
+    }
+
+    /** A disc for each stretch of a drive; what errors do not explain is larger and lies on top. */
+    drawStretches(left, top) {
+      const { context, about, dense } = this;
+      const ordered = [...about.stretches].sort((one, other) => one.off - other.off);
+      for (const { east, north, kind, off } of ordered) {
+        const [red, green, blue] = codes.offColours[kind];
+        context.fillStyle = `rgb(${red} ${green} ${blue})`;
+        context.strokeStyle = "#1c1e22";
+        context.lineWidth = (off ? 2.2 : 1.2) * dense;
+        context.beginPath();
+        const x = left + (east - about.west) * this.scale * dense;
+        const y = top + (about.north - north) * this.scale * dense;
+        context.arc(x, y, (off ? 7 : 4.5) * dense, 0, 2 * Math.PI);
+        context.fill();
+        context.stroke();
       }
     }
 

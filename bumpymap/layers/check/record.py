@@ -1,0 +1,170 @@
+"""What a check found as plain JSON, and back."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    CLASS_NAMES,
+    NO_CLASS,
+    BadInputError,
+    CheckedDrive,
+    CheckedMap,
+    CheckResult,
+    DrivenStretches,
+    DrivenTiles,
+    MapAgreement,
+    parse_json,
+)
+from bumpymap.layers.check.names import CHECK_MANIFEST_NAME
+from bumpymap.layers.manifest import plain_manifest
+
+__all__ = ["CHECK_FORMAT", "check_entries", "read_check", "result_of"]
+
+CHECK_FORMAT = "bumpymap-check"
+_MOST_BYTES = 200_000_000
+_COUNTS = {"drive", "col", "row"}
+_CLASSES = {"class_id", "measured_class"}
+_REMEDY = "Give the folder that `bumpymap check` wrote, as `check`"
+
+
+def check_entries(result: CheckResult) -> dict[str, Any]:
+    """Return the entries of check.json that hold the findings, as plain JSON: what is not known is null.
+
+    Arrays become lists of numbers, one for each stretch or tile; `result_of` is the way back.
+    """
+    found = {
+        "map": result.ground,
+        "warnings": result.warnings,
+        "agreement": result.agreement,
+        "by_class": [
+            {"class": code, "name": CLASS_NAMES[code]} | _entries(agreement)
+            for code, agreement in sorted(result.by_class.items())
+        ],
+        "drives": [_entries(drive) for drive in result.drives],
+        "stretches": _columns(result.stretches),
+        "tiles": None if result.tiles is None else _columns(result.tiles),
+    }
+    return plain_manifest(found)
+
+
+def read_check(folder: Path) -> tuple[CheckResult, dict[str, Any]]:
+    """Read the findings in a folder, or in check.json itself, and all that check.json holds.
+
+    Raises
+    ------
+    BadInputError
+        There is no check.json, or it is not one of `bumpymap check`.
+    """
+    path = folder / CHECK_MANIFEST_NAME if folder.is_dir() else folder
+    if not path.is_file():
+        raise BadInputError(f"there is no file {path}. {_REMEDY}")
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise BadInputError(f"{path} has more than {_MOST_BYTES // 1_000_000} MB: it is no check. {_REMEDY}")
+        record = parse_json(path.read_text(encoding="utf-8"))
+        if not isinstance(record, dict) or record.get("format") != CHECK_FORMAT:
+            raise BadInputError(f"{path} is not that of a check. {_REMEDY}")
+        return result_of(record), record
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadInputError(f"cannot read {path} as a check: {error!r}. {_REMEDY}") from error
+
+
+def result_of(record: Mapping[str, Any]) -> CheckResult:
+    """Return the findings that `check_entries` wrote. Raises ValueError, KeyError or TypeError if they are damaged."""
+    ground, tiles, whole = record["map"], record["tiles"], record["agreement"]
+    stretches = DrivenStretches(**_arrays(DrivenStretches, record["stretches"]))
+    drives = tuple(_drive(entry) for entry in record["drives"])
+    if len(stretches.drive) and not 0 <= stretches.drive.min() <= stretches.drive.max() < len(drives):
+        raise ValueError("a stretch belongs to no drive")
+    return CheckResult(
+        ground=None if ground is None else _ground(ground),
+        drives=drives,
+        stretches=stretches,
+        tiles=None if tiles is None else DrivenTiles(**_arrays(DrivenTiles, tiles)),
+        agreement=None if whole is None else _agreement(whole),
+        by_class={_class_of(entry["class"]): _agreement(entry) for entry in record["by_class"]},
+        warnings=_texts(record["warnings"]),
+    )
+
+
+def _entries(record: Any) -> dict[str, Any]:
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+def _columns(record: Any) -> dict[str, list[Any]]:
+    """Return the arrays of a record as lists; no class is None."""
+    found = {name: values.tolist() for name, values in _entries(record).items()}
+    for name in _CLASSES & set(found):
+        found[name] = [None if code == NO_CLASS else code for code in found[name]]
+    return found
+
+
+def _arrays(kind: Any, columns: Mapping[str, Sequence[Any]]) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]] = {}
+    for field in fields(kind):
+        values = columns[field.name]
+        if field.name in _CLASSES:
+            codes = [NO_CLASS if code is None else _class_of(code) for code in values]
+            found[field.name] = np.array(codes, np.uint8)
+        elif field.name in _COUNTS:
+            found[field.name] = np.array(values, np.int64)
+        else:
+            found[field.name] = np.array(values, np.float64)  # None becomes NaN
+    if len({array.shape for array in found.values()}) > 1 or any(array.ndim != 1 for array in found.values()):
+        raise ValueError("columns differ in length")
+    return found
+
+
+def _class_of(code: Any) -> int:
+    return range(len(CLASS_NAMES)).index(code)
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _texts(values: Sequence[Any]) -> tuple[str, ...]:
+    return tuple(map(str, values))
+
+
+def _ground(entry: Mapping[str, Any]) -> CheckedMap:
+    first, second, third = map(_number, entry["class_limits"])
+    return CheckedMap(
+        name=str(entry["name"]),
+        folder=Path(entry["folder"]),
+        vehicle=str(entry["vehicle"]),
+        calibration_id=str(entry["calibration_id"]),
+        speed_mps=_number(entry["speed_mps"]),
+        class_limits=(first, second, third),
+    )
+
+
+def _drive(entry: Mapping[str, Any]) -> CheckedDrive:
+    roll, pitch, yaw = map(_number, entry["mount_deg"])
+    left = {str(reason): _number(length) for reason, length in entry["left_out_m"].items()}
+    plain = {"name", "paths", "left_out_m", "mount_deg", "columns", "notes", "warnings"}
+    numbers: dict[str, Any] = {
+        field.name: _number(entry[field.name]) for field in fields(CheckedDrive) if field.name not in plain
+    }
+    return CheckedDrive(
+        name=str(entry["name"]),
+        paths=tuple(map(Path, entry["paths"])),
+        left_out_m=left,
+        mount_deg=(roll, pitch, yaw),
+        columns={str(quantity): str(column) for quantity, column in entry["columns"].items()},
+        notes=_texts(entry["notes"]),
+        warnings=_texts(entry["warnings"]),
+        **numbers,
+    )
+
+
+def _agreement(entry: Mapping[str, Any]) -> MapAgreement:
+    numbers: dict[str, Any] = {
+        field.name: _number(entry[field.name]) for field in fields(MapAgreement) if field.name != "stretches"
+    }
+    return MapAgreement(stretches=int(entry["stretches"]), **numbers)

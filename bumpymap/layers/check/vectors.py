@@ -1,0 +1,116 @@
+"""Write check.geojson, a point for each stretch, and check_tiles.geojson, a square for each tile driven over."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+import shapely.geometry
+from numpy.typing import NDArray
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, DrivenTiles, atomic
+from bumpymap.layers.check.ground import CheckPlaces
+from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
+from bumpymap.layers.lonlat import BoundingBox
+
+__all__ = ["stretch_properties", "write_driven_tiles", "write_stretches"]
+
+_DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
+_OTHER_DECIMALS = 6
+
+
+def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> None:
+    """Write the stretches whose position is known as GeoJSON: WGS 84, or the survey's own coordinates without a CRS.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        A position cannot be transformed to longitude and latitude.
+    """
+    properties = stretch_properties(result)
+    shown = np.flatnonzero(places.is_known)
+    geometries = shapely.points(places.in_file()[shown])
+    pairs = zip(shown.tolist(), geometries, strict=True)
+    features = [_feature(at + 1, _row(properties, at), point) for at, point in pairs]
+    _write(path, "check", places, features, geometries)
+
+
+def write_driven_tiles(tiles: DrivenTiles, places: CheckPlaces, path: Path) -> None:
+    """Write the tiles as squares; coordinates and errors as in `write_stretches`."""
+    properties = {
+        "col": tiles.col.tolist(),
+        "row": tiles.row.tolist(),
+        **_numbers(tiles, ("way_m", "measured", "measured_sd", "c_r", "c_r_low", "c_r_high")),
+        **_offset(MapOffset.of(tiles)),
+        **_class("class", tiles.class_id),
+    }
+    squares = places.files.polygons(shapely.box(tiles.col, tiles.row, tiles.col + 1, tiles.row + 1))
+    features = [_feature(at + 1, _row(properties, at), square) for at, square in enumerate(squares)]
+    _write(path, "check_tiles", places, features, squares)
+
+
+def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
+    """Return what files say of each stretch, by name: plain values, None where not known."""
+    stretches = result.stretches
+    names = [drive.name for drive in result.drives]
+    return {
+        "drive": [names[number] for number in stretches.drive.tolist()],
+        **_numbers(stretches, ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd")),
+        **_numbers(stretches, ("c_r", "c_r_low", "c_r_high", "place_sd")),
+        **_offset(MapOffset.of(stretches)),
+        **_class("class", stretches.class_id),
+        **_class("measured_class", stretches.measured_class),
+    }
+
+
+def _row(properties: Mapping[str, Sequence[Any]], at: int) -> dict[str, Any]:
+    return {name: values[at] for name, values in properties.items()}
+
+
+def _numbers(record: DrivenStretches | DrivenTiles, names: Sequence[str]) -> dict[str, list[float | None]]:
+    return {name: _rounded(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
+
+
+def _rounded(values: NDArray[np.float64], decimals: int) -> list[float | None]:
+    return [value if np.isfinite(value) else None for value in values.round(decimals).tolist()]
+
+
+def _offset(offset: MapOffset) -> dict[str, list[Any]]:
+    compared = np.isfinite(offset.ratio).tolist()
+    return {
+        "ratio": _rounded(offset.ratio, 4),
+        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
+        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
+    }
+
+
+def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:
+    plain = [None if code == NO_CLASS else code for code in codes.tolist()]
+    return {name: plain, f"{name}_name": [None if code is None else CLASS_NAMES[code] for code in plain]}
+
+
+def _feature(number: int, properties: Mapping[str, Any], geometry: shapely.Geometry) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "id": number,
+        "properties": properties,
+        "geometry": shapely.geometry.mapping(geometry),
+    }
+
+
+def _write(
+    path: Path, name: str, places: CheckPlaces, features: Sequence[Mapping[str, Any]], geometries: NDArray[np.object_]
+) -> None:
+    extent = {}
+    if features:
+        box = BoundingBox()
+        box.add(geometries)
+        extent = {"bbox": places.files.bounds(box)}
+    collection = {"type": "FeatureCollection", "name": name, **places.files.members, **extent, "features": features}
+    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    with atomic(path) as temporary:
+        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -1,0 +1,119 @@
+"""What a check found, in words: for its page, for the page of the map, for the terminal."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bumpymap.core import CheckResult, DrivenStretches, MapAgreement
+
+__all__ = [
+    "FEW",
+    "check_headline",
+    "check_verdict",
+    "level_words",
+    "measured_mean",
+    "metres",
+    "names_of",
+    "percent",
+    "sorted_reasons",
+]
+
+FEW = 5
+"""Fewer stretches on the map say nothing about it."""
+LEVEL = 1.15
+"""Up to this factor of its median ratio from 1 a map holds."""
+RANKS, ROUGHLY = 0.8, 0.5
+"""From these Spearman correlations on a map ranks ground rightly, and roughly."""
+EVEN = 1.5
+"""Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
+
+
+def check_headline(result: CheckResult) -> str:
+    """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
+    agreement = result.agreement
+    if agreement is None:
+        mean = measured_mean(result.stretches)
+        way = float(np.sum(result.stretches.way_m))
+        count = _counted(len(result.drives), "drive")
+        if not np.isfinite(mean):
+            return f"Nothing was measured on {count}."
+        return f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."
+    over = f"{metres(agreement.way_m)} in {_counted(agreement.stretches, 'stretch', 'stretches')}"
+    if agreement.stretches < FEW:
+        return f"Too little was driven on the map to judge it: {over}. Drive at least {FEW} stretches of it."
+    parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
+    parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
+    parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
+    return " ".join(parts)
+
+
+def check_verdict(result: CheckResult) -> str:
+    """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
+    agreement = result.agreement
+    if agreement is None or not np.isfinite(agreement.median_ratio):
+        return "The map cannot be judged"
+    level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
+    rank = agreement.spearman
+    if _is_even(result.stretches) or not np.isfinite(rank):
+        even = "the ground driven is too even to say whether it ranks ground rightly"
+        return f"The level of the map holds; {even}" if level else f"The level of the map is off; {even}"
+    if rank >= RANKS:
+        return "The map holds" if level else "The map ranks the ground rightly, but its level is off"
+    if rank >= ROUGHLY:
+        return f"The map ranks the ground only roughly{'' if level else ', and its level is off'}"
+    return "The map does not rank this ground as the vehicle felt it"
+
+
+def level_words(agreement: MapAgreement) -> str:
+    """Return "reads 8 % low" for a median ratio of 0.92."""
+    ratio = agreement.median_ratio
+    if not np.isfinite(ratio):
+        return "cannot be compared"
+    if abs(ratio - 1.0) < 0.005:
+        return "reads neither high nor low"
+    if ratio > 2.0:
+        return f"reads {ratio:.1f} times too high"
+    return f"reads {percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
+
+
+def measured_mean(stretches: DrivenStretches) -> float:
+    """Return the measured C_r over all stretches, weighted by their length, rad/m; NaN without any."""
+    known = np.isfinite(stretches.measured) & (stretches.way_m > 0.0)
+    if not known.any():
+        return float("nan")
+    return float(np.average(stretches.measured[known], weights=stretches.way_m[known]))
+
+
+def metres(length: float) -> str:
+    """Return a length in m, or in km from 5 km on."""
+    return f"{length:,.0f} m" if length < 5000.0 else f"{length / 1000:,.1f} km"
+
+
+def percent(part: float) -> str:
+    """Return a share in per cent without decimals; a dash if it is not known."""
+    return f"{100 * part:.0f} %" if np.isfinite(part) else "\N{EN DASH}"
+
+
+def sorted_reasons(result: CheckResult) -> list[tuple[str, float]]:
+    """Return why parts of the ways do not count, and their length over all drives, m; the longest first."""
+    total: dict[str, float] = {}
+    for drive in result.drives:
+        for reason, length in drive.left_out_m.items():
+            total[reason] = total.get(reason, 0.0) + length
+    return sorted(((reason, length) for reason, length in total.items() if length > 0.0), key=lambda item: -item[1])
+
+
+def _is_even(stretches: DrivenStretches) -> bool:
+    known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
+    low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
+    return bool(high < EVEN * low)
+
+
+def _counted(count: int, one: str, many: str = "") -> str:
+    return f"1 {one}" if count == 1 else f"{count:,} {many or f'{one}s'}"
+
+
+def names_of(items: Sequence[str], most: int = 3) -> str:
+    """Return names, the first few of them."""
+    shown = ", ".join(items[:most])
+    return shown if len(items) <= most else f"{shown} and {len(items) - most} more"

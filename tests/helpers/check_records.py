@@ -1,0 +1,139 @@
+"""Made-up findings of drives over a map."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from bumpymap.core import (
+    NO_CLASS,
+    CheckedDrive,
+    CheckedMap,
+    CheckResult,
+    DrivenStretches,
+    DrivenTiles,
+    MapAgreement,
+)
+from bumpytiles import TileWindow
+
+LIMITS = (0.05, 0.13, 0.3)
+STRETCH_M = 10.0
+
+
+def make_drive(name="drive 1", **changes):
+    """Findings of a good drive; ``changes`` replace some."""
+    drive = CheckedDrive(
+        name=name,
+        paths=(Path("logs") / f"{name}.mcap",),
+        seconds=412.5,
+        way_m=640.2,
+        used_m=300.0,
+        left_out_m={"turning": 120.4, "standing": 0.0, "no position": 88.8},
+        speed_mps=1.96,
+        rate_hz=200.0,
+        band_hz=10.0,
+        clock_offset_s=-0.213,
+        clock_offset_sd_s=0.004,
+        clock_drift_ppm=18.0,
+        mount_deg=(1.25, -4.5, 2.75),
+        floor_radps=0.0041,
+        position_error_m=0.03,
+        columns={"rate_y": "gyro_y [deg/s]"},
+        notes=("times are Unix seconds",),
+        warnings=(),
+    )
+    return replace(drive, **changes)
+
+
+def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=()):
+    """Stretches with ``points`` in their middle; the drive felt ``c_r * factor``; those ``unknown`` are off the map."""
+    n = len(points)
+    c_r = np.array(c_r, np.float64)
+    measured = c_r * factor
+    c_r[list(unknown)] = np.nan
+    start = np.arange(n) * STRETCH_M / 2.0
+    classes = np.digitize(measured, LIMITS).astype(np.uint8)
+    by_map = np.where(np.isfinite(c_r), np.digitize(c_r, LIMITS), NO_CLASS).astype(np.uint8)
+    return DrivenStretches(
+        drive=np.minimum(np.arange(n) * drives // n, drives - 1),
+        start_s=start,
+        end_s=start + STRETCH_M / 2.0,
+        easting=np.array(points[:, 0]),
+        northing=np.array(points[:, 1]),
+        way_m=np.full(n, STRETCH_M),
+        speed_mps=np.full(n, 2.0),
+        measured=measured,
+        measured_sd=sd * measured,
+        c_r=c_r,
+        c_r_low=c_r * 0.8,
+        c_r_high=c_r * 1.25,
+        place_sd=0.02 * c_r,
+        class_id=by_map,
+        measured_class=classes,
+    )
+
+
+def tiles_under(stretches, tile_size=3.0):
+    """One tile under the middle of each stretch."""
+    place = np.column_stack([stretches.col, stretches.row]) if hasattr(stretches, "col") else None
+    if place is None:
+        place = np.floor(np.column_stack([stretches.easting, stretches.northing]) / tile_size)
+    col, row = place.astype(np.int64).T
+    names = ("way_m", "measured", "measured_sd", "c_r", "c_r_low", "c_r_high", "class_id")
+    return DrivenTiles(col, row, **{name: getattr(stretches, name) for name in names})
+
+
+def agreement_of(stretches, chosen=None):
+    """Agreement over some stretches, as defined in `MapAgreement`."""
+    on = np.isfinite(stretches.c_r) & (True if chosen is None else chosen)
+    c_r, measured = stretches.c_r[on], stretches.measured[on]
+    ratio = c_r / measured
+    inside = (measured >= stretches.c_r_low[on] * 0.95) & (measured <= stretches.c_r_high[on] * 1.05)
+    rank = spearmanr(c_r, measured).statistic if len(c_r) >= 5 else float("nan")
+    return MapAgreement(
+        stretches=len(c_r),
+        way_m=float(stretches.way_m[on].sum()),
+        spearman=float(rank),
+        median_ratio=float(np.median(ratio)),
+        median_error=float(np.median(np.abs(ratio - 1))),
+        inside=float(inside.mean()),
+        same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
+    )
+
+
+def make_check(stretches, *, drives=1, warnings=(), ground=True, tiles=True):
+    """Everything that a check finds."""
+    codes = [int(code) for code in np.unique(stretches.class_id) if code != NO_CLASS]
+    return CheckResult(
+        ground=CheckedMap("site", Path("layers"), "warthog", "c0ffee", 2.0, LIMITS) if ground else None,
+        drives=tuple(make_drive(f"drive {number + 1}") for number in range(drives)),
+        stretches=stretches,
+        tiles=tiles_under(stretches) if ground and tiles else None,
+        agreement=agreement_of(stretches) if ground else None,
+        by_class={code: agreement_of(stretches, stretches.class_id == code) for code in codes} if ground else {},
+        warnings=tuple(warnings),
+    )
+
+
+def made_up_check(n=40, *, bias=1.0, noise=0.1, seed=5, drives=1, **options):
+    """Findings along a way near the corners of `route_records`; the drive felt ``bias`` times what the map says."""
+    rng = np.random.default_rng(seed)
+    along = np.linspace(0.0, 1.0, n)
+    points = np.column_stack([330_010.0 + 240.0 * along, 2_040_030.0 + 50.0 * np.sin(3.0 * along)])
+    c_r = 0.03 * np.exp(2.6 * along)
+    factor = bias * np.exp(noise * rng.standard_normal(n))
+    unknown = options.pop("unknown", ())
+    return make_check(stretches_at(points, c_r, factor, drives=drives, unknown=unknown), drives=drives, **options)
+
+
+def along_map(source, points, *, factor=1.0, noise=0.12, seed=3):
+    """Findings of a drive over a map that can be read, at ``points`` on it (those without a value are left out)."""
+    grid = source.grid
+    col, row = (grid.index(points[:, axis]) for axis in (0, 1))
+    window = TileWindow.around(col, row)
+    field = source.read(window, ("c_r",))
+    c_r = field.c_r[window.row + window.rows - 1 - row, col - window.col].astype(np.float64)
+    known = np.isfinite(c_r)
+    felt = factor * np.exp(noise * np.random.default_rng(seed).standard_normal(len(c_r)))
+    return make_check(stretches_at(points[known], c_r[known], felt[known]))

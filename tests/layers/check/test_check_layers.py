@@ -1,0 +1,133 @@
+"""The stretches and tiles of a check for GIS, and as a table."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from check_records import STRETCH_M, made_up_check
+from pyproj import CRS, Transformer
+from route_records import UTM, MadeUpMap
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Georeference
+from bumpymap.layers.check.ground import CheckPlaces
+from bumpymap.layers.check.stretch_csv import write_stretch_table
+from bumpymap.layers.check.vectors import write_driven_tiles, write_stretches
+
+TO_UTM = Transformer.from_crs("OGC:CRS84", "EPSG:32614", always_xy=True)
+
+
+def places_of(result, georeference=UTM):
+    ground = replace(MadeUpMap.around(), georeference=georeference)
+    return CheckPlaces.of(result.stretches, result.tiles, ground)
+
+
+def written(write, result, places, path):
+    write(result, places, path)
+    return json.loads(path.read_text())
+
+
+def test_stretches_lie_where_they_were_driven(tmp_path):
+    result = made_up_check(unknown=[2])
+    found = written(write_stretches, result, places_of(result), tmp_path / "check.geojson")
+    assert len(found["features"]) == 40
+    lonlat = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
+    x, y = TO_UTM.transform(*lonlat.T)
+    assert np.hypot(x - result.stretches.easting, y - result.stretches.northing).max() < 0.02
+    west, south, east, north = found["bbox"]
+    assert (west, south, east, north) == (*lonlat.min(axis=0), *lonlat.max(axis=0))
+    assert [feature["id"] for feature in found["features"]] == list(range(1, 41))
+    about = found["features"][0]["properties"]
+    stretches = result.stretches
+    assert about["measured"] == pytest.approx(stretches.measured[0], abs=1e-6)
+    assert about["ratio"] == pytest.approx(stretches.c_r[0] / stretches.measured[0], abs=1e-4)
+    assert about["drive"] == "drive 1"
+    assert about["way_m"] == STRETCH_M
+    assert about["class_name"] == CLASS_NAMES[about["class"]]
+    unknown = found["features"][2]["properties"]
+    assert {name: unknown[name] for name in ("c_r", "ratio", "class", "class_name", "explained", "off")} == {
+        **dict.fromkeys(("c_r", "ratio", "class", "class_name", "explained")),
+        "off": "not compared",
+    }
+    assert unknown["measured_class"] is not None
+
+
+def test_stretches_without_a_position_are_left_out(tmp_path):
+    result = made_up_check()
+    easting = result.stretches.easting.copy()
+    easting[5:8] = np.nan
+    result = replace(result, stretches=replace(result.stretches, easting=easting), tiles=None)
+    found = written(write_stretches, result, places_of(result), tmp_path / "check.geojson")
+    assert [feature["id"] for feature in found["features"]] == [*range(1, 6), *range(9, 41)]
+
+
+def test_tiles_are_squares_of_the_grid(tmp_path):
+    result = made_up_check()
+    found = written(write_driven_tiles, result.tiles, places_of(result), tmp_path / "check_tiles.geojson")
+    outlines = [shapely.geometry.shape(feature["geometry"]) for feature in found["features"]]
+    own = shapely.transform(np.array(outlines), lambda points: np.column_stack(TO_UTM.transform(*points.T)))
+    assert shapely.area(own) == pytest.approx(np.full(len(own), 9.0), rel=0.01)
+    assert [feature["properties"]["col"] for feature in found["features"]] == result.tiles.col.tolist()
+    middles = np.column_stack([shapely.get_x(shapely.centroid(own)), shapely.get_y(shapely.centroid(own))])
+    wanted = 3.0 * (np.column_stack([result.tiles.col, result.tiles.row]) + 0.5)
+    assert np.abs(middles - wanted).max() < 0.02
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.3048])
+def test_without_a_crs_the_own_coordinates_are_kept_and_declared(tmp_path, unit):
+    result = made_up_check()
+    places = places_of(result, Georeference(None, unit))
+    found = written(write_stretches, result, places, tmp_path / "check.geojson")
+    own = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
+    assert own[:, 0] == pytest.approx(result.stretches.easting / unit, abs=1e-3)
+    assert "not longitude and latitude" in found["local_coordinates"]
+    tiles = written(write_driven_tiles, result.tiles, places, tmp_path / "check_tiles.geojson")
+    (square,) = tiles["features"][0]["geometry"]["coordinates"]
+    assert np.ptp(np.array(square), axis=0) == pytest.approx([3.0 / unit] * 2, abs=2e-3)
+
+
+def rows_of(path):
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_table_has_positions_and_the_same_values(tmp_path):
+    result = made_up_check(unknown=[2], drives=2)
+    places = places_of(result)
+    layer = written(write_stretches, result, places, tmp_path / "check.geojson")
+    write_stretch_table(result, places, tmp_path / "stretches.csv")
+    rows = rows_of(tmp_path / "stretches.csv")
+    assert len(rows) == 40
+    for row, feature in zip(rows, layer["features"], strict=True):
+        assert [float(row["lon"]), float(row["lat"])] == feature["geometry"]["coordinates"]
+        for name, value in feature["properties"].items():
+            text = "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+            assert row[name] == text
+    assert [float(row["x"]) for row in rows] == pytest.approx(result.stretches.easting, abs=1e-3)
+    assert {row["drive"] for row in rows} == {"drive 1", "drive 2"}
+
+
+def test_the_table_without_positions_leaves_them_empty(tmp_path):
+    result = made_up_check(5, ground=False)
+    write_stretch_table(result, None, tmp_path / "stretches.csv")
+    for row in rows_of(tmp_path / "stretches.csv"):
+        assert [row[name] for name in ("lon", "lat", "x", "y")] == [""] * 4
+        assert float(row["measured"]) > 0
+    assert (result.stretches.class_id != NO_CLASS).all()  # a made-up one has values of a map all the same
+
+
+def test_a_crs_in_feet(tmp_path):
+    """Positions of stretches are metres on the grid, files hold the units of the CRS."""
+    feet = CRS.from_epsg(2277)  # Texas Central, US survey feet
+    unit = feet.axis_info[0].unit_conversion_factor
+    result = made_up_check()
+    easting, northing = result.stretches.easting + 600_000.0, result.stretches.northing + 1_000_000.0
+    moved = replace(result.stretches, easting=easting, northing=northing)
+    result = replace(result, stretches=moved, tiles=None)
+    found = written(write_stretches, result, places_of(result, Georeference(feet, unit)), tmp_path / "check.geojson")
+    lonlat = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
+    back = Transformer.from_crs("OGC:CRS84", feet, always_xy=True).transform(*lonlat.T)
+    assert np.asarray(back[0]) * unit == pytest.approx(moved.easting, abs=0.02)
+    assert np.asarray(back[1]) * unit == pytest.approx(moved.northing, abs=0.02)

@@ -1,0 +1,132 @@
+"""What a check says in words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from check_records import made_up_check
+
+from bumpymap.core import CLASS_NAMES
+from bumpymap.layers import check_headline, check_verdict, level_words
+from bumpymap.layers.check.page import check_page
+from bumpymap.layers.check.words import metres, percent
+
+
+def judged(n=40, **figures):
+    result = made_up_check(n)
+    return replace(result, agreement=replace(result.agreement, **figures))
+
+
+@pytest.mark.parametrize(
+    ("rank", "ratio", "words"),
+    [
+        (0.95, 1.0, "The map holds"),
+        (0.95, 1.14, "The map holds"),
+        (0.95, 1.16, "The map ranks the ground rightly, but its level is off"),
+        (0.95, 0.8, "The map ranks the ground rightly, but its level is off"),
+        (0.7, 1.0, "The map ranks the ground only roughly"),
+        (0.7, 2.0, "The map ranks the ground only roughly, and its level is off"),
+        (0.4, 1.0, "The map does not rank this ground as the vehicle felt it"),
+        (-0.9, 1.0, "The map does not rank this ground as the vehicle felt it"),
+    ],
+)
+def test_the_verdict_follows_from_rank_and_level(rank, ratio, words):
+    assert check_verdict(judged(spearman=rank, median_ratio=ratio)) == words
+
+
+def test_even_ground_cannot_be_ranked():
+    result = judged(spearman=0.1, median_ratio=0.7)
+    even = replace(result.stretches, measured=np.full(40, 0.1))
+    words = check_verdict(replace(result, stretches=even))
+    assert words == "The level of the map is off; the ground driven is too even to say whether it ranks ground rightly"
+    held = replace(result, stretches=even, agreement=replace(result.agreement, median_ratio=1.05))
+    assert check_verdict(held).startswith("The level of the map holds; ")
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (0.92, "reads 8 % low"),
+        (1.08, "reads 8 % high"),
+        (1.004, "reads neither high nor low"),
+        (2.34, "reads 2.3 times too high"),
+        (0.25, "reads 75 % low"),
+        (float("nan"), "cannot be compared"),
+    ],
+)
+def test_the_level(ratio, words):
+    assert level_words(judged(median_ratio=ratio).agreement) == words
+
+
+def test_the_headline_holds_the_figures():
+    figures = {"spearman": 0.96, "median_ratio": 0.92, "median_error": 0.11, "inside": 0.79, "way_m": 412.3}
+    assert check_headline(judged(**figures)) == (
+        "The map holds. Over 412 m in 40 stretches it reads 8 % low in the median, and half of the stretches are off "
+        "by less than 11 %. 79 % of the drives' readings lie in its 80 % interval."
+    )
+
+
+def test_few_stretches_judge_nothing():
+    result = made_up_check(3)
+    assert check_headline(result).startswith("Too little was driven on the map to judge it: 30 m in 3 stretches.")
+    assert "Where the map is off" not in check_page(result, ())
+
+
+def test_without_a_map_the_drives_alone_are_told():
+    result = made_up_check(8, ground=False)
+    mean = np.mean(result.stretches.measured)
+    assert check_headline(result) == (
+        f"1 drive measured over 80 m: a ride cost of {mean:.3f} rad/m on average. No map was checked."
+    )
+    page = check_page(result, ("check.png",))
+    assert "Map against drives" not in page
+    assert "Spearman" not in page
+    assert page.startswith("# Drives measured: drive 1\n")
+
+
+def test_nothing_measured_is_said():
+    result = made_up_check(2, ground=False)
+    none = {name: getattr(result.stretches, name)[:0] for name in result.stretches.__slots__}
+    result = replace(result, stretches=replace(result.stretches, **none))
+    assert check_headline(result) == "Nothing was measured on 1 drive."
+
+
+def test_lengths_and_shares():
+    assert [metres(value) for value in (0.4, 4999.0, 12_345.0)] == ["0 m", "4,999 m", "12.3 km"]
+    assert [percent(value) for value in (0.123, float("nan"))] == ["12 %", "\N{EN DASH}"]
+
+
+def table_of(page, title):
+    """Rows of the first Markdown table under a heading."""
+    lines = page.split(f"## {title}\n", 1)[1].split("\n## ")[0].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    return [rows[0], *rows[2:]]
+
+
+def test_the_page_has_the_figures_of_all_classes_and_the_worst_stretches():
+    result = made_up_check(60, bias=1.3, noise=0.3)
+    page = check_page(result, ("check.png", "check.json"))
+    agreement = table_of(page, "Map against drives")
+    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
+    assert [row[0] for row in agreement[1:]] == ["all", *classes]
+    assert sum(int(row[1]) for row in agreement[2:]) == int(agreement[1][1]) == 60
+    worst = table_of(page, "Where the map is off")[1:]
+    assert len(worst) == 10
+    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst]) for at in (3, 4))
+    ratio = np.array([float(row[6]) for row in worst])
+    assert ratio == pytest.approx(c_r / measured, rel=0.03)
+    assert (np.diff(np.abs(np.log(ratio))) <= 0.01).all()
+    assert "- `check.json`:" in page
+    assert "check.geojson" not in page.split("## Files")[1]
+
+
+def test_the_page_holds_what_names_hold_but_not_their_marks():
+    result = made_up_check(8, warnings=["speed is 3.1 m/s, the map is for 1 m/s"])
+    drive = replace(result.drives[0], name="a|b *<img src=x>*\n# c", warnings=("no standstill",), notes=("1 `x`",))
+    page = check_page(replace(result, drives=(drive,)), ())
+    assert "<img" not in page.replace("\\<img", "")
+    assert "\n# c" not in page
+    assert "- speed is 3.1 m/s, the map is for 1 m/s\n- no standstill" in page
+    assert all(len(row) == 2 for row in table_of(page.replace("\\|", "/"), "The drives"))
+    assert "- 1 \\`x\\`" in page
+    assert table_of(page, "What does not count")[1:] == [["turning", "120 m"], ["no position", "89 m"]]
