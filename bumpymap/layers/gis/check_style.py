@@ -24,5 +24,5 @@ def write_check_style(path: Path, *, areas: bool) -> None:
     if areas:
         root.extend(areas_by_kind("off", [(*look, "solid") for look in looks]))
     else:
-        root.extend(points_by_kind("off", looks))
+        root.extend(points_by_kind("off", looks, '"explained" = false'))
     write_qgis(root, path)

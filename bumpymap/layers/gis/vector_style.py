@@ -56,9 +56,12 @@ def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> 
     return _by_kind(kind, [(value, label) for value, label, _, _ in looks], symbols, blend)
 
 
-def points_by_kind(kind: str, looks: Sequence[tuple[str, str, Colour]]) -> list[ET.Element]:
-    """Return what stands for points in a style file: value, label and colour for each value of ``kind``."""
-    symbols = [_disc(number, colour) for number, (_, _, colour) in enumerate(looks)]
+def points_by_kind(kind: str, looks: Sequence[tuple[str, str, Colour]], large: str) -> list[ET.Element]:
+    """Return what stands for points in a style file: value, label and colour for each value of ``kind``.
+
+    Points of which the expression ``large`` is true are larger.
+    """
+    symbols = [_disc(number, colour, large) for number, (_, _, colour) in enumerate(looks)]
     return _by_kind(kind, [(value, label) for value, label, _ in looks], symbols, NORMAL)
 
 
@@ -94,7 +97,7 @@ def _fill(number: int, colour: Colour, pattern: str) -> ET.Element:
     return _symbol(number, "fill", "SimpleFill", properties)
 
 
-def _disc(number: int, colour: Colour) -> ET.Element:
+def _disc(number: int, colour: Colour, large: str) -> ET.Element:
     """Return a disc with a dark outline, so that a pale one is seen too."""
     properties = {
         "name": "circle",
@@ -103,10 +106,19 @@ def _disc(number: int, colour: Colour) -> ET.Element:
         "outline_style": "solid",
         "outline_width": "0.3",
         "outline_width_unit": "MM",
-        "size": "3",
+        "size": "2.6",
         "size_unit": "MM",
     }
-    return _symbol(number, "marker", "SimpleMarker", properties)
+    symbol = _symbol(number, "marker", "SimpleMarker", properties)
+    layer = symbol[0]
+    options = add(add(layer, "data_defined_properties"), "Option", {"type": "Map"})
+    add(options, "Option", {"type": "QString", "name": "name", "value": ""})
+    size = add(add(options, "Option", {"type": "Map", "name": "properties"}), "Option", {"type": "Map", "name": "size"})
+    add(size, "Option", {"type": "bool", "name": "active", "value": "true"})
+    add(size, "Option", {"type": "QString", "name": "expression", "value": f"if({large}, 4.2, 2.6)"})
+    add(size, "Option", {"type": "int", "name": "type", "value": "3"})
+    add(options, "Option", {"type": "QString", "name": "type", "value": "collection"})
+    return symbol
 
 
 def _symbol(number: int, kind: str, layer_class: str, properties: Mapping[str, str]) -> ET.Element:

@@ -38,3 +38,14 @@ def test_stretches_and_tiles_are_drawn_by_how_far_the_map_is_off(seen, name):
     assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(driven).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6
+
+
+def test_what_errors_do_not_explain_is_larger(tmp_path):
+    result = made_up_check(12, noise=0.4)
+    write_check(result, tmp_path / "out", ground=MadeUpMap.around())
+    style = (tmp_path / "out" / "check.qml").read_text()
+    assert style.count("if(&quot;explained&quot; = false, 4.2, 2.6)") == len(OFF_KINDS)
+    features = json.loads((tmp_path / "out" / "check.geojson").read_text())["features"]
+    explained = [feature["properties"]["explained"] for feature in features]
+    assert explained == (~MapOffset.of(result.stretches).is_off).tolist()
+    assert len(set(explained)) == 2
