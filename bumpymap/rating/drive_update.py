@@ -173,13 +173,13 @@ def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settin
         return
     reasons = {
         "off the map": lost.off_map,
-        f"not near {speed:g} m/s, the speed of the map": lost.other_speed,
+        f"not near the {speed:g} m/s of the map": lost.other_speed,
         "with less motion than the sensor tells": lost.below_sensor,
     }
     named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
     raise BadInputError(
         f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
-        f"{f' ({named} do not count)' if named else ''}. It takes at least {settings.least_m:.0f} m on "
+        f"{f' (left out: {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
         f"{settings.least_stretches} stretches; drive more, over smooth ground and rough, and give all drives together"
     )
 

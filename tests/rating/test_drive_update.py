@@ -53,7 +53,7 @@ def test_short_drives_are_refused_with_what_counts_and_what_is_asked():
         update_from_drives(CALIBRATION, driven_stretches(CALIBRATION, 10))
     made = driven_stretches(CALIBRATION, 50)
     made.speed_mps[10:] = 3.0
-    with pytest.raises(BadInputError, match=r"100 m of .* \(not 400 m not near 1 m/s, the speed of the map\)"):
+    with pytest.raises(BadInputError, match=r"100 m of .* \(left out: 400 m not near the 1 m/s of the map\)"):
         update_from_drives(CALIBRATION, made)
 
 
