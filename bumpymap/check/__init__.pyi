@@ -1,3 +1,6 @@
+from .agreement import (
+    agreement_of as agreement_of,
+)
 from .drive_measure import (
     LEFT_OUT as LEFT_OUT,
     DriveMeasure as DriveMeasure,
@@ -5,6 +8,11 @@ from .drive_measure import (
 )
 from .measure import (
     measure_drive as measure_drive,
+)
+from .pipeline import (
+    CheckRun as CheckRun,
+    check_drives as check_drives,
+    run_check as run_check,
 )
 from .places import (
     MetrePlaces as MetrePlaces,

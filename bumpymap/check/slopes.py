@@ -68,8 +68,10 @@ class SlopeMap:
 
 
 def window_around(site: RouteMap, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:
-    """Return the window of the map's tiles around some places, m; it may extend beyond the map."""
-    size = site.grid.tile_size
-    cols = np.floor(np.array([easting.min() - margin_m, easting.max() + margin_m]) / size).astype(np.int64)
-    rows = np.floor(np.array([northing.min() - margin_m, northing.max() + margin_m]) / size).astype(np.int64)
-    return TileWindow.around(cols, rows)
+    """Return the window of the map's tiles around some places, m; it does not extend beyond the map."""
+    size, whole = site.grid.tile_size, site.window
+    ends = []
+    for values, first, count in ((easting, whole.col, whole.cols), (northing, whole.row, whole.rows)):
+        least, most = np.floor(np.array([values.min() - margin_m, values.max() + margin_m]) / size)
+        ends.append(np.clip(np.array([least, most]), first, first + count - 1).astype(np.int64))
+    return TileWindow.around(*ends)

@@ -47,6 +47,9 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
     def total(values: Floats) -> Floats:
         return np.bincount(number, values[inside], minlength=count)
 
+    if not count:
+        nothing = np.zeros(0)
+        return WayStretch(label, *[nothing] * 8)
     length, seconds = total(way), total(np.full(len(label), step))
     raw = total(np.abs(drive.pitch_rate) * step) / length
     first = samples[np.searchsorted(number, np.arange(count))]
