@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.cli._wording import as_options
 from bumpymap.core import CLASS_NAMES, MapConfig
-from bumpymap.layers import SHEET_FOLDER, MapSummary
+from bumpymap.layers import SHEET_FOLDER, MapSummary, degrees_line
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 
 __all__ = ["ALREADY_DONE", "show"]
@@ -31,6 +31,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         f"{sum(result.seconds.values()):.1f} s"
     )
     print_table(_rows(summary), _TITLES)
+    if line := degrees_line(summary.median_c_r[: len(CLASS_NAMES)]):
+        print_line(line)
     print_line(_passable_line(summary))
     print_line(unknown_line(result, config))
     if line := ground_line(result):

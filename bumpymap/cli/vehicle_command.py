@@ -1,6 +1,7 @@
 """``bumpymap vehicle``: list, check and create vehicle profiles."""
 
 import shlex
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,9 +76,16 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
         ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
         ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
         ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
+        ("floor", _floor(profile.floor.c_r_radpm)),
         ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
         ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),
     ]
+
+
+def _floor(c_r: float) -> str:
+    if c_r == 0.0:
+        return "none: C_r is that of the ground alone, and even ground reads as almost free"
+    return f"{c_r:g} rad/m ({degrees(c_r):.1f} degrees of pitch motion per metre) on even, level ground"
 
 
 def _calibration(vehicle: str) -> str:

@@ -130,6 +130,9 @@ from .relief import (
 from .remote_folder import (
     RemoteFolder as RemoteFolder,
 )
+from .report.surfaces import (
+    degrees_line as degrees_line,
+)
 from .report.write import (
     write_report as write_report,
     write_reports as write_reports,

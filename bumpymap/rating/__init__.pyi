@@ -9,6 +9,11 @@ from .cost import (
     rate as rate,
     rate_as_paper as rate_as_paper,
 )
+from .drive_update import (
+    DriveUpdate as DriveUpdate,
+    UpdateSettings as UpdateSettings,
+    update_from_drives as update_from_drives,
+)
 from .passable import (
     find_passable as find_passable,
     settle_objects as settle_objects,

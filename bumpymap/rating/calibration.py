@@ -10,8 +10,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, VehicleBody, parse_json
 from bumpymap.rating.vehicle.body import body_of, body_table
+from bumpymap.rating.vehicle.floor import floor_of, with_floor
 
 __all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
 
@@ -25,6 +28,8 @@ _OPTIONAL = ("steps", "thin")
 """Fields that older files do not have."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
 """Keys of a vehicle profile that do not affect the simulated drives."""
+_UNDRIVEN = ("body.", "floor.")
+"""Tables that do not either."""
 DEFAULT_FAIL_WEIGHT = 300.0
 """``fail_weight`` of profiles without that key, m."""
 
@@ -142,6 +147,28 @@ class Calibration:
         """Outline of the vehicle; defaults where the profile has none."""
         return body_of(self.vehicle)
 
+    @property
+    def floor(self) -> float:
+        """C_r on even, level ground, rad/m, which enters every C_r of a map in power; 0 if the profile has none."""
+        return floor_of(self.vehicle)
+
+    @property
+    def floor_before(self) -> float:
+        """Return the floor before the calibration was moved to drives: a profile that has it is that of the vehicle."""
+        before: float = self.settings.get("moved_to_drives", {}).get("floor", [self.floor])[0]
+        return before
+
+    @property
+    def map_limits(self) -> tuple[float, ...]:
+        """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
+        return tuple(with_floor(np.array(self.class_limits), self.floor).tolist())
+
+    def without_floor(self) -> "Calibration":
+        """Return this calibration with a floor of 0, for comparisons with simulated drives, which have none."""
+        if self.floor == 0.0:
+            return self
+        return replace(self, vehicle={key: value for key, value in self.vehicle.items() if key != "floor"})
+
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
@@ -237,7 +264,7 @@ class Calibration:
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
-        """Return this calibration with the name, description, weights and outline (``[body]``) of a vehicle profile.
+        """Return this calibration with the preferences, ``[body]`` and ``[floor]`` of a vehicle profile.
 
         They change the layers, so a changed preference changes the ``id``.
 
@@ -254,7 +281,7 @@ class Calibration:
             Any other key differs, so the profile is of another vehicle.
         """
         driven, given = _flat(self.vehicle), _flat(profile)
-        kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith("body.")]
+        kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith(_UNDRIVEN)]
         differ = [key for key in kept if driven.get(key) != given.get(key)]
         if differ:
             named = "; ".join(f"{key} is {given.get(key)}, was {driven.get(key)}" for key in differ)
@@ -263,6 +290,8 @@ class Calibration:
         changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
         if (body := body_table(profile)) != body_table(self.vehicle):
             changed["body"] = body
+        if floor_of(profile) not in (self.floor, self.floor_before):
+            changed["floor"] = profile["floor"]
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
 
@@ -286,9 +315,12 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers = [number for table in tables for line in table for number in line]
     numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
-    numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values()]
+    numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
+    numbers += [calibration.floor_before]
     if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
+    if calibration.floor < 0:
+        raise ValueError("[floor] must not be negative")
     if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
         raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
 

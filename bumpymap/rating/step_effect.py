@@ -24,6 +24,7 @@ from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL
+from bumpymap.rating.vehicle.floor import less_floor, with_floor
 
 __all__ = ["STEP_COLUMNS", "StepEffect", "apply_steps", "crossing_fails", "edge_usable"]
 
@@ -109,19 +110,25 @@ def apply_steps(
     effect = _effect(calibration)
     own = {name: np.asarray(columns[name]) for name in STEP_COLUMNS}
     known = own["class_id"] != NO_CLASS
-    c_r, fails, sd = (effect.read(curve, step) for curve in (effect.c_r, effect.p_fail, effect.c_r_log_sd))
+    driven, fails, sd = (effect.read(curve, step) for curve in (effect.c_r, effect.p_fail, effect.c_r_log_sd))
+    # Without a step there is nothing that a floor could be added to.
+    c_r, low, high = (
+        np.where(driven > 0.0, with_floor(driven * np.exp(tail * sd), calibration.floor), 0.0)
+        for tail in (0.0, -NORMAL_TAIL, NORMAL_TAIL)
+    )
     raised = known & (c_r > own["c_r"])
     felt = {
         "c_r": np.maximum(own["c_r"], c_r),
-        "c_r_low": np.maximum(own["c_r_low"], c_r * np.exp(-NORMAL_TAIL * sd)),
-        "c_r_high": np.maximum(own["c_r_high"], c_r * np.exp(NORMAL_TAIL * sd)),
+        "c_r_low": np.maximum(own["c_r_low"], low),
+        "c_r_high": np.maximum(own["c_r_high"], high),
         "p_fail": np.maximum(own["p_fail"], fails),
     }
     lost = fails >= FAIL_SHARE
-    class_id = np.maximum(own["class_id"], np.searchsorted(np.array(calibration.class_limits), c_r, side="right"))
+    class_id = np.maximum(own["class_id"], np.searchsorted(np.array(calibration.class_limits), driven, side="right"))
     class_id = np.where(lost, len(calibration.class_limits), class_id)
     changed = known & (raised | (lost & ~(own["p_fail"] >= FAIL_SHARE)))
-    sure = np.where(lost, fails, _sureness(class_id, felt["c_r"], sd, calibration.class_limits))
+    without = less_floor(felt["c_r"], calibration.floor)
+    sure = np.where(lost, fails, _sureness(class_id, without, sd, calibration.class_limits))
     felt["confidence"] = np.where(changed, sure * np.sqrt(columns["coverage"]), own["confidence"])
     felt["class_id"] = class_id
     return {name: np.where(known, felt[name], own[name]).astype(own[name].dtype) for name in STEP_COLUMNS}

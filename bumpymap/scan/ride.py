@@ -160,7 +160,7 @@ class SectorRater:
             return np.where(rated, total / np.maximum(area, 1), np.nan).astype(np.float32)
 
         c_r, fails = mean(tiles.c_r), mean(tiles.p_fail)
-        limits = np.array(self._calibration.class_limits)
+        limits = np.array(self._calibration.map_limits)
         class_id = np.where(fails >= FAIL_SHARE, len(limits), np.searchsorted(limits, c_r, side="right"))
         return SectorRide(
             c_r, mean(tiles.c_r_low), mean(tiles.c_r_high), np.where(rated, class_id, NO_CLASS).astype(np.uint8)

@@ -109,7 +109,7 @@ def _describe_calibration(calibration: Calibration) -> dict[str, Any]:
     return {
         "id": calibration.id,
         "vehicle": calibration.vehicle["name"],
-        "class_limits": calibration.class_limits,
+        "class_limits": calibration.map_limits,
         "belly_m": calibration.body.lowest_obstacle_m,
         "height_m": calibration.body.height_m,
     }

@@ -138,7 +138,8 @@ def run_manifest(
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],
             "preferences": calibration.preferences,
-            "class_limits": calibration.class_limits,
+            "class_limits": calibration.map_limits,
+            **({"floor_radpm": calibration.floor} if calibration.floor else {}),
         },
         "vehicle": {
             "name": calibration.vehicle["name"],

@@ -22,7 +22,12 @@ def vehicle(*words):
 
 
 def test_the_list_names_what_ships():
-    assert [line.split()[0] for line in vehicle("list").stdout.splitlines()] == ["car", "small_rover", "warthog"]
+    assert [line.split()[0] for line in vehicle("list").stdout.splitlines()] == [
+        "car",
+        "husky",
+        "small_rover",
+        "warthog",
+    ]
 
 
 def test_a_new_profile_passes_only_when_it_is_filled_in(tmp_path):
@@ -90,7 +95,7 @@ def test_a_vehicle_that_is_unknown_is_wrong_usage_in_every_command(tmp_path):
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 2, result.output
         assert "no vehicle 'tank'" in result.stderr, words
-        assert "(car, small_rover, warthog)" in result.stderr
+        assert "(car, husky, small_rover, warthog)" in result.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]
 
 

@@ -80,7 +80,7 @@ def test_without_a_calibration_the_command_that_makes_it_is_said(mine):
 
 def test_neither_name_nor_file(tmp_path):
     for vehicle in ("tank", str(tmp_path / "none.toml")):
-        with pytest.raises(UsageError, match=r"no vehicle .*\(car, small_rover, warthog\)"):
+        with pytest.raises(UsageError, match=r"no vehicle .*\(car, husky, small_rover, warthog\)"):
             find_calibration(vehicle)
     with pytest.raises(BadInputError, match="cannot read the calibration"):
         find_calibration("warthog", tmp_path / "none.json")

@@ -83,6 +83,7 @@ class Subject:
             The calibration has no ride model but the rating needs one, or the texture network is for other tiles.
         """
         textures.require_grid(calibration.tile_size, calibration.pixels)
+        calibration = calibration.without_floor()  # it is held against simulated drives, which have none
         profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
 
         def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:

@@ -166,7 +166,7 @@ def _agreement(class_id: NDArray[np.uint8]) -> float:
 
 
 def _main(survey: str, crs: str, journal: str) -> None:
-    calibration, driven = Calibration.shipped("warthog"), driven_c_r(Path(journal))
+    calibration, driven = Calibration.shipped("warthog").without_floor(), driven_c_r(Path(journal))
     print("| Points per m² | Noise added | Tiles driven | Spearman | of the standard deviation alone |", end=" ")  # noqa: T201
     print("Median error | 80 % interval holds | Neighbours of one class |")  # noqa: T201
     print("|---|---|---|---|---|---|---|---|")  # noqa: T201

@@ -4,17 +4,17 @@ import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from bumpymap.core import MapConfig, parse_json
+from bumpymap.core import MapConfig
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import number, share
 from bumpymap.layers.report.site import Site
+from bumpymap.layers.report.surfaces import read_surfaces
 
 __all__ = ["base_name", "command_of", "headline", "limits_of", "meaning_of", "measured_surfaces", "settings_of"]
 
-_SURFACES = Path(__file__).with_name("data") / "surfaces.json"
 _NAMELESS = "vehicle"
 """What `Site.vehicle` gives if the record names none."""
 _PRIVATE = {
@@ -47,6 +47,7 @@ def meaning_of(site: Site) -> list[str]:
     vehicle: Mapping[str, Any] = site.record.get("vehicle") or {}
     cost = site.record["cost"]
     known = site.record.get("calibration")
+    floor = known.get("floor_radpm") if isinstance(known, Mapping) else None
     about = (known.get("preferences") or {}).get("description") if isinstance(known, Mapping) else None
     sentences = []
     if about:
@@ -63,6 +64,7 @@ def meaning_of(site: Site) -> list[str]:
             "Ride cost, C_r, is how much the nose of the vehicle goes up and down for each metre driven. C_r = "
             f"0.1 rad/m means {math.degrees(0.1):.1f} degrees of pitch for each metre, ups and downs added."
         ),
+        *([_of_floor(float(floor))] if floor else []),
         (
             f"Chance of failure is the share of simulated drives of {cost['drive_m']:g} m over such ground that rolled "
             "over or got stuck. From one half on, the ground counts as not passable."
@@ -76,25 +78,29 @@ def meaning_of(site: Site) -> list[str]:
     ]
 
 
+def _of_floor(floor: float) -> str:
+    return (
+        f"Even, level ground costs this vehicle {floor:g} rad/m ({math.degrees(floor):.1f} degrees per metre), from its "
+        "tyres and drive train; every ride cost holds it, and so do the limits of the classes."
+    )
+
+
 def measured_surfaces() -> Html:
     """Return measured ride costs of named surfaces, with where they come from."""
-    known = parse_json(_SURFACES.read_text(encoding="utf-8"))
-    rows = [
-        (one["name"], f"{one['c_r']:.3f}", f"{math.degrees(one['c_r']):.1f}")
-        for one in sorted(known["surfaces"], key=lambda one: float(one["c_r"]))
-    ]
-    low, high = known["floor"]
+    real = read_surfaces()
+    rows = [(name, f"{c_r:.3f}", f"{math.degrees(c_r):.1f}") for name, c_r in real.c_r.items()]
+    low, high = real.floor
     return join(
         table(
-            f"Measured on real ground with a {known['vehicle']}",
-            ("surface", "C_r, rad/m", "degrees of pitch per metre"),
+            f"Measured on real ground with a {real.vehicle}",
+            ("surface", "C_r, rad/m", "degrees of pitch per metre; at 1 m/s, per second"),
             rows,
         ),
         tag(
             "p",
-            f"A real robot ({known['vehicle']}, {known['kind']}, {known['speed']}), not the vehicle of this map and "
-            "not this ground: it shows the size of such numbers, no more. Below "
-            f"{low:g} to {high:g} rad/m the sensor's own noise speaks. Source: {known['source']}; {known['method']}.",
+            f"A real robot ({real.vehicle}, {real.kind}, {real.speed}), not the vehicle of this map and not this "
+            f"ground: it shows the size of such numbers, no more. {low:g} to {high:g} rad/m are the vehicle's own: "
+            f"the lugs of its tyres and its drive train, on any ground. Source: {real.source}; {real.method}.",
             class_="note",
         ),
     )

@@ -10,8 +10,9 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.vehicle.floor import with_floor
 
-__all__ = ["RideModel", "judge"]
+__all__ = ["RideModel", "interval", "judge"]
 
 Floats = NDArray[np.float64]
 
@@ -71,19 +72,27 @@ class RideModel:
         found = self.predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance, p_fail = judge(found, patches.slope, calibration)
+        c_r, low, high = interval(found, calibration.floor)
         return CostMap(
             georeference=georeference,
             patches=patches,
             textures=textures,
             class_id=np.where(known, class_id, NO_CLASS).astype(np.uint8),
-            c_r=_where(known, np.exp(found.log_c_r)),
-            c_r_low=_where(known, np.exp(found.log_c_r - NORMAL_TAIL * found.below)),
-            c_r_high=_where(known, np.exp(found.log_c_r + NORMAL_TAIL * found.above)),
+            c_r=_where(known, c_r),
+            c_r_low=_where(known, low),
+            c_r_high=_where(known, high),
             p_fail=_where(known, p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             rule=calibration.cost_rule,
         )
+
+
+def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
+    """Return C_r and both ends of its 80 % interval of n predictions, rad/m, with the vehicle's floor."""
+    ends = (found.log_c_r, found.log_c_r - NORMAL_TAIL * found.below, found.log_c_r + NORMAL_TAIL * found.above)
+    c_r, low, high = (with_floor(np.exp(value), floor) for value in ends)
+    return c_r, low, high
 
 
 def judge(
@@ -92,7 +101,7 @@ def judge(
     """Return class, its probability, and p_fail of n predictions.
 
     Ground steeper than the vehicle's limit (``slope``, (n,) degrees) fails for certain; where at least ``FAIL_SHARE``
-    of the drives fail, the class is the roughest.
+    of the drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
     """
     p_fail = np.where(slope > float(calibration.vehicle["slope_limit_deg"]), 1.0, found.p_fail)
     class_id, chance = _class_chance(found, calibration.class_limits)

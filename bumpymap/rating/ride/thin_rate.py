@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from bumpymap.core import DENSE_COVERAGE, NO_CLASS, THIN_POINTS, THIN_SEEN, Reason, UsageError
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Prediction
-from bumpymap.rating.ride.rate import judge
+from bumpymap.rating.ride.rate import interval, judge
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 from bumpymap.rating.ride.thin_neighbours import pull_to_neighbours
 from bumpymap.rating.ride.thin_noise import PooledNoise, pool_noise
+from bumpymap.rating.vehicle.floor import less_floor
 
 __all__ = ["BlockRating", "dense_share", "is_rateable", "rate_thin", "ride_weight"]
 
@@ -77,7 +78,7 @@ def rate_thin(
     if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
-        mixed = _mixed(_predicted(model, flat, reason == Reason.OK), first, weight)
+        mixed = _mixed(_predicted(model, flat, reason == Reason.OK), first, weight, calibration.floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
         tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
@@ -157,9 +158,10 @@ def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> 
     return Prediction(*found)
 
 
-def _mixed(thin: Prediction, first: BlockRating, weight: Floats) -> Prediction:
-    """Mix with the first pass, (rows, cols); the result is continuous in the coverage."""
-    log_c_r, low, high = (np.log(values.astype(np.float64)) for values in (first.c_r, first.c_r_low, first.c_r_high))
+def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:
+    """Mix with the first pass less its floor, (rows, cols); the result is continuous in the coverage."""
+    ends = (first.c_r, first.c_r_low, first.c_r_high)
+    log_c_r, low, high = (np.log(less_floor(values, floor)) for values in ends)
     ride: tuple[Floats, ...] = (
         log_c_r,
         (log_c_r - low) / NORMAL_TAIL,
@@ -178,11 +180,12 @@ def _as_rating(found: Prediction, steep: Floats, reason: NDArray[np.uint8], cali
     """Turn predictions into what is stored, by the rules of the ride rating."""
     line = Prediction(*(values.ravel() for values in (found.log_c_r, found.below, found.above, found.p_fail)))
     class_id, chance, p_fail = (values.reshape(steep.shape) for values in judge(line, steep.ravel(), calibration))
+    c_r, low, high = interval(found, calibration.floor)
     return BlockRating(
         class_id=class_id.astype(np.uint8),
-        c_r=np.exp(found.log_c_r).astype(np.float32),
-        c_r_low=np.exp(found.log_c_r - NORMAL_TAIL * found.below).astype(np.float32),
-        c_r_high=np.exp(found.log_c_r + NORMAL_TAIL * found.above).astype(np.float32),
+        c_r=c_r.astype(np.float32),
+        c_r_low=low.astype(np.float32),
+        c_r_high=high.astype(np.float32),
         p_fail=p_fail.astype(np.float32),
         confidence=chance.astype(np.float32),
         reason=reason,

@@ -20,6 +20,7 @@ _WORDS = {
     "kg": "kilograms",
     "kg m2": "kg m2",
     "m/rad": "metres per radian",
+    "rad/m": "radians per metre",
     "N m/rad": "N m per radian",
     "N m s/rad": "N m s per radian",
 }
@@ -28,6 +29,7 @@ _MISTAKEN = {
     "m/s": ("km/h", 1 / 3.6),
     "deg": ("rad", math.degrees(1.0)),
     "rad": ("deg", math.radians(1.0)),
+    "rad/m": ("deg/m", math.radians(1.0)),
 }
 """The unit that is often used by mistake, and its size in the right one."""
 

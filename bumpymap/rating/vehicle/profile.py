@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, short_repr
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
 from bumpymap.rating.vehicle.body import Body, body_table
+from bumpymap.rating.vehicle.floor import Floor
 from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
 __all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
@@ -110,6 +111,8 @@ class Vehicle:
     wheel: Wheel
     body: Body = field(default=Body(), kw_only=True)
     """Does not affect the drives; what the profile leaves out follows from the other keys."""
+    floor: Floor = field(default=Floor(), kw_only=True)
+    """Does not affect the drives either; added to what they say."""
 
     @property
     def mass_kg(self) -> float:

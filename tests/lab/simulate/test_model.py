@@ -183,7 +183,7 @@ def test_belly_that_touches_nothing_changes_no_bit():
     assert drive(WARTHOG, rough_ground(0.2), 4, SHORT) == drive(high, rough_ground(0.2), 4, SHORT)
 
 
-@pytest.mark.parametrize("name", ["small_rover", "car"])
+@pytest.mark.parametrize("name", ["small_rover", "car", "husky"])
 def test_other_shipped_vehicles_drive_too(name):
     profile = load_profile(name)
     level = drive_from(profile, PlaneGround((0.0, 0.0)), Start(0.0, 0.0, 0.4), 0, SHORT)

@@ -150,6 +150,24 @@ def test_dense_tiles_keep_their_bits_and_the_mixture_is_continuous(unseen):
     np.testing.assert_allclose(nearly.p_fail, dense.p_fail, atol=1e-3)
 
 
+@pytest.mark.parametrize("coverage", [0.15, 0.6])
+def test_a_floor_is_added_once(unseen, coverage):
+    """Also where a tile is rated half from its heightmap, whose C_r holds the floor already."""
+    raised = replace(CALIBRATION, vehicle=CALIBRATION.vehicle | {"floor": {"c_r_radpm": 0.05}})
+    columns, values = block_of(unseen), np.full((18, 18), 0.03, np.float32)
+    bare = replace(
+        first_pass(), class_id=np.zeros((18, 18), np.uint8), c_r=values, c_r_low=0.8 * values, c_r_high=1.3 * values,
+        p_fail=values, confidence=values,
+    )  # fmt: skip
+    names = ("c_r", "c_r_low", "c_r_high")
+    first = replace(bare, **{name: np.hypot(getattr(bare, name), np.float32(0.05)) for name in names})
+    found = rate_thin(columns, bare, *maps(coverage=coverage), CALIBRATION)
+    with_it = rate_thin(columns, first, *maps(coverage=coverage), raised)
+    np.testing.assert_array_equal(with_it.class_id, found.class_id)
+    for name in names:
+        np.testing.assert_allclose(getattr(with_it, name), np.hypot(getattr(found, name), 0.05), rtol=1e-4)
+
+
 def test_too_steep_ground_is_not_passable(unseen):
     found = rate_thin(block_of(unseen), first_pass(), *maps(slope=31.0), CALIBRATION)
     assert (found.p_fail == 1).all()

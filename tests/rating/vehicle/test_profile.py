@@ -14,8 +14,8 @@ def warthog():
     return load_profile("warthog").to_dict()
 
 
-def test_three_profiles_ship_and_carry_their_own_names():
-    assert shipped_profiles() == ["car", "small_rover", "warthog"]
+def test_four_profiles_ship_and_carry_their_own_names():
+    assert shipped_profiles() == ["car", "husky", "small_rover", "warthog"]
     for name in shipped_profiles():
         assert load_profile(name).name == name
 
@@ -24,6 +24,7 @@ def test_masses_add_up_to_what_the_descriptions_say():
     assert load_profile("warthog").mass_kg == 260
     assert load_profile("small_rover").mass_kg == 20
     assert load_profile("car").mass_kg == 1900
+    assert load_profile("husky").mass_kg == pytest.approx(56.5, abs=0.1)
 
 
 def test_dictionary_is_its_own_json_and_builds_the_same_profile(warthog):
@@ -189,7 +190,7 @@ def test_an_outline_that_is_left_out_follows_from_wheels_and_belly(warthog):
 
 
 def test_unknown_name_lists_the_shipped_profiles():
-    with pytest.raises(UsageError, match=re.escape("car, small_rover, warthog")):
+    with pytest.raises(UsageError, match=re.escape("car, husky, small_rover, warthog")):
         load_profile("tank")
 
 
@@ -218,7 +219,7 @@ def test_the_docs_name_every_key_and_the_values_of_the_included_vehicles():
         if line.startswith("| `"):
             key, *values = [cell.strip(" `") for cell in line.strip("|").split("|")]
             rows[key] = values
-    profiles = [load_profile(name).to_dict() for name in ("warthog", "small_rover", "car")]
+    profiles = [load_profile(name).to_dict() for name in ("warthog", "small_rover", "car", "husky")]
     flat = [
         {k: v for k, v in p.items() if not isinstance(v, dict) and k not in {"name", "description"}}
         | {f"{k}.{kk}": vv for k, v in p.items() if isinstance(v, dict) for kk, vv in v.items()}

@@ -1,0 +1,142 @@
+"""``bumpymap check --refit``: move the calibration of a map to the drives over it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bumpymap.cli._text import print_line
+from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked
+
+if TYPE_CHECKING:
+    from bumpymap.layers import RouteMap
+    from bumpymap.rating import Calibration, DriveUpdate
+
+__all__ = ["Refit", "prepare_refit"]
+
+_LEAST_WIDENING = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A calibration to move, and the file to write."""
+
+    calibration: "Calibration"
+    out: Path
+    overwrite: bool
+
+    def move(self, stretches: DrivenStretches) -> "DriveUpdate":
+        """Move the calibration and write it.
+
+        Raises
+        ------
+        BadInputError
+            The drives are too short, or agree with the calibration.
+        OutputError
+            The file cannot be written.
+        """
+        from bumpymap.rating import update_from_drives
+
+        moved, update = update_from_drives(self.calibration, stretches)
+        with locked(self.out.parent, f".{self.out.name}.lock"):
+            _refuse_replacing(self.out, self.overwrite)
+            with atomic(self.out) as beside:
+                beside.write_text(moved.to_json(), encoding="utf-8")
+        return update
+
+    def show(self, update: "DriveUpdate") -> None:
+        """Print what was found, in words."""
+        for line in _words(update):
+            print_line(line)
+        print_line(f"Calibration: {self.out}. Map with it: bumpymap map SURVEY --out DIR --calibration {self.out}")
+
+    def record(self, update: "DriveUpdate") -> dict[str, Any]:
+        """Return what was found, as plain JSON."""
+        return {"out": str(self.out), **update.to_record()}
+
+
+def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
+    """Find the calibration of a map before the drives are measured.
+
+    Parameters
+    ----------
+    layers : Path or None
+        Folder of the map.
+    calibration : Path, optional
+        Its calibration file; None: the one that its run.json names.
+    out : Path
+        The calibration file to write.
+    overwrite : bool
+        Replace that file.
+
+    Raises
+    ------
+    UsageError
+        There is no map, or its calibration is not found.
+    BadInputError
+        The layers or the calibration cannot be read, or do not belong together.
+    OutputError
+        The file exists.
+    """
+    from bumpymap.layers import open_map
+
+    if layers is None:
+        raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
+    _refuse_replacing(out, overwrite)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
+    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+
+
+def _refuse_replacing(out: Path, overwrite: bool) -> None:
+    if out.is_dir():
+        raise OutputError(f"{out} is a folder; `refit` takes the file to write, such as `refit='my_robot.json'`")
+    if (out.exists() or out.is_symlink()) and not overwrite:
+        raise OutputError(f"{out} exists; give `overwrite=True` to replace it, or another file with `refit`")
+
+
+def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
+    """Return the calibration that a map was made with."""
+    from bumpymap.rating import find_calibration
+
+    settings = site.manifests[0].get("settings", {})
+    named = given or settings.get("calibration")
+    try:
+        vehicle = settings.get("vehicle") or site.vehicle.name
+        found = find_calibration(str(vehicle), Path(named) if named else None)
+    except (BadInputError, UsageError) as error:
+        if given:
+            raise
+        raise UsageError(
+            f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
+        ) from error
+    if found.id != site.calibration_id:
+        raise BadInputError(
+            f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
+            f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "
+            "survey again"
+        )
+    return found
+
+
+def _words(update: "DriveUpdate") -> Iterator[str]:
+    low, middle, high = (factor - 1.0 for factor in update.factor)
+    more = "more" if middle >= 0 else "less"
+    ends = sorted((abs(low), abs(high))) if low * high > 0 else (low, high)
+    several = f" of {update.drives} drives" if update.drives > 1 else ""
+    yield (
+        f"{update.new_m:.0f} m of different ground on {update.stretches} stretches{several}: this vehicle pitches "
+        f"{abs(middle):.0%} {more} than the calibration says (80 % interval: {ends[0]:.0%} to {ends[1]:.0%})"
+    )
+    yield (
+        f"C_r / measured, median: {update.ratio[0]:.2f} before, {update.ratio[1]:.2f} with the new calibration; on "
+        f"parts of the drives left out in turn, the median error falls from {update.held_out_error[0]:.0%} to "
+        f"{update.held_out_error[1]:.0%}"
+    )
+    if update.posterior.map_scale > _LEAST_WIDENING:
+        yield (
+            f"Over the same ground the drives are off the map {update.posterior.map_scale:.1f} times as far as its "
+            "intervals say; those of the new calibration are wider by that"
+        )

@@ -1,0 +1,249 @@
+"""Move a calibration to measured drives, with the simulation as the prior (``bumpymap check --refit``).
+
+Two numbers move: a shift of ln C_r, and a tilt of it (how much more it moves on rough ground than on smooth); a third,
+the floor of the profile, if left-out parts of the drives are predicted better with it. Before any drive, shift and tilt
+are 0, give or take what vehicles differ from their profiles (tests/benchmarks/unlike_vehicles.py) and more, since no
+simulation holds all of a vehicle. A calibration is moved only if it then predicts left-out parts better, and only from
+a stated length of drive on.
+"""
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, DrivenStretches
+from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.update import (
+    DriveEvidence,
+    DrivePrior,
+    HeldOutScore,
+    LeftOut,
+    LogMove,
+    MovePosterior,
+    collect_evidence,
+    fit_move,
+    hold_out,
+    moved_calibration,
+    respond,
+)
+
+__all__ = ["DriveUpdate", "UpdateSettings", "update_from_drives"]
+
+Floats = NDArray[np.float64]
+_MIDDLE_LIMIT = 1
+"""The class limit at which the shift is told."""
+_DECIMALS = 4
+"""Of the moved numbers: what is below differs between machines."""
+_NORMAL_TAIL = 1.2815515655446004
+_USUAL_FLOOR = 0.03
+"""Centre of the floor [rad/m] before any drive, where the profile has none: wheeled vehicles on paved ground."""
+_FLOOR_LOG_SD = 0.5, 1.0
+"""Standard deviation of its logarithm where the profile has one, and where it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateSettings:
+    """What is assumed, and how much is asked for, before a calibration is moved."""
+
+    shift_sd: float = 0.2
+    """Standard deviation of the shift of ln C_r before any drive."""
+    tilt_sd: float = 0.1
+    """The same of its tilt."""
+    speed_mps: float | None = None
+    """Speed that the map's C_r is for, m/s; None: that of the profile."""
+    least_m: float = 200.0
+    """Least length of driven ground, m; ground that was driven twice counts once."""
+    least_stretches: int = 12
+    least_gain: float = 1.28
+    """Least gain on parts that were left out, in its standard errors: by chance alone, one in ten has it."""
+    least_floor_gain: float = 2.0
+    """The same for a floor that moves, over one that does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveUpdate:
+    """How a calibration was moved, and what that rests on."""
+
+    calibration_id: str
+    """Of the calibration before."""
+    drives: int
+    stretches: int
+    """Number of stretches that count."""
+    way_m: float
+    """Their length, m."""
+    new_m: float
+    """The same, with ground that was driven more than once counted once, m."""
+    left_out: LeftOut
+    c_r_range: tuple[float, float]
+    """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
+    prior: DrivePrior
+    posterior: MovePosterior
+    floor: tuple[float, float]
+    """C_r of even ground before and after, rad/m."""
+    factor: tuple[float, float, float]
+    """What the calibration's C_r is multiplied by in the middle of that range: low, median and high of 80 %."""
+    ratio: tuple[float, float]
+    """Median of C_r / measured before and after."""
+    held_out_error: tuple[float, float]
+    """Median of abs(C_r / measured - 1) on parts that were left out, before and after."""
+    gain: tuple[float, float]
+    """Gain in ln probability on parts that were left out, and its standard error."""
+    parts: int
+    """Number of parts that were left out in turn."""
+
+    def to_record(self) -> dict[str, Any]:
+        """Return all findings as plain JSON."""
+        plain: dict[str, Any] = _plain(asdict(self))
+        if not math.isfinite(self.prior.log_floor):
+            del plain["prior"]["log_floor"]
+        return plain
+
+
+def update_from_drives(
+    calibration: Calibration, stretches: DrivenStretches, settings: UpdateSettings | None = None
+) -> tuple[Calibration, DriveUpdate]:
+    """Move the C_r of a calibration to what drives measured.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The one that the map of the stretches was made with.
+    stretches : DrivenStretches
+        Of all drives.
+    settings : UpdateSettings, optional
+
+    Returns
+    -------
+    Calibration
+        Its vehicle, class limits and p_fail are those of the calibration before.
+    DriveUpdate
+
+    Raises
+    ------
+    BadInputError
+        The calibration was moved before, the drives are too short, or they agree with it.
+    """
+    settings = settings or UpdateSettings()
+    if "moved_to_drives" in calibration.settings:
+        before = calibration.settings["moved_to_drives"].get("calibration_id", "before")
+        raise BadInputError(
+            f"the calibration {calibration.id} was moved to drives already, and would count them twice. Check all "
+            f"drives together, those of then and those of now, against a map made with the calibration {before}"
+        )
+    floor = calibration.floor
+    speed = settings.speed_mps or float(calibration.vehicle["speed_mps"])
+    evidence, lost = collect_evidence(stretches, speed, floor)
+    _require_enough(evidence, lost, speed, settings)
+    plain = DrivePrior(
+        middle=math.log(calibration.class_limits[_MIDDLE_LIMIT]),
+        sd=(settings.shift_sd, settings.tilt_sd),
+        log_floor=math.log(floor) if floor else -math.inf,
+    )
+    line_sd = fit_move(evidence, plain).line_sd
+    prior, after = _best_prior(evidence, plain, line_sd, settings)
+    before = hold_out(evidence, plain, line_sd, moved=False)
+    update = _described(calibration, evidence, lost, prior, (before, after))
+    if not update.gain[0] > settings.least_gain * update.gain[1]:
+        raise BadInputError(_agree(update))
+    record = update.to_record()
+    moved = moved_calibration(calibration, LogMove.of(prior, update.posterior), record)
+    if update.floor[0] != update.floor[1]:
+        moved = replace(moved, vehicle=moved.vehicle | {"floor": {"c_r_radpm": update.floor[1]}})
+    return moved, update
+
+
+def _best_prior(
+    evidence: DriveEvidence, plain: DrivePrior, line_sd: float, settings: UpdateSettings
+) -> tuple[DrivePrior, HeldOutScore]:
+    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one."""
+    own = math.isfinite(plain.log_floor)
+    centre, sd = (plain.log_floor, _FLOOR_LOG_SD[0]) if own else (math.log(_USUAL_FLOOR), _FLOOR_LOG_SD[1])
+    floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
+    fixed, free = hold_out(evidence, plain, line_sd), hold_out(evidence, floored, line_sd)
+    gain, error = free.gain_over(fixed)
+    return (floored, free) if gain > settings.least_floor_gain * error else (plain, fixed)
+
+
+def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settings: UpdateSettings) -> None:
+    number, new_m = len(evidence.way_m), float(evidence.new_m.sum())
+    if number >= settings.least_stretches and new_m >= settings.least_m:
+        return
+    reasons = {
+        "off the map": lost.off_map,
+        f"not near the {speed:g} m/s of the map": lost.other_speed,
+        "with less motion than the sensor tells": lost.below_sensor,
+    }
+    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
+    raise BadInputError(
+        f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
+        f"{f' (left out: {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
+        f"{settings.least_stretches} stretches; drive more, over smooth ground and rough, and give all drives together"
+    )
+
+
+def _described(
+    calibration: Calibration,
+    evidence: DriveEvidence,
+    lost: LeftOut,
+    prior: DrivePrior,
+    held_out: tuple[HeldOutScore, HeldOutScore],
+) -> DriveUpdate:
+    posterior = _rounded(fit_move(evidence, prior))
+    before, after = held_out
+    fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
+    middle = np.array([np.median(evidence.log_c_r)])
+    value, slope = respond(posterior.mean, middle, prior)
+    floor = calibration.floor
+    by = float(value[0]) - 0.5 * float(np.logaddexp(2 * middle[0], 2 * math.log(floor) if floor else -math.inf))
+    sd = math.sqrt(float(slope[0] @ posterior.covariance @ slope[0]))
+    low, high = np.exp(np.quantile(evidence.log_c_r, (0.1, 0.9))).tolist()
+    return DriveUpdate(
+        calibration_id=calibration.id,
+        drives=len(np.unique(evidence.drive)),
+        stretches=len(evidence.way_m),
+        way_m=float(evidence.way_m.sum()),
+        new_m=float(evidence.new_m.sum()),
+        left_out=lost,
+        c_r_range=(low, high),
+        prior=prior,
+        posterior=posterior,
+        floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
+        factor=(math.exp(by - _NORMAL_TAIL * sd), math.exp(by), math.exp(by + _NORMAL_TAIL * sd)),
+        ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
+        held_out_error=(before.error, after.error),
+        gain=after.gain_over(before),
+        parts=after.parts,
+    )
+
+
+def _rounded(found: MovePosterior) -> MovePosterior:
+    return MovePosterior(
+        np.round(found.mean, _DECIMALS),
+        np.round(found.covariance, 2 * _DECIMALS),
+        round(found.map_scale, _DECIMALS),
+        round(found.line_sd, _DECIMALS),
+    )
+
+
+def _agree(update: DriveUpdate) -> str:
+    low, _, high = update.factor
+    return (
+        f"the drives agree with the calibration {update.calibration_id}, so it is not moved: over {update.way_m:.0f} m "
+        f"({update.stretches} stretches) the map's C_r is {update.ratio[0]:.2f} times the measured in the median; "
+        "moved, it would not predict left-out parts of the drives better than by chance (median error "
+        f"{update.held_out_error[1]:.1%}, as it is {update.held_out_error[0]:.1%}). The drives leave room for a factor "
+        f"of {low:.2f} to {high:.2f} on C_r; longer ones would tell"
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return float(f"{value:.6g}") if isinstance(value, float) and math.isfinite(value) else value
