@@ -79,10 +79,10 @@ class BorealDrive:
 
     @property
     def standing(self) -> float:
-        """Mean absolute pitch rate while no wheel has turned for half a second, rad/s; NaN without 1 s of it."""
+        """Mean absolute pitch rate while no wheel has turned for half a second, rad/s; NaN without 2 s of it."""
         still = (np.abs(self.speed) + np.abs(self.apart) / 2) < 0.01
         still = binary_erosion(still, iterations=round(RATE_HZ / 2))
-        return float(np.abs(self.felt[still]).mean()) if still.sum() >= RATE_HZ else float("nan")
+        return float(np.abs(self.felt[still]).mean()) if still.sum() >= 2 * RATE_HZ else float("nan")
 
 
 def read_boreal(folder: Path) -> list[BorealDrive]:
@@ -156,15 +156,15 @@ def lugs_of(drives: list[BorealDrive]) -> float:
 def main(folder: Path) -> None:
     """Print the tables."""
     surfaces = {name: read_boreal(folder / sub) for name, sub in FOLDERS.items()}
-    print("| surface | drive | way, m | speed, m/s | C_r, rad/m | standing, rad/s |\n|---|---|---|---|---|---|")
+    print("| surface | drive | way, m | speed, m/s | C_r, rad/m | standing, rad/s | turning on the spot, rad/s |")
+    print("|---|---|---|---|---|---|---|")
     for name, drives in surfaces.items():
         for drive in drives:
-            driven, still = drive.is_driven, f"{drive.standing:.4f}" if np.isfinite(drive.standing) else ""
-            if driven:
-                speed = np.median(drive.speed[drive.counts])
-                print(f"| {name} | {drive.name} | {drive.way_m:.1f} | {speed:.2f} | {drive.c_r:.4f} | {still} |")
-            else:
-                print(f"| {name} | {drive.name} | turns, or hardly moves | | | {still} |")
+            own = ["", "", ""]
+            if drive.is_driven:
+                own = [f"{drive.way_m:.1f}", f"{np.median(drive.speed[drive.counts]):.2f}", f"{drive.c_r:.4f}"]
+            own += [f"{rate:.4f}" if np.isfinite(rate) else "" for rate in (drive.standing, drive.turning)]
+            print(f"| {name} | {drive.name} | {' | '.join(own)} |")
     print("\n| surface | way, m | C_r, rad/m | 95 % of windows | whole set | ratio |\n|---|---|---|---|---|---|")
     for name, drives in surfaces.items():
         c_r, low, high = measure_surface(drives)
