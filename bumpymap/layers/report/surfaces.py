@@ -55,5 +55,7 @@ def degrees_line(median_c_r: Sequence[float]) -> str:
         if math.isfinite(c_r)
     )
     real = read_surfaces()
-    named = ", ".join(f"{name} {math.degrees(real.c_r[name]):.1f}" for name in _NAMED)
-    return f"in degrees of pitch per metre: {classes}; measured with a real {real.vehicle}: {named}" if classes else ""
+    named = ", ".join(f"{math.degrees(real.c_r[name]):.1f} on {name}" for name in _NAMED)
+    if not classes:
+        return ""
+    return f"Median c_r in degrees of pitch per metre: {classes}; a real {real.vehicle} measured {named}"
