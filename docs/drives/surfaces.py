@@ -134,10 +134,10 @@ def surfaces() -> list[Surface]:
     ]
 
 
-def pixel_means(heights: Floats) -> Floats:
-    """Return the means over pixels of 0.2 m, as many as fit."""
-    n = SIZE // PIXEL
-    return np.asarray(heights[: n * PIXEL, : n * PIXEL].reshape(n, PIXEL, n, PIXEL).mean(axis=(1, 3)))
+def pixel_means(heights: Floats, nodes: int = PIXEL) -> Floats:
+    """Return the means over pixels of some nodes, 0.2 m by default, as many as fit."""
+    n = SIZE // nodes
+    return np.asarray(heights[: n * nodes, : n * nodes].reshape(n, nodes, n, nodes).mean(axis=(1, 3)))
 
 
 class Felt(NamedTuple):
@@ -216,6 +216,19 @@ def rows(calibration: Calibration, drives: int) -> Iterator[str]:
             )
 
 
+def finer_pixels(profile: Vehicle, drives: int) -> Iterator[str]:
+    """Make the lines of the table of C_r by the size of pixels."""
+    for surface in surfaces():
+        if not surface.name.startswith(("snow", "loam, cultivated")):
+            continue
+        found = []
+        for nodes in (10, 5, 4, 2):
+            ground = GridGround(pixel_means(surface.heights, nodes), nodes * STEP_M, max(STEP_M, nodes * STEP_M / 2))
+            at_speed = replace(profile, speed_mps=surface.drives[0][0])
+            found.append(np.nanmean([simulate(at_speed, ground, seed).c_r for seed in range(drives)]))
+        yield f"| {surface.name} | {' | '.join(f'{c_r:.3f}' for c_r in found)} |"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser()
@@ -233,6 +246,9 @@ def main() -> None:
     )
     print(f"{'|---' * 12}|")
     for row in rows(calibration, options.drives):
+        print(row, flush=True)
+    print("\n| surface | pixels of 0.2 m | 0.1 m | 0.08 m | 0.04 m |\n|---|---|---|---|---|")
+    for row in finer_pixels(Vehicle.from_dict(calibration.vehicle, "calibration"), options.drives):
         print(row, flush=True)
 
 

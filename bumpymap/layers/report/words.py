@@ -80,8 +80,8 @@ def meaning_of(site: Site) -> list[str]:
 
 def _of_floor(floor: float) -> str:
     return (
-        f"Even, level ground costs this vehicle {floor:g} rad/m ({math.degrees(floor):.1f} degrees per metre), from its "
-        "tyres and drive train; every ride cost holds it, and so do the limits of the classes."
+        f"Even, level ground costs this vehicle {floor:g} rad/m ({math.degrees(floor):.1f} degrees per metre), by its "
+        "tyres and drive train; every ride cost holds that, and so do the limits of the classes."
     )
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from bumpymap.layers import report
+from bumpymap.layers import degrees_line, report
+from bumpymap.layers.report.surfaces import read_surfaces
 
 DATA = Path(report.__file__).with_name("data") / "surfaces.json"
 FOLDERS = {"ice": "ICE", "asphalt": "ASPHALT", "indoor floor": "FLOORING", "snow": "SNOW", "silty loam": "SANDY_LOAM"}
@@ -35,6 +36,19 @@ def test_they_agree_with_the_drives_that_are_here(shared_data):
     found = {name: ride_cost(shared_data / "drives" / "borealtc" / folder) for name, folder in FOLDERS.items()}
     assert set(shown) == set(found)
     assert {name: value / shown[name] for name, value in found.items() if not 1 / 1.5 < value / shown[name] < 1.5} == {}
+
+
+def test_a_summary_says_them_in_degrees():
+    line = degrees_line([0.1, np.nan, np.radians(20.0), np.nan])
+    assert line.startswith("Median c_r in degrees of pitch per metre: smooth 5.7, rough 20.0; ")
+    assert line.endswith("measured 2.2 on asphalt, 8.4 on snow, 16.2 on silty loam")
+    assert degrees_line([np.nan] * 4) == ""
+
+
+def test_they_rise_and_the_floor_is_below_rough_ground():
+    real = read_surfaces()
+    assert list(real.c_r.values()) == sorted(real.c_r.values())
+    assert 0 < real.floor[0] < real.floor[1] < real.c_r["snow"]
 
 
 def test_they_name_their_source():
