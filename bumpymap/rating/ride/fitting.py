@@ -28,6 +28,11 @@ _MIN_EXCESS = 0.003
 """Excess below this is treated as equal to it."""
 _MIN_NOISY = 120
 """Fewest patches that a quantile of the noise tables is computed from."""
+_NOISY_SHARE = 80
+"""Otherwise one of so many."""
+_LOW_TAIL = ((0.1, TAIL), (0.4, 0.05))
+"""Excess, and probability below the low end of the interval, linear in between. Strong noise hides how smooth the
+smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 
@@ -220,14 +225,15 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
     """Return quantiles of the error over the patches nearest to each excess and point count, in logarithms."""
     log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
     log_points = np.log(noisy.pixel_points)
-    nearest = max(_MIN_NOISY, len(log_excess) // 40)
+    nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
+    low_tail = np.interp(_EXCESS, *zip(*_LOW_TAIL, strict=True))
     tables = []
     for points in _PIXEL_POINTS:
         row = []
-        for excess in _EXCESS:
+        for excess, tail in zip(_EXCESS, low_tail, strict=True):
             distance = np.hypot(log_excess - np.log(max(excess, _MIN_EXCESS)), 2 * (log_points - np.log(points)))
             near = noisy.error[np.argsort(distance, kind="stable")[:nearest]]
-            row.append(np.quantile(near, (TAIL, 0.5, 1 - TAIL)))
+            row.append(np.quantile(near, (tail, 0.5, 1 - TAIL)))
         tables.append(row)
     low, middle, high = (
         tuple(tuple(float(knot[side]) for knot in row) for row in tables) for side in range(3)

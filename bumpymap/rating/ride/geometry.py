@@ -10,6 +10,9 @@ from bumpymap.rating.ride.operator import RideOperator
 
 __all__ = ["Rides", "roll_over"]
 
+_APART = 2
+"""Pixels between heights that are compared: 0.4 m in a tile of 3 m."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rides:
@@ -27,6 +30,10 @@ class Rides:
     """(n,) the same of the difference of the two sides' pitch, rad."""
     belly_reach: NDArray[np.float64]
     """(n,) highest ground under the belly over its clearance; 1: it touches."""
+    height_range: NDArray[np.float64]
+    """(n,) highest above lowest pixel of the relief, m."""
+    height_change: NDArray[np.float64]
+    """(n,) mean absolute height difference of pixels two apart, m."""
 
 
 def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
@@ -53,4 +60,19 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         rides,
         ride_scratch(patches.shape[1], operator.nodes, margin),
     )
-    return Rides(*rides.T.copy())
+    return Rides(*rides.T.copy(), *_heights(patches, known))
+
+
+def _heights(patches: NDArray[np.float32], known: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return range and mean difference of the heights of patches; NaN where one is not known.
+
+    A patch has the same bits wherever it stands among others: its sums run over rows of its own.
+    """
+    span, change = np.full((2, len(patches)), np.nan)
+    heights = patches[known]
+    flat = heights.reshape(len(heights), -1)
+    span[known] = flat.max(axis=1) - flat.min(axis=1)
+    apart = (heights[:, _APART:] - heights[:, :-_APART], heights[:, :, _APART:] - heights[:, :, :-_APART])
+    sizes = np.concatenate([np.abs(part).reshape(len(heights), -1) for part in apart], axis=1)
+    change[known] = sizes.mean(axis=1, dtype=np.float64)
+    return span, change
