@@ -33,7 +33,7 @@ from bumpymap.lab.simulate.patch import PatchDrives, _seed
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
 from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
 from bumpymap.lab.worlds import KINDS
-from bumpymap.rating import MAX_FAILED_SHARE, Calibration, Correction, RideOperator, Vehicle, roll_over
+from bumpymap.rating import MAX_FAILED_SHARE, Calibration, RideModel, Vehicle, roll_over
 
 _NORMAL_TAIL = NormalDist().inv_cdf(0.9)
 _GRAVITY = 9.80665
@@ -43,6 +43,8 @@ _MOTOR_NMS = 2000.0
 """Torque per error of a wheel's speed, N m s/rad."""
 _BODY_SHARE = 0.3
 _WITHOUT_NOISE = 1e3
+
+Predictions = dict[tuple[str, int], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +148,8 @@ def _side_xml(profile: Vehicle, setup: Setup, name: str, left: float) -> str:
     }[setup.shape]
     wheels = "".join(
         f'<body pos="{ahead} 0 0"><joint name="{name}_{end}" type="hinge" axis="0 1 0"/>'
-        f'<inertial pos="0 0 0" mass="{wheel.mass_kg}" diaginertia="{_row(wheel_inertia(profile))}"/><geom {geom}/></body>'
+        f'<inertial pos="0 0 0" mass="{wheel.mass_kg}" diaginertia="{_row(wheel_inertia(profile))}"/>'
+        f"<geom {geom}/></body>"
         for end, ahead in (("front", profile.wheelbase_m / 2), ("rear", -profile.wheelbase_m / 2))
     )
     return (
@@ -229,57 +232,57 @@ def drive_terrain(profile: Vehicle, heights: NDArray[np.float64], seeds: list[in
 def compare(
     calibration: Calibration, each: int, starts: int, setup: Setup, done: set[tuple[str, int]]
 ) -> Iterator[dict[str, Any]]:
-    """Drive ``each`` terrains of every kind; yield a record per terrain: both C_r and what the ride model predicts."""
+    """Drive ``each`` terrains of every kind, but those that are done; yield a record of both C_r for each."""
     profile = Vehicle.from_dict(calibration.vehicle, calibration.id)
     terrains, driven = read_library(calibration)
-    relief, slope = relief_and_slope(terrains)
-    operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
-    assert calibration.ride is not None
-    nothing = np.zeros(len(terrains))
-    found = Correction.from_record(calibration.ride).predict(
-        roll_over(relief, operator), slope, nothing, nothing + _WITHOUT_NOISE
-    )
     # The first of all kinds, then the second: an interrupted run has seen all kinds.
     for number in sorted(range(len(driven)), key=lambda n: driven[n].index):
-        terrain, first = terrains[number], driven[number]
+        first = driven[number]
         if first.index >= each or (first.kind, first.index) in done:
             continue
         stream = (_LIBRARY_STREAM, KINDS.index(first.kind), first.index)
         seeds = [_seed(calibration.settings["seed"], (*stream, k)) for k in range(starts)]
-        second = drive_terrain(profile, terrain.heights, seeds, setup)
+        second = drive_terrain(profile, terrains[number].heights, seeds, setup)
         yield {
             "kind": first.kind,
             "index": first.index,
-            "slope_deg": float(slope[number]),
             "first": first.c_r,
             "first_error": first.c_r_error,
             "first_failed": first.failed / first.drives,
             "second": second.mean_c_r,
             "second_failed": second.failed / starts,
             "drives": second.c_r,
-            "predicted": float(np.exp(found.log_c_r[number])),
-            "below": float(found.below[number]),
-            "above": float(found.above[number]),
         }
 
 
-def summary(records: list[dict[str, Any]]) -> dict[str, float]:
+def predict(calibration: Calibration) -> Predictions:
+    """Return C_r [rad/m] of the terrains by the ride model, and the deviations of its logarithm below and above."""
+    terrains, driven = read_library(calibration)
+    relief, slope = relief_and_slope(terrains)
+    model, nothing = RideModel(calibration), np.zeros(len(terrains))
+    found = model.correction.predict(roll_over(relief, model.operator), slope, nothing, nothing + _WITHOUT_NOISE)
+    rows = zip(np.exp(found.log_c_r).tolist(), found.below.tolist(), found.above.tolist(), strict=True)
+    return {(terrain.kind, terrain.index): row for terrain, row in zip(driven, rows, strict=True)}
+
+
+def summary(records: list[dict[str, Any]], predictions: Predictions) -> dict[str, float]:
     """Return how the two simulations differ, and how well the ride model's intervals hold the second one's means."""
     good = [r for r in records if r["first"] and r["second"]]
     good = [r for r in good if max(r["first_failed"], r["second_failed"]) <= MAX_FAILED_SHARE]
-    first, second, predicted, below, above = (
-        np.array([r[key] for r in good]) for key in ("first", "second", "predicted", "below", "above")
-    )
+    if not good:
+        return {"terrains": 0}
+    first, second, error = (np.array([r[key] for r in good]) for key in ("first", "second", "first_error"))
+    predicted, below, above = np.array([predictions[r["kind"], r["index"]] for r in good]).T
     apart, away = np.log(second / first), np.log(second / predicted)
-    error = np.array([r["first_error"] for r in good]) / first  # of a mean of few drives; both have the same starts
-    inside = (away > -_NORMAL_TAIL * np.hypot(below, error)) & (away < _NORMAL_TAIL * np.hypot(above, error))
-    rank = [np.argsort(np.argsort(values)) for values in (first, second)]
+    # Of a mean of few drives: both have the same starts.
+    drawn = error / first
+    inside = (away > -_NORMAL_TAIL * np.hypot(below, drawn)) & (away < _NORMAL_TAIL * np.hypot(above, drawn))
     return {
         "terrains": len(good),
         "median_ratio": float(np.exp(np.median(apart))),
         "median_difference": float(np.median(np.abs(np.expm1(apart)))),
-        "log_sd_80": float(np.diff(np.quantile(apart, (0.1, 0.9)))[0] / (2 * _NORMAL_TAIL)),
-        "spearman": float(np.corrcoef(*rank)[0, 1]),
+        "log_rms": float(np.sqrt(np.mean(apart**2))),
+        "log_sd_for_80": float(np.quantile(np.abs(apart), 0.8) / _NORMAL_TAIL),
         "prediction_error": float(np.median(np.abs(np.expm1(away)))),
         "held": float(inside.mean()),
     }
@@ -296,6 +299,7 @@ def main() -> int:
     given = parser.parse_args()
     named = Path(given.vehicle)
     calibration = Calibration.load(named) if named.exists() else Calibration.shipped(given.vehicle)
+    predictions = predict(calibration)
     for name in given.setups:
         begin = time.process_time()
         records = _recorded(given.out, name)
@@ -305,9 +309,9 @@ def main() -> int:
             if given.out:
                 with given.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps({"setup": name, **record}) + "\n")
-        _show(name, records)
+        _show(name, records, predictions)
         for kind in KINDS:
-            _show(f"  {kind}", [record for record in records if record["kind"] == kind])
+            _show(f"  {kind}", [record for record in records if record["kind"] == kind], predictions)
         sys.stdout.write(f"{time.process_time() - begin:.0f} s\n")
     return 0
 
@@ -320,8 +324,8 @@ def _recorded(path: Path | None, setup: str) -> list[dict[str, Any]]:
     return [record for record in records if record["setup"] == setup]
 
 
-def _show(name: str, records: list[dict[str, Any]]) -> None:
-    found = summary(records)
+def _show(name: str, records: list[dict[str, Any]], predictions: Predictions) -> None:
+    found = summary(records, predictions)
     sys.stdout.write(f"{name:16} " + "  ".join(f"{key} {value:.3g}" for key, value in found.items()) + "\n")
     sys.stdout.flush()
 

@@ -187,7 +187,7 @@ def _lists(value: Any) -> Any:
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
     """Return the terms of ln C_r, (n, 9).
 
-    They are 1, ln g, (ln g)^2, tan slope, unevenness, ln of the bump distance, (ln g)^3, the belly reach and its square.
+    1, ln g, (ln g)^2, tan slope, unevenness, ln of the bump distance, (ln g)^3, the belly reach and its square.
     """
     reach = np.minimum(rides.belly_reach, _MOST_REACH)
     return np.stack(

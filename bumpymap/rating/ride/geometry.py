@@ -60,19 +60,17 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         rides,
         ride_scratch(patches.shape[1], operator.nodes, margin),
     )
-    return Rides(*rides.T.copy(), *_heights(patches, known))
+    return Rides(*rides.T.copy(), *_heights(np.where(known[:, None, None], patches, np.float32(np.nan))))
 
 
-def _heights(patches: NDArray[np.float32], known: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return range and mean difference of the heights of patches; NaN where one is not known.
+def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return range and mean difference of the heights of patches, (n,) each, m; NaN where a patch has NaN.
 
-    A patch has the same bits wherever it stands among others: its sums run over rows of its own.
+    A patch has the same bits wherever it stands among others: its sums run over a row of its own.
     """
-    span, change = np.full((2, len(patches)), np.nan)
-    heights = patches[known]
-    flat = heights.reshape(len(heights), -1)
-    span[known] = flat.max(axis=1) - flat.min(axis=1)
-    apart = (heights[:, _APART:] - heights[:, :-_APART], heights[:, :, _APART:] - heights[:, :, :-_APART])
-    sizes = np.concatenate([np.abs(part).reshape(len(heights), -1) for part in apart], axis=1)
-    change[known] = sizes.mean(axis=1, dtype=np.float64)
-    return span, change
+    count, pixels = patches.shape[:2]
+    flat = patches.reshape(count, pixels * pixels)
+    span = flat.max(axis=1).astype(np.float64) - flat.min(axis=1)
+    apart = (patches[:, _APART:] - patches[:, :-_APART], patches[:, :, _APART:] - patches[:, :, :-_APART])
+    sizes = [np.abs(part).reshape(count, (pixels - _APART) * pixels) for part in apart]
+    return span, np.concatenate(sizes, axis=1).mean(axis=1, dtype=np.float64)
