@@ -1,6 +1,8 @@
 """Fit what needs no drives again, and write it into calibrations: ``python -m bumpymap.lab.simulate.refit FILE...``.
 
-The files are the shipped calibrations if none is named. The terrain library follows from the seed in the file.
+The files are the shipped calibrations if none is named. The terrain library follows from the seed in the file, and the
+file holds its drives: ride model and model of thin surveys are fitted to them, and tiles with steps are rated anew.
+Class limits and tables stay.
 """
 
 import sys
@@ -8,12 +10,32 @@ from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
-from bumpymap.core import UsageError
+from bumpymap.core import UsageError, atomic
 from bumpymap.lab.simulate.library import read_library
+from bumpymap.lab.simulate.ride_fit import fit_ride
+from bumpymap.lab.simulate.steps import rate_steps
 from bumpymap.lab.simulate.thin_surveys import fit_thin_surveys
 from bumpymap.rating import Calibration, Vehicle
 
-__all__ = ["refit_thin"]
+__all__ = ["refit", "refit_thin"]
+
+
+def refit(calibration: Calibration) -> Calibration:
+    """Return a calibration with newly fitted models of the ride and of thin surveys.
+
+    Raises
+    ------
+    UsageError
+        It holds no drives over the terrain library.
+    """
+    if "library" not in calibration.settings:
+        raise UsageError(
+            f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
+            "bumpymap calibrate"
+        )
+    terrains, driven = read_library(calibration)
+    profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+    return refit_thin(rate_steps(replace(calibration, ride=fit_ride(profile, terrains, driven))))
 
 
 def refit_thin(calibration: Calibration) -> Calibration:
@@ -34,4 +56,6 @@ def refit_thin(calibration: Calibration) -> Calibration:
 if __name__ == "__main__":
     shipped = Path(str(files("bumpymap.rating") / "data" / "calibrations"))
     for path in [Path(name) for name in sys.argv[1:]] or sorted(shipped.glob("*.json")):
-        path.write_text(refit_thin(Calibration.load(path)).to_json(), encoding="utf-8")
+        text = refit(Calibration.load(path)).to_json()
+        with atomic(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")

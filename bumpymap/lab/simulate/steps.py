@@ -25,7 +25,7 @@ from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
-__all__ = ["CrossingJob", "WallGround", "add_steps", "crossing_jobs", "run_crossing", "step_tile"]
+__all__ = ["CrossingJob", "WallGround", "add_steps", "crossing_jobs", "rate_steps", "run_crossing", "step_tile"]
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 """Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""
@@ -127,12 +127,7 @@ def add_steps(
     UsageError
         The calibration holds no ride model.
     """
-    settings = CalibrationSettings(
-        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
-        seed=int(calibration.settings.get("seed", 1)),
-        tile_size=calibration.tile_size,
-        pixels=calibration.pixels,
-    )
+    settings = _settings_of(calibration)
     tiles = _rated_tiles(calibration, settings)
     driven = drive_jobs(
         partial(run_crossing, settings),
@@ -144,6 +139,23 @@ def add_steps(
     )
     record = {"tile": tiles, "crossing": _crossings(settings.profile, driven), "seed": settings.seed}
     return replace(calibration, steps=record)
+
+
+def rate_steps(calibration: Calibration) -> Calibration:
+    """Return a calibration whose ``steps``, if it has them, hold what its ride model predicts; crossings stay."""
+    if calibration.steps is None:
+        return calibration
+    tiles = _rated_tiles(calibration, _settings_of(calibration))
+    return replace(calibration, steps=calibration.steps | {"tile": tiles})
+
+
+def _settings_of(calibration: Calibration) -> CalibrationSettings:
+    return CalibrationSettings(
+        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        seed=int(calibration.settings.get("seed", 1)),
+        tile_size=calibration.tile_size,
+        pixels=calibration.pixels,
+    )
 
 
 def _crossings(profile: Vehicle, driven: Mapping[Key, PatchDrives]) -> dict[str, Any]:

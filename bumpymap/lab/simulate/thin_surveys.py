@@ -67,7 +67,7 @@ def fit_thin_surveys(
     truth = correction.predict(roll_over(relief, operator), slope, none, none + _WITHOUT_NOISE)
     log_c_r = np.maximum(truth.log_c_r, np.log(_FLOOR * first_limit))
     columns, noise, terrain = (np.concatenate(part) for part in zip(*_surveys(terrains, operator), strict=True))
-    usual = float(np.exp(np.mean(correction.spread)))
+    usual = float(np.hypot(np.exp(np.mean(correction.spread)), correction.model_error))
     surveys = ThinSurveys(
         columns, noise, terrain, log_c_r[terrain], truth.p_fail[terrain], _bare(terrains[0], operator), usual
     )

@@ -1,15 +1,19 @@
 """Predict the C_r and p_fail that the simulation measures from the geometric C_r, with few coefficients.
 
-- ln C_r is a quadratic in ln g, g being the geometric C_r, plus terms of the slope, the unevenness and the distance
-  between bumps (pitch over its change per metre, because a suspension hides short bumps). Below the calibrated range,
-  C_r is proportional to g: small motions are linear in the ground.
-- The error of this prediction is log-normal, with a standard deviation that depends on g.
+- ln C_r is a cubic in ln g, g being the geometric C_r, plus terms of the slope, the unevenness, the distance between
+  bumps (pitch over its change per metre, because a suspension hides short bumps) and the reach of the ground towards
+  the belly, which shakes a vehicle that it strikes. Below the calibrated range, C_r is proportional to g: small motions
+  are linear in the ground.
+- The error of this prediction is log-normal, with a standard deviation that depends on g, and a part that another
+  simulation of the same vehicle would add.
 - Survey noise shifts and widens it: tables hold quantiles of how much rougher or smoother the true ground was than the
   denoised heightmap, over the *excess* (ln of the C_r with the noise over that without it) and the points per pixel.
   A geometric C_r below a tenth of its noise cannot be distinguished from it and is raised to that tenth.
-- p_fail is a logistic regression on the logarithms of g, pitch, twist and unevenness, the belly reach, and the slope.
+- p_fail is a logistic regression on the logarithms of g, pitch, twist, unevenness, height range and height differences
+  over two pixels, the belly reach, and the slope.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -31,7 +35,12 @@ _MIN_C_R = 1e-5
 """Smallest geometric C_r, rad/m; values below it are rounding errors."""
 _MIN_NOISE_SHARE = 0.1
 """Smallest geometric C_r as a share of the C_r that the noise alone would cause."""
-_C_R_TERMS, _FAIL_TERMS = 6, 8
+_MIN_HEIGHT = 1e-4
+"""Smallest height range and height difference, m; less makes no difference."""
+_MOST_REACH = 3.0
+"""Reach of the ground towards the belly beyond which more makes no difference."""
+_C_R_TERMS, _FAIL_TERMS = (6, 9), (8, 10)
+"""Numbers of coefficients: those of older calibrations, which lack the last terms, and of present ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +81,8 @@ class Correction:
     """90 % quantile of the same."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
+    model_error: float = 0.0
+    """Standard deviation of ln C_r between simulations of the same vehicle; 0 in older calibrations."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Correction":
@@ -83,7 +94,7 @@ class Correction:
             A value is missing or has the wrong length.
         """
         try:
-            values = {f.name: record[f.name] for f in fields(cls)}
+            values = {f.name: record[f.name] for f in fields(cls) if f.name in record or f.name != "model_error"}
             numbers: dict[str, Any] = {k: dict(v) if k == "origin" else _numbers(v) for k, v in values.items()}
             made = cls(**numbers)
             made._check()
@@ -95,8 +106,11 @@ class Correction:
         shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
         if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
             raise ValueError("tables of different sizes")
-        if (len(self.c_r), len(self.fail)) != (_C_R_TERMS, _FAIL_TERMS):
-            raise ValueError(f"{len(self.c_r)} and {len(self.fail)} coefficients, not {_C_R_TERMS} and {_FAIL_TERMS}")
+        for name, coefficients, allowed in (("C_r", self.c_r, _C_R_TERMS), ("p_fail", self.fail, _FAIL_TERMS)):
+            if len(coefficients) not in allowed:
+                raise ValueError(f"{len(coefficients)} coefficients of {name}, not {' or '.join(map(str, allowed))}")
+        if not 0.0 <= self.model_error < math.inf:
+            raise ValueError(f"model_error is {self.model_error}")
 
     def to_record(self) -> dict[str, Any]:
         """Return the coefficients as plain numbers for JSON."""
@@ -121,8 +135,8 @@ class Correction:
         low, high = self.log_range
         inside = np.clip(log_g, low, high)
         features = ride_features(inside, rides, slope_deg)
-        log_c_r = features @ np.array(self.c_r) + (log_g - inside)
-        sd = np.exp(np.interp(log_g, (low, high), self.spread))
+        log_c_r = _weighted(features, self.c_r) + (log_g - inside)
+        sd = np.hypot(np.exp(np.interp(log_g, (low, high), self.spread)), self.model_error)
         shift, down, up = (
             self._interpolate(table, excess, pixel_points)
             for table in (self.noise_middle, self.noise_low, self.noise_high)
@@ -131,7 +145,7 @@ class Correction:
             log_c_r=log_c_r + shift,
             below=np.hypot(sd, (shift - down) / NORMAL_TAIL),
             above=np.hypot(sd, (up - shift) / NORMAL_TAIL),
-            p_fail=1 / (1 + np.exp(-np.clip(fail_features(rides, slope_deg) @ np.array(self.fail), -40, 40))),
+            p_fail=1 / (1 + np.exp(-np.clip(_weighted(fail_features(rides, slope_deg), self.fail), -40, 40))),
         )
 
     def _interpolate(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
@@ -156,6 +170,12 @@ def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Fl
     return g, 0.5 * np.log1p((noise_felt / g) ** 2)
 
 
+def _weighted(features: Floats, coefficients: tuple[float, ...]) -> Floats:
+    """Return the sum of the first features, as many as there are coefficients."""
+    total: Floats = features[:, : len(coefficients)] @ np.array(coefficients)
+    return total
+
+
 def _numbers(value: Any) -> Any:
     return tuple(_numbers(item) for item in value) if isinstance(value, list | tuple) else float(value)
 
@@ -165,7 +185,11 @@ def _lists(value: Any) -> Any:
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
-    """Return the terms of ln C_r, (n, 6): 1, ln g, (ln g)^2, tan slope, unevenness, ln of the bump distance."""
+    """Return the terms of ln C_r, (n, 9).
+
+    1, ln g, (ln g)^2, tan slope, unevenness, ln of the bump distance, (ln g)^3, the belly reach and its square.
+    """
+    reach = np.minimum(rides.belly_reach, _MOST_REACH)
     return np.stack(
         [
             np.ones(len(log_g)),
@@ -174,13 +198,16 @@ def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
             np.tan(np.radians(slope_deg)),
             _unevenness(rides),
             np.log(np.maximum(rides.pitch, _MIN_C_R) / np.maximum(rides.pitch_change, _MIN_C_R)),
+            log_g**3,
+            reach,
+            reach**2,
         ],
         axis=1,
     )
 
 
 def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
-    """Return the terms of the logit of p_fail, (n, 8)."""
+    """Return the terms of the logit of p_fail, (n, 10)."""
     tangent = np.tan(np.radians(np.minimum(slope_deg, 80.0)))
     return np.stack(
         [
@@ -189,9 +216,11 @@ def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
             np.log(np.maximum(rides.pitch, _MIN_C_R)),
             np.log(np.maximum(rides.twist, _MIN_C_R)),
             _unevenness(rides),
-            np.minimum(rides.belly_reach, 3.0),
+            np.minimum(rides.belly_reach, _MOST_REACH),
             tangent,
             tangent**2,
+            np.log(np.maximum(rides.height_range, _MIN_HEIGHT)),
+            np.log(np.maximum(rides.height_change, _MIN_HEIGHT)),
         ],
         axis=1,
     )

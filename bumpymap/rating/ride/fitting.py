@@ -28,8 +28,17 @@ _MIN_EXCESS = 0.003
 """Excess below this is treated as equal to it."""
 _MIN_NOISY = 120
 """Fewest patches that a quantile of the noise tables is computed from."""
+_NOISY_SHARE = 80
+"""Otherwise one of so many."""
+_LOW_TAIL = ((0.1, TAIL), (0.4, 0.05))
+"""Excess, and probability below the low end of the interval, linear in between. Strong noise hides how smooth the
+smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
+_MODEL_ERROR = 0.10
+"""Standard deviation of ln C_r between simulations of one vehicle. tests/benchmarks/second_simulator.py measures 0.07
+to 0.12, depending on the shape of the wheels; a simulation of another author differed by 12 % in the median and 5 % in
+bias, which is 0.18 with the scatter of both sides' drives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +109,7 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
         noise_middle=middle,
         noise_high=high,
         origin=_report(predicted, target, error, driven),
+        model_error=_MODEL_ERROR,
     )
 
 
@@ -220,14 +230,15 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
     """Return quantiles of the error over the patches nearest to each excess and point count, in logarithms."""
     log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
     log_points = np.log(noisy.pixel_points)
-    nearest = max(_MIN_NOISY, len(log_excess) // 40)
+    nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
+    low_tail = np.interp(_EXCESS, *zip(*_LOW_TAIL, strict=True))
     tables = []
     for points in _PIXEL_POINTS:
         row = []
-        for excess in _EXCESS:
+        for excess, tail in zip(_EXCESS, low_tail, strict=True):
             distance = np.hypot(log_excess - np.log(max(excess, _MIN_EXCESS)), 2 * (log_points - np.log(points)))
             near = noisy.error[np.argsort(distance, kind="stable")[:nearest]]
-            row.append(np.quantile(near, (TAIL, 0.5, 1 - TAIL)))
+            row.append(np.quantile(near, (tail, 0.5, 1 - TAIL)))
         tables.append(row)
     low, middle, high = (
         tuple(tuple(float(knot[side]) for knot in row) for row in tables) for side in range(3)

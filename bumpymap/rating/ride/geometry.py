@@ -10,6 +10,9 @@ from bumpymap.rating.ride.operator import RideOperator
 
 __all__ = ["Rides", "roll_over"]
 
+_APART = 2
+"""Pixels between heights that are compared: 0.4 m in a tile of 3 m."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rides:
@@ -27,6 +30,10 @@ class Rides:
     """(n,) the same of the difference of the two sides' pitch, rad."""
     belly_reach: NDArray[np.float64]
     """(n,) highest ground under the belly over its clearance; 1: it touches."""
+    height_range: NDArray[np.float64]
+    """(n,) highest above lowest pixel of the relief, m."""
+    height_change: NDArray[np.float64]
+    """(n,) mean absolute height difference of pixels two apart, m."""
 
 
 def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
@@ -53,4 +60,17 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         rides,
         ride_scratch(patches.shape[1], operator.nodes, margin),
     )
-    return Rides(*rides.T.copy())
+    return Rides(*rides.T.copy(), *_heights(np.where(known[:, None, None], patches, np.float32(np.nan))))
+
+
+def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return range and mean difference of the heights of patches, (n,) each, m; NaN where a patch has NaN.
+
+    A patch has the same bits wherever it stands among others: its sums run over a row of its own.
+    """
+    count, pixels = patches.shape[:2]
+    flat = patches.reshape(count, pixels * pixels)
+    span = flat.max(axis=1).astype(np.float64) - flat.min(axis=1)
+    apart = (patches[:, _APART:] - patches[:, :-_APART], patches[:, :, _APART:] - patches[:, :, :-_APART])
+    sizes = [np.abs(part).reshape(count, (pixels - _APART) * pixels) for part in apart]
+    return span, np.concatenate(sizes, axis=1).mean(axis=1, dtype=np.float64)

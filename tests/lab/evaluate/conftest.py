@@ -21,7 +21,7 @@ def ride_record():
     """A ride model as a calibration holds it, fitted to made-up drives: C_r is 1.25 times what geometry says."""
     rng = np.random.default_rng(1)
     g = np.exp(rng.uniform(np.log(0.003), np.log(1.5), 200))
-    rides = Rides(g, g * 1.3, g / 3, g / 3, g / 4 * rng.uniform(0.5, 2, 200), g)
+    rides = Rides(g, g * 1.3, g / 3, g / 3, g / 4 * rng.uniform(0.5, 2, 200), g, g / 2, g / 9)
     failed = rng.binomial(8, 1 / (1 + np.exp(-6 * (np.log(g) + 0.2))))
     c_r = 1.25 * g * np.exp(0.08 * rng.standard_normal(200))
     driven = DrivenPatches(rides, rng.uniform(0, 20, 200), c_r, 0.05 * c_r, 8 - failed, failed)

@@ -1,7 +1,7 @@
 """The correction: recovered from made-up drives, written and read, refused when damaged."""
 
 import json
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -18,7 +18,8 @@ def made_up(seed=1, spread=0.1, count=COUNT):
     """Drives that follow the model: ln C_r = 0.2 + 1.1 ln g with a spread; the rougher the ground, the more fail."""
     rng = np.random.default_rng(seed)
     g = np.exp(rng.uniform(np.log(0.005), np.log(1.5), count))
-    rides = Rides(g, g * np.exp(0.25 + 0.1 * rng.random(count)), g / 3, g / 3, g / 4 * rng.uniform(0.5, 2, count), g)
+    uneven, twist = np.exp(0.25 + 0.1 * rng.random(count)), rng.uniform(0.5, 2, count)
+    rides = Rides(g, g * uneven, g / 3, g / 3, g / 4 * twist, np.minimum(g, 0.8), g / 2, g / 9)
     truth = np.exp(0.2 + 1.1 * np.log(g) + spread * rng.standard_normal(count))
     chance = 1 / (1 + np.exp(-6 * (np.log(g) + 0.2)))
     failed = rng.binomial(8, chance)
@@ -48,13 +49,14 @@ def test_a_fit_finds_what_the_drives_follow():
     found = predicted(correction, unseen)
     good = unseen.failed <= 2
     error = found.log_c_r[good] - (0.2 + 1.1 * np.log(unseen.rides.pitch_change[good]))
-    assert np.abs(error).max() < 0.08
+    assert np.abs(error).max() < 0.12
+    assert np.median(np.abs(error)) < 0.03
     assert correction.origin["spearman"] > 0.98
 
 
 @pytest.mark.slow
 def test_intervals_hold_their_share():
-    correction = fit_correction(made_up(spread=0.15), no_noise())
+    correction = replace(fit_correction(made_up(spread=0.15), no_noise()), model_error=0.0)
     unseen = made_up(2, spread=0.15)
     found = predicted(correction, unseen)
     good = unseen.failed <= 2
@@ -77,7 +79,7 @@ def test_the_chance_to_fail_is_in_step_with_the_drives():
 @pytest.mark.slow
 def test_below_what_was_driven_c_r_is_proportional():
     correction = fit_correction(made_up(), no_noise())
-    rides = Rides(*(np.array([1e-3, 1e-4]) for _ in range(6)))
+    rides = replace(Rides(*(np.array([1e-3, 1e-4]) for _ in range(8))), belly_reach=np.zeros(2))
     found = correction.predict(rides, np.zeros(2), np.zeros(2), np.full(2, 4.0))
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
 
@@ -85,7 +87,7 @@ def test_below_what_was_driven_c_r_is_proportional():
 @pytest.mark.slow
 def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
     correction = fit_correction(made_up(), no_noise())
-    rides = Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(6)))
+    rides = replace(Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(8))), belly_reach=np.zeros(3))
     found = correction.predict(rides, np.zeros(3), np.full(3, 0.1), np.full(3, 4.0))
     assert found.log_c_r[0] == found.log_c_r[1] < found.log_c_r[2]
     g, excess = subtract_noise(rides.pitch_change, np.full(3, 0.1))
@@ -123,8 +125,38 @@ def test_a_damaged_record_is_refused(name):
 @pytest.mark.slow
 def test_a_record_of_other_terms_is_refused():
     record = fit_correction(made_up(), no_noise()).to_record()
-    with pytest.raises(BadInputError, match="6 and 7 coefficients, not 6 and 8"):
+    with pytest.raises(BadInputError, match="9 coefficients of p_fail, not 8 or 10"):
         Correction.from_record(record | {"fail": record["fail"][:-1]})
+    with pytest.raises(BadInputError, match="7 coefficients of C_r, not 6 or 9"):
+        Correction.from_record(record | {"c_r": record["c_r"][:7]})
+
+
+@pytest.mark.slow
+def test_a_record_with_fewer_terms_is_one_whose_last_are_zero():
+    record, driven = fit_correction(made_up(), no_noise()).to_record(), made_up(2)
+    few = {key: value for key, value in record.items() if key != "model_error"}
+    few |= {"c_r": record["c_r"][:6], "fail": record["fail"][:8]}
+    padded = record | {"c_r": [*few["c_r"], 0, 0, 0], "fail": [*few["fail"], 0, 0], "model_error": 0.0}
+    before, after = (predicted(Correction.from_record(each), driven, 0.3) for each in (few, padded))
+    for found, wanted in zip(astuple(before), astuple(after), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_what_another_simulation_adds_widens_every_interval():
+    record, driven = fit_correction(made_up(), no_noise()).to_record(), made_up(2)
+    own, world = (predicted(Correction.from_record(record | {"model_error": e}), driven, 0.3) for e in (0.0, 0.2))
+    np.testing.assert_allclose(world.below, np.hypot(own.below, 0.2))
+    np.testing.assert_allclose(world.above, np.hypot(own.above, 0.2))
+    np.testing.assert_array_equal(world.log_c_r, own.log_c_r)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [-0.1, float("nan"), float("inf"), "wide"])
+def test_a_wrong_model_error_is_refused(wrong):
+    record = fit_correction(made_up(), no_noise()).to_record()
+    with pytest.raises(BadInputError, match="damaged"):
+        Correction.from_record(record | {"model_error": wrong})
 
 
 def test_a_vehicle_that_completes_nothing_is_refused():

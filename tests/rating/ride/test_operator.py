@@ -1,11 +1,13 @@
 """The ride operator against slow, plain computations and closed forms."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.ndimage import grey_dilation, map_coordinates
 
-from bumpymap.rating import RideOperator, roll_over
+from bumpymap.rating import RideOperator, Rides, roll_over
 from bumpymap.rating.ride.operator import chassis_response, cosines, interpolation
 from bumpymap.rating.vehicle.profile import load_profile
 
@@ -87,8 +89,17 @@ def test_a_patch_gets_the_same_bits_alone_and_among_others(seed, count):
     together = roll_over(many, OPERATORS["warthog"])
     for i in range(0, count, 3):
         alone = roll_over(many[i : i + 1], OPERATORS["warthog"])
-        for name in ("pitch_change", "pitch_change_rms", "pitch", "roll", "twist", "belly_reach"):
-            assert np.array_equal(getattr(alone, name), getattr(together, name)[i : i + 1], equal_nan=True)
+        for each in fields(Rides):
+            assert np.array_equal(getattr(alone, each.name), getattr(together, each.name)[i : i + 1], equal_nan=True)
+
+
+def test_heights_of_a_patch_are_measured():
+    many = patches(5, 4)
+    rides = roll_over(many, OPERATORS["warthog"])
+    for patch, span, change in zip(many.astype(np.float64), rides.height_range, rides.height_change, strict=True):
+        sizes = [abs(patch[2:] - patch[:-2]).ravel(), abs(patch[:, 2:] - patch[:, :-2]).ravel()]
+        assert span == pytest.approx(patch.max() - patch.min())
+        assert change == pytest.approx(np.concatenate(sizes).mean(), rel=1e-6)
 
 
 def test_a_patch_with_nan_is_left_out():
