@@ -21,10 +21,12 @@ from bumpymap.rating import (
     Calibration,
     RideModel,
     TextureModel,
+    at_speed,
     classify,
     find_calibration,
     rate,
     rate_as_paper,
+    require_speeds,
     thin_columns,
 )
 from bumpytiles import Grid, TilePoints
@@ -59,6 +61,9 @@ class RatingModels:
         """
         calibration = find_calibration(config.vehicle, config.calibration)
         calibration.require_grid(config.tile_size, config.pixels)
+        calibration = at_speed(calibration, config.speed)
+        if config.speeds is not None:
+            require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
         if not fits and config.model is None and _by_ride(config):
@@ -89,7 +94,7 @@ class TileRating:
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
         csf = config.csf if config.ground == "csf" else None
-        ride = RideModel(models.calibration) if _by_ride(config) else None
+        ride = RideModel(models.calibration, config.speeds or ()) if _by_ride(config) else None
         return cls(config.features, csf, config.compat, models, ride, georeference)
 
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
