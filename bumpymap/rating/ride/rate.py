@@ -51,19 +51,24 @@ class RideModel:
             require_speeds(calibration, speeds, "speeds")
             self.speeds = SpeedRating.of(calibration, speeds)
 
+    def ground(self, patches: PatchStack) -> tuple[NDArray[np.float32], Floats]:
+        """Return the relief that the vehicle rolls over, (n, pixels, pixels), m, and `CleanPatches.noise_felt`."""
+        clean = denoise(patches, self.operator)
+        return clean.relief_map, clean.noise_felt
+
     def predict(self, patches: PatchStack) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
         return self._predict(patches)[0]
 
     def _predict(self, patches: PatchStack) -> tuple[Prediction, NDArray[np.float32] | None]:
         """Return also the factors of `CostMap.motion`; None without other speeds."""
-        clean = denoise(patches, self.operator)
-        rides = roll_over(clean.relief_map, self.operator)
+        relief, noise_felt = self.ground(patches)
+        rides = roll_over(relief, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
-        found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
+        found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
         if self.speeds is None:
             return found, None
-        log_ratio, factors = self.speeds.factors(clean.relief_map, rides.pitch_change)
+        log_ratio, factors = self.speeds.factors(relief, rides.pitch_change)
         more = speed_log_sd(self.calibration)
         below, above = np.hypot(found.below, more), np.hypot(found.above, more)
         return replace(found, log_c_r=found.log_c_r + log_ratio, below=below, above=above), factors
