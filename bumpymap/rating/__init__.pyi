@@ -49,9 +49,9 @@ from .ride.rate import (
     RideModel as RideModel,
 )
 from .ride.speed import (
-    SpeedRating as SpeedRating,
     at_speed as at_speed,
     map_speed as map_speed,
+    plain_factors as plain_factors,
     require_speeds as require_speeds,
 )
 from .ride.thin import (

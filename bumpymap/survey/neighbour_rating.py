@@ -25,7 +25,6 @@ from bumpymap.core import (
 from bumpymap.rating import (
     BlockRating,
     Calibration,
-    SpeedRating,
     TileSteps,
     apply_steps,
     crossing_fails,
@@ -34,6 +33,7 @@ from bumpymap.rating import (
     find_passable,
     find_steps,
     is_rateable,
+    plain_factors,
     rate_thin,
     settle_objects,
 )
@@ -59,13 +59,13 @@ class NeighbourRating:
     calibration: Calibration
     rating: Rating
     compat: Compat
-    speeds: SpeedRating | None = None
-    """What is felt at other speeds; None if they were not asked for."""
+    speeds: tuple[float, ...] = ()
+    """Speeds besides that of the map, m/s."""
 
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
         """Choose the steps that the settings ask for."""
-        speeds = None if config.speeds is None else SpeedRating.of(models.calibration, config.speeds)
+        speeds = config.speeds or ()
         return cls(Grid(config.tile_size, config.pixels), models.calibration, config.rating, config.compat, speeds)
 
     @property
@@ -76,7 +76,7 @@ class NeighbourRating:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        return neighbour_columns(self.grid.pixels, len(self.speeds.speeds) if self.speeds else 0)
+        return neighbour_columns(self.grid.pixels, len(self.speeds))
 
     @property
     def _motion(self) -> tuple[str, ...]:
@@ -138,10 +138,9 @@ class NeighbourRating:
 
     def _felt(self, factors: NDArray[np.float32], c_r: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return what is felt at other speeds, (16, 16, 3 k), from the factors on C_r; NaN in unknown tiles."""
-        if self.speeds is None:
-            return factors
         known = np.isfinite(factors)
-        factors = factors if known.all() else np.where(known, factors, self.speeds.plain_factors(c_r))
+        if not known.all():
+            factors = np.where(known, factors, plain_factors(self.calibration, self.speeds, c_r))
         felt: NDArray[np.float32] = factors * c_r[..., None]
         return felt
 

@@ -16,7 +16,15 @@ from bumpymap.rating.ride.geometry import move_over
 from bumpymap.rating.ride.motion import MotionModel
 from bumpymap.rating.ride.motion_operator import MotionOperator
 
-__all__ = ["SpeedRating", "at_speed", "map_speed", "plain_speed_factor", "require_speeds", "speed_log_sd"]
+__all__ = [
+    "SpeedRating",
+    "at_speed",
+    "map_speed",
+    "plain_factors",
+    "plain_speed_factor",
+    "require_speeds",
+    "speed_log_sd",
+]
 
 Floats = NDArray[np.float64]
 _KEY = "map_speed_mps"
@@ -113,15 +121,16 @@ class SpeedRating:
         own = logs[:, -1, 0]
         return own, np.exp(logs[:, :-1] - own[:, None, None]).reshape(len(logs), -1).astype(np.float32)
 
-    def plain_factors(self, c_r: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the factors of tiles without a heightmap, (..., 3 k), from the C_r of the map [rad/m]."""
-        model, speed = _model(self.calibration), map_speed(self.calibration)
-        wide = c_r.astype(np.float64)
-        # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
-        at_own = wide * np.exp(-model.plain_log_factors(wide, (speed,))[..., 0, 0])
-        logs = model.plain_log_factors(at_own, (*self.speeds, speed))
-        found = np.exp(logs[..., :-1, :] - logs[..., -1:, :1])
-        return found.reshape(*c_r.shape, -1).astype(np.float32)
+
+def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return the factors of tiles without a heightmap, (..., 3 k), from the C_r of the map [rad/m] at k speeds."""
+    model, speed = _model(calibration), map_speed(calibration)
+    wide = c_r.astype(np.float64)
+    # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
+    at_own = wide * np.exp(-model.plain_log_factors(wide, (speed,))[..., 0, 0])
+    logs = model.plain_log_factors(at_own, (*speeds, speed))
+    found = np.exp(logs[..., :-1, :] - logs[..., -1:, :1])
+    return found.reshape(*c_r.shape, -1).astype(np.float32)
 
 
 @remembered
