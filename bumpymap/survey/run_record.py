@@ -147,7 +147,8 @@ def run_manifest(
             "height_m": calibration.body.height_m,
             "clearance_m": calibration.body.clearance_m,
             "speed_mps": map_speed(calibration),
-        },
+        }
+        | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
         "seconds": seconds,
     }
 

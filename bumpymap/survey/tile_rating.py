@@ -1,5 +1,6 @@
 """Points of tiles in, rated tiles out: the steps that a run applies to every block."""
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,6 +34,8 @@ from bumpytiles import Grid, TilePoints
 
 __all__ = ["RatingModels", "TileRating", "require_cloth"]
 
+_log = logging.getLogger(__name__)
+
 
 def require_cloth(config: MapConfig) -> None:
     """Check that the cloth filter is installed if the settings ask for it."""
@@ -62,6 +65,9 @@ class RatingModels:
         calibration = find_calibration(config.vehicle, config.calibration)
         calibration.require_grid(config.tile_size, config.pixels)
         calibration = at_speed(calibration, config.speed)
+        own = float(calibration.vehicle["speed_mps"])
+        if config.speed is not None and config.speed > own:
+            _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, config.speed)
         if config.speeds is not None:
             require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()

@@ -47,6 +47,16 @@ class MotionEffort:
     ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
     """Speeds of each start over the profile's."""
 
+    @classmethod
+    def of(cls, settings: CalibrationSettings) -> "MotionEffort":
+        """Return the effort of a calibration: a quarter of its terrains, and of its drives over each."""
+        return cls(max(2, settings.terrains // 4), max(1, settings.terrain_starts // 4))
+
+    @property
+    def total(self) -> int:
+        """Number of all drives."""
+        return self.drives * self.terrains * len(KINDS)
+
     @property
     def drives(self) -> int:
         """Drives over one terrain."""

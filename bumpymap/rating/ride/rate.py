@@ -12,7 +12,7 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.ride.speed import SpeedRating, map_speed, require_speeds, speed_log_sd
+from bumpymap.rating.ride.speed import SpeedRating, map_speed, plain_speed_factor, require_speeds, speed_log_sd
 
 __all__ = ["RideModel", "judge"]
 
@@ -69,6 +69,8 @@ class RideModel:
         if self.speeds is None:
             return found, None
         log_ratio, factors = self.speeds.factors(relief, rides.pitch_change)
+        level = plain_speed_factor(self.calibration, found.log_c_r)
+        log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
         more = speed_log_sd(self.calibration)
         below, above = np.hypot(found.below, more), np.hypot(found.above, more)
         return replace(found, log_c_r=found.log_c_r + log_ratio, below=below, above=above), factors

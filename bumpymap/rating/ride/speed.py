@@ -28,6 +28,8 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 _KEY = "map_speed_mps"
+_LEVEL = 5e-4
+"""Geometric C_r of ground that is as good as level, rad/m."""
 
 
 def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
@@ -115,9 +117,12 @@ class SpeedRating:
         array (n,)
         array (n, 3 k) float32
             For each of k speeds: c_r over that of the map; c_roll, and a_w [m/s2 per rad/m], over it.
+
+        Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
         motions = move_over(relief_map, self.operator)
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
+        logs[~(pitch_change > _LEVEL)] = np.nan
         own = logs[:, -1, 0]
         return own, np.exp(logs[:, :-1] - own[:, None, None]).reshape(len(logs), -1).astype(np.float32)
 
