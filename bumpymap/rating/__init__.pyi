@@ -25,6 +25,7 @@ from .ride.fitting import (
     fit_correction as fit_correction,
 )
 from .ride.geometry import (
+    Motions as Motions,
     Rides as Rides,
     move_over as move_over,
     roll_over as roll_over,

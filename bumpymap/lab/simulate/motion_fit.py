@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.journal import JobJournal, Key
+from bumpymap.core import BadInputError, UsageError
+from bumpymap.lab.simulate.journal import JobJournal
 from bumpymap.lab.simulate.motion import (
     MotionEffort,
     MotionRecord,
@@ -24,12 +25,14 @@ from bumpymap.lab.simulate.motion import (
 from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
 from bumpymap.lab.simulate.pool import Progress
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
+from bumpymap.lab.worlds import KINDS, Terrain
 from bumpymap.rating import (
     QUANTITIES,
     Calibration,
     MotionFit,
     MotionModel,
     MotionOperator,
+    Motions,
     RideOperator,
     motion_terms,
     move_over,
@@ -37,7 +40,7 @@ from bumpymap.rating import (
     roll_over,
 )
 
-__all__ = ["add_motion", "fit_motion"]
+__all__ = ["add_motion", "fit_motion", "refit_motion"]
 
 Floats = NDArray[np.float64]
 SPEED_RANGE = (0.4, 2.5)
@@ -74,26 +77,57 @@ def add_motion(
     driven = drive_library(
         settings, effort, progress, workers=workers, journal=journal, discard_other=discard_other
     )  # fmt: skip
-    return replace(calibration, motion=fit_motion(settings, effort, driven).to_record())
+    means = np.stack([_means(driven[job.key]) for job in motion_jobs(effort)])
+    # As they are recorded, so that a later fit to the record gives the same bits.
+    means = np.array([[[_six_digits(value) for value in row] for row in one] for one in means.tolist()], np.float64)
+    return replace(calibration, motion=fit_motion(settings, effort, means).to_record())
 
 
-def fit_motion(settings: CalibrationSettings, effort: MotionEffort, driven: Mapping[Key, MotionRecord]) -> MotionModel:
-    """Fit the model to drives over the library; terrains where a drive failed are left out."""
-    jobs = motion_jobs(effort)
-    means = np.stack([_means(driven[job.key]) for job in jobs])  # (terrains, speeds, quantities)
-    own = effort.ratios.index(1.0)
+def refit_motion(calibration: Calibration) -> Calibration:
+    """Return a calibration whose ``motion`` is fitted again to the drives that it records, without driving.
+
+    Raises
+    ------
+    UsageError
+        It was made without other speeds.
+    BadInputError
+        The record is damaged.
+    """
+    if calibration.motion is None:
+        raise UsageError(f"the calibration {calibration.id} was made without other speeds")
+    try:
+        effort, means = _recorded(calibration.motion["origin"])
+    except (LookupError, TypeError, ValueError) as error:
+        raise BadInputError(f"the drives at other speeds in {calibration.id} are damaged: {error!r}") from error
+    return replace(calibration, motion=fit_motion(calibrated_settings(calibration), effort, means).to_record())
+
+
+def _recorded(origin: Mapping[str, Any]) -> tuple[MotionEffort, Floats]:
+    """Return the effort and the means of recorded drives; raise ValueError if they do not fit together."""
+    effort = MotionEffort(origin["terrains"] // len(KINDS), origin["starts"], tuple(origin["ratios"]))
+    means = np.array(origin["driven"], dtype=np.float64)
+    return effort, means.reshape(len(motion_jobs(effort)), len(effort.ratios), len(QUANTITIES))
+
+
+def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Floats) -> MotionModel:
+    """Fit the model to drives over the library; terrains where a drive failed are left out.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    effort : MotionEffort
+    means : array (terrains, speeds, 3)
+        Means over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where a drive failed.
+    """
+    jobs, own = motion_jobs(effort), effort.ratios.index(1.0)
     c_r = means[:, own, 0]
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
     terrains = [
         library_terrain(settings, job.kind, job.index) for job, wanted in zip(jobs, used, strict=True) if wanted
     ]
-    relief, _ = relief_and_slope(terrains)
-    vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
-    speeds = tuple(ratio * speed for ratio in effort.ratios)
-    motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
-    pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
+    motions, pitch = _geometry(settings, effort, terrains)
     log_speed, c_r = np.log(np.array(effort.ratios)), c_r[used]
-    ranges = tuple((float(np.log(values).min()), float(np.log(values).max())) for values in (pitch, c_r))
+    ranges = [(float(f"{np.log(each).min():.6g}"), float(f"{np.log(each).max():.6g}")) for each in (pitch, c_r)]
     terms, plain = motion_terms(motions, pitch, log_speed, ranges[0]), plain_terms(c_r, log_speed, ranges[1])
     wanted = np.log(means[used] / c_r[:, None, None])
     fits = {
@@ -106,8 +140,26 @@ def fit_motion(settings: CalibrationSettings, effort: MotionEffort, driven: Mapp
         "starts": effort.starts,
         "ratios": list(effort.ratios),
         "seed": settings.seed,
+        "driven": [[[_six_digits(value) for value in row] for row in terrain] for terrain in means.tolist()],
     }
-    return MotionModel(speed, SPEED_RANGE, ranges[0], ranges[1], **fits, origin=origin)
+    three = (fits["c_r"], fits["c_roll"], fits["a_w"])
+    return MotionModel(settings.profile.speed_mps, SPEED_RANGE, ranges[0], ranges[1], *three, origin)
+
+
+def _geometry(
+    settings: CalibrationSettings, effort: MotionEffort, terrains: Sequence[Terrain]
+) -> tuple[Motions, Floats]:
+    """Return the geometric values of terrains at the speeds, and their geometric C_r at the profile's."""
+    vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
+    relief, _ = relief_and_slope(terrains)
+    speeds = tuple(ratio * speed for ratio in effort.ratios)
+    operator = MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds)
+    own = RideOperator.of(vehicle, settings.tile_size, settings.pixels)
+    return move_over(relief, operator), roll_over(relief, own).pitch_change
+
+
+def _six_digits(value: float) -> float | None:
+    return None if np.isnan(value) else float(f"{value:.6g}")
 
 
 def _means(record: MotionRecord) -> Floats:
@@ -136,7 +188,7 @@ def _main(files: Sequence[str]) -> None:
         calibration = Calibration.load(path)
         effort = MotionEffort()
         journal = motion_journal(path.with_name(f"{path.name}.motion.jsonl"), calibrated_settings(calibration), effort)
-        made: Any = add_motion(calibration, effort=effort, journal=journal)
+        made = add_motion(calibration, effort=effort, journal=journal)
         path.write_text(made.to_json(), encoding="utf-8")
         journal.remove()
 
