@@ -5,7 +5,7 @@ from typing import Any, TypeVar, get_args
 
 import click
 
-from bumpymap.cli._terminal import PATH, SHARE
+from bumpymap.cli._terminal import PATH, SHARE, NumberList
 from bumpymap.core import Align, Compat, Ground, Rating, ZUnit
 
 __all__ = ["rating_options", "sheets_option", "tolerance_options"]
@@ -22,6 +22,10 @@ _RATING = (
         "--vehicle", metavar="NAME_OR_FILE", help="Name of an included vehicle, or a TOML file [default: warthog]."
     ),
     click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle."),
+    click.option("--speed", type=float, metavar="M/S", help="Speed to rate the ride at [default: the vehicle's]."),
+    click.option(
+        "--speeds", type=NumberList(), metavar="M/S,...", help="Write pitch, roll and a_w at these speeds: 0.5,1,2."
+    ),
     click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own texture network."),
     click.option(
         "--rating", type=click.Choice(get_args(Rating)), help="How the ride cost is predicted [default: ride]."

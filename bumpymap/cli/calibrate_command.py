@@ -87,11 +87,14 @@ def _calibrate(
 ) -> "Calibration":
     from bumpymap.lab import (
         Journal,
+        MotionEffort,
+        add_motion,
         add_steps,
         calibrate_vehicle,
         crossing_jobs,
         fit_ride,
         fit_thin_surveys,
+        motion_journal,
         require_dart,
     )
 
@@ -112,9 +115,21 @@ def _calibrate(
         )
         progress.start("driving over steps", len(crossing_jobs(settings.profile)))
         calibration = add_steps(calibration, Steps(progress), workers=workers, journal=journal)
+        effort = MotionEffort.of(settings)
+        speeds = motion_journal(out.with_name(out.name + ".speeds.jsonl"), settings, effort)
+        progress.start("driving at other speeds", effort.total)
+        calibration = add_motion(
+            calibration,
+            Steps(progress),
+            effort=effort,
+            workers=workers,
+            journal=speeds,
+            discard_other=overwrite,
+        )
         with atomic(out) as beside:
             beside.write_text(calibration.to_json(), encoding="utf-8")
         journal.remove()
+        speeds.remove()
     return calibration
 
 

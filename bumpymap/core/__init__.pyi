@@ -250,5 +250,6 @@ from .types import (
     VehicleBody as VehicleBody,
     neighbour_columns as neighbour_columns,
     rated_columns as rated_columns,
+    speed_bands as speed_bands,
     tile_columns as tile_columns,
 )

@@ -41,6 +41,7 @@ RESUME_OR_OVERWRITE = (
     "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
     "started with `overwrite=True` is resumed with just `resume=True`"
 )
+_MOST_SPEEDS = 16
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` uses only points of class 2 if more than this share of the tiles has such points."""
 
@@ -142,6 +143,10 @@ class MapConfig:
     """A vehicle that ships with bumpymap, or the TOML file of one, with its calibration file in the same folder."""
     calibration: Path | None = None
     """A calibration file, used instead of ``vehicle``."""
+    speed: float | None = None
+    """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
+    speeds: tuple[float, ...] | None = None
+    """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
     model: Path | None = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None
@@ -191,6 +196,9 @@ class MapConfig:
         _one_of("compat", self.compat, get_args(Compat))
         if self.z_unit is not None:
             _one_of("z_unit", self.z_unit, get_args(ZUnit))
+        if self.speed is not None:
+            _within("speed", self.speed, 0.01, 100.0)
+        self._check_speeds()
         if self.max_unknown is not None:
             _within("max_unknown", self.max_unknown, 0.0, 1.0)
         if self.sheets is not None:
@@ -214,6 +222,22 @@ class MapConfig:
             raise UsageError(
                 f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
                 "scheduler whose address starts with tls://"
+            )
+
+    def _check_speeds(self) -> None:
+        """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
+        for speed in self.speeds or ():
+            _within("speeds", speed, 0.01, 100.0)
+        if self.speeds is not None and not 0 < len(set(self.speeds)) == len(self.speeds) <= _MOST_SPEEDS:
+            raise UsageError(
+                f"speeds is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
+                "in m/s"
+            )
+        given = next((name for name in ("speed", "speeds") if getattr(self, name) is not None), None)
+        if given and (self.rating != "ride" or self.compat != "none"):
+            name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
+            raise UsageError(
+                f"`{name}='{value}'` knows no speed: only the ride model does. Leave out `{given}`, or `{name}`"
             )
 
 

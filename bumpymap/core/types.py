@@ -30,6 +30,7 @@ __all__ = [
     "OBSTACLE",
     "REASON_TEXT",
     "SIDES",
+    "SPEED_BANDS",
     "TEXTURES",
     "THIN_MEASURES",
     "UNDECIDED",
@@ -49,6 +50,7 @@ __all__ = [
     "VehicleBody",
     "neighbour_columns",
     "rated_columns",
+    "speed_bands",
     "tile_columns",
 ]
 
@@ -340,6 +342,9 @@ class CostMap:
     """What stands on the ground; None where that is part of the relief, because all points are measured as ground."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
+    motion: NDArray[np.float32] | None = None
+    """(n, 3 k) for each of k speeds: c_r, c_roll and a_w [m/s2] over this c_r [rad/m]; None if no speed is asked
+    for."""
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
@@ -354,7 +359,7 @@ class CostMap:
         own |= objects.columns()
         tiles = len(self.class_id)
         own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
-        names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
+        own |= {} if self.motion is None else {"motion": self.motion}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
@@ -377,6 +382,8 @@ class CostTable:
     """Which tiles are passable, and at what cost."""
     tiles: TileTable
     """Columns of `tile_columns`."""
+    speeds: tuple[float, ...] = ()
+    """Speeds besides that of the map, m/s."""
 
     @classmethod
     def of(cls, cost_map: CostMap) -> "CostTable":
@@ -385,8 +392,11 @@ class CostTable:
         return cls(cost_map.georeference, cost_map.rule, tiles)
 
 
-def rated_columns(pixels: int) -> tuple[Column, ...]:
-    """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`."""
+def rated_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
+    """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`.
+
+    ``speeds`` is the number of speeds besides that of the map.
+    """
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
     return (
@@ -399,28 +409,36 @@ def rated_columns(pixels: int) -> tuple[Column, ...]:
         *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
+        *_motion_column(speeds),
     )
 
 
-def neighbour_columns(pixels: int) -> tuple[Column, ...]:
+def _motion_column(speeds: int) -> tuple[Column, ...]:
+    """Return the column of what is felt at other speeds; none without them."""
+    return (Column("motion", "<f4", (len(SPEED_BANDS) * speeds,)),) if speeds else ()
+
+
+def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
-    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0.
+    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0. ``motion`` holds the values of
+    `speed_bands`, of so many ``speeds``.
     """
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "obstacle", "edge_step")
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
         Column("objects", "|u1", (pixels, pixels)),
+        *_motion_column(speeds),
     )
 
 
-def tile_columns(pixels: int) -> tuple[Column, ...]:
-    """Return all columns of a finished tile."""
-    own = rated_columns(pixels)
+def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
+    """Return all columns of a finished tile, with those of so many ``speeds``."""
+    own = rated_columns(pixels, speeds)
     known = {column.name for column in own}
-    return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known))
+    return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,3 +471,18 @@ BANDS: tuple[Band, ...] = (
     Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
 )
 """The bands of roughness.tif, in order."""
+SPEED_BANDS: tuple[Band, ...] = (
+    Band("c_r", "rad/m", "ride cost at {} m/s: pitch motion per metre driven"),
+    Band("c_roll", "rad/m", "roll motion per metre driven at {} m/s"),
+    Band("a_w", "m/s2", "weighted vertical acceleration at {} m/s (Wk of ISO 2631-1, 0.4 to 10 Hz)"),
+)
+"""What is told at each speed."""
+
+
+def speed_bands(speeds: tuple[float, ...]) -> tuple[Band, ...]:
+    """Return the bands of speeds.tif, speed by speed [m/s], such as ``c_r_0.5``; they are columns of tiles.parquet."""
+    return tuple(
+        Band(f"{band.name}_{speed:g}", band.unit, band.description.format(f"{speed:g}"))
+        for speed in speeds
+        for band in SPEED_BANDS
+    )

@@ -79,6 +79,13 @@ from .simulate.model import (
     Physics as Physics,
     require_dart as require_dart,
 )
+from .simulate.motion import (
+    MotionEffort as MotionEffort,
+    motion_journal as motion_journal,
+)
+from .simulate.motion_fit import (
+    add_motion as add_motion,
+)
 from .simulate.plan import (
     CalibrationSettings as CalibrationSettings,
 )

@@ -23,9 +23,11 @@ from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import ITEM_NAME, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import EVERY_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.relief import write_relief
+from bumpymap.layers.sheets.folders import remove_speeds
+from bumpymap.layers.speeds import write_speeds
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
@@ -79,7 +81,7 @@ def write_products(
     Returns
     -------
     list of Path
-        The files, in the order of ``PRODUCT_NAMES`` and ``VIEW_NAMES``.
+        The files, in the order of ``EVERY_NAME`` and ``VIEW_NAMES``.
     MapSummary
         Counts and medians of the map.
 
@@ -110,7 +112,10 @@ def write_products(
         record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    return [folder / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)], summary
+    if not table.speeds:
+        remove_speeds(folder)
+    names = EVERY_NAME if table.speeds else PRODUCT_NAMES
+    return [folder / name for name in (*names, *VIEW_NAMES)], summary
 
 
 def write_views(folder: Path, record: Mapping[str, Any]) -> None:
@@ -131,6 +136,9 @@ def _layers(
     Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = as_tags(metadata)
+    speeds: dict[tuple[str, ...], Callable[[], None]] = (
+        {(SPEEDS_NAME,): partial(write_speeds, table, folder / SPEEDS_NAME, tags)} if table.speeds else {}
+    )
     return [
         {
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
@@ -143,6 +151,7 @@ def _layers(
             ("reason.tif",): partial(write_reasons, table, folder / "reason.tif", tags),
             ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
             ("barred.tif",): partial(write_barred, table, folder / "barred.tif", tags),
+            **speeds,
         },
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
@@ -154,7 +163,7 @@ def _layers(
 def _write_layers(
     groups: Sequence[Mapping[tuple[str, ...], Callable[[], None]]], folder: Path, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Write groups of layers in parallel; return name, size and checksum of each file in ``PRODUCT_NAMES`` order."""
+    """Write groups of layers in parallel; return name, size and checksum of each file in ``EVERY_NAME`` order."""
     stop = Event()
 
     def write(group: Mapping[tuple[str, ...], Callable[[], None]]) -> list[dict[str, Any]]:
@@ -174,7 +183,7 @@ def _write_layers(
             files = [file for future in as_completed(futures) for file in future.result()]
         finally:
             stop.set()
-    return sorted(files, key=lambda file: PRODUCT_NAMES.index(file["path"]))
+    return sorted(files, key=lambda file: EVERY_NAME.index(file["path"]))
 
 
 def _write_regions(

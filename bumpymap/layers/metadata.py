@@ -24,7 +24,8 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     -------
     dict
         ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
-        ``texture_model``, ``rating``, ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
+        ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
+        ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
     """
     survey, calibration = (_entries(manifest.get(name)) for name in ("survey", "calibration"))
     settings = _entries(manifest.get("settings"))
@@ -36,6 +37,9 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
         "survey_header_dates": "/".join(dates) if dates else None,
         "vehicle": calibration.get("vehicle"),
         "calibration": calibration.get("id"),
+        # Without it the speed is that of the vehicle's profile.
+        "speed_m_per_s": settings.get("speed"),
+        "p_fail_speed_m_per_s": _entries(manifest.get("vehicle")).get("drives_mps") if settings.get("speed") else None,
         "texture_model": manifest.get("model"),
         "rating": "paper" if is_papers else settings.get("rating"),
         # The paper's classes follow from its table of textures and z ranges.

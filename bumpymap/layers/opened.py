@@ -19,6 +19,7 @@ from bumpymap.core import (
     BadInputError,
     Band,
     UsageError,
+    speed_bands,
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
@@ -116,6 +117,31 @@ class Layers:
         vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
         dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
         return dataset
+
+    def speeds(self) -> "xarray.Dataset":
+        """Open speeds.tif: what is felt at other speeds, on the grid of tiles.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimensions ``y`` (north first) and ``x``, at tile centres; for each speed in m/s, such as 0.5, the float32
+            variables ``c_r_0.5`` and ``c_roll_0.5`` [rad/m] and ``a_w_0.5`` [m/s2], NaN where unknown.
+
+        Raises
+        ------
+        UsageError
+            The run was not asked for other speeds, or the extra ``notebook`` is not installed.
+        BadInputError
+            speeds.tif is missing or damaged.
+        """
+        asked = self.manifest.get("settings", {}).get("speeds")
+        if not asked:
+            raise UsageError(
+                f"{self._folder} holds no other speeds: the run was not asked for them. Map the survey again with "
+                "`speeds=(0.5, 1, 2)`"
+            )
+        found = self._variables("speeds.tif", speed_bands(tuple(asked)))
+        return import_notebook("xarray").Dataset({variable.name: variable for variable in found})
 
     def heights(self) -> "xarray.DataArray":
         """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.

@@ -14,12 +14,15 @@ from bumpymap.layers.manifest import MANIFEST_NAME
 
 __all__ = [
     "CATALOG_NAME",
+    "EVERY_NAME",
     "ITEM_NAME",
     "NAMED_RASTERS",
     "PRODUCT_NAMES",
     "REPORT_NAME",
     "SHEET_FOLDER",
     "SHEET_TABLE_NAME",
+    "SPEEDS_NAME",
+    "SPEEDS_VIRTUAL_NAME",
     "VIEW_NAMES",
     "VIRTUAL_NAMES",
     "check_folder",
@@ -46,6 +49,10 @@ PRODUCT_NAMES: tuple[str, ...] = (
     MANIFEST_NAME,
 )
 """Files of a run, which its manifest lists with their checksums."""
+SPEEDS_NAME = "speeds.tif"
+"""One more, of a run that was asked for other speeds."""
+EVERY_NAME = (*PRODUCT_NAMES[:-2], SPEEDS_NAME, *PRODUCT_NAMES[-2:])
+"""The files that a run may write, in their order."""
 REPORT_NAME = "report.html"
 """The page of a map."""
 VIEW_NAMES: tuple[str, ...] = (
@@ -62,6 +69,8 @@ SHEET_TABLE_NAME = "sheets.csv"
 """One row a sheet."""
 VIRTUAL_NAMES = tuple(name.replace(".tif", ".vrt") for name in PRODUCT_NAMES if name.endswith(".tif"))
 """Virtual rasters over the rasters of all sheets."""
+SPEEDS_VIRTUAL_NAME = SPEEDS_NAME.replace(".tif", ".vrt")
+"""One more, over sheets with other speeds."""
 _SHEET_NAME = re.compile(r"[ew]\d{4,}_[ns]\d{4,}")
 
 
@@ -109,7 +118,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
             remove_path(left)
-        names = (*PRODUCT_NAMES, *VIEW_NAMES, *VIRTUAL_NAMES, SHEET_TABLE_NAME)
+        names = (*EVERY_NAME, *VIEW_NAMES, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME)
         present = [name for name in names if lexists(folder / name)]
         sheets = sheets_in(folder)
     except OSError as error:

@@ -22,6 +22,7 @@ from bumpymap.core import (
     CostTable,
     Reason,
     atomic,
+    speed_bands,
     tile_columns,
 )
 from bumpymap.layers.placement import Placement
@@ -51,7 +52,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
         The extent is too large for a raster.
     """
     place = Placement.of(table)
-    schema = _schema(place, about or {})
+    schema = _schema(place, about or {}, table.speeds)
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
         pq.ParquetWriter(
@@ -65,13 +66,13 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
             ),
         ) as writer,
     ):
-        for found in _groups(table.tiles):
-            writer.write_table(_rows(found, place, schema))
+        for found in _groups(table.tiles, len(table.speeds)):
+            writer.write_table(_rows(found, place, schema, table.speeds))
 
 
-def _groups(tiles: TileTable) -> Iterator[dict[str, NDArray[Any]]]:
+def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of each row group, which takes as many strips as fit."""
-    names = [column.name for column in tile_columns(tiles.grid.pixels)]
+    names = [column.name for column in tile_columns(tiles.grid.pixels, speeds)]
     held: list[dict[str, NDArray[Any]]] = []
     for strip in tiles.strips(_ROW_GROUP):
         found = tiles.read(names, strip)
@@ -88,7 +89,7 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def _schema(place: Placement, about: Mapping[str, str]) -> pa.Schema:
+def _schema(place: Placement, about: Mapping[str, str], speeds: tuple[float, ...]) -> pa.Schema:
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
     kinds["passable"] = pa.bool_()
     fields = [
@@ -108,6 +109,7 @@ def _schema(place: Placement, about: Mapping[str, str]) -> pa.Schema:
         _field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
         _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
         _field("reason_text", pa.string(), "the reason in words", nullable=False),
+        *(_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
         _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
     ]
     return pa.schema(fields, metadata={**about, "geo": json.dumps(_geo(place))})
@@ -135,7 +137,7 @@ def _geo(place: Placement) -> dict[str, Any]:
     return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
 
 
-def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -> pa.Table:
+def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, speeds: tuple[float, ...]) -> pa.Table:
     """Convert columns of tiles to rows of the file."""
     col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
@@ -154,6 +156,7 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
     }
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns["passable"] = found["passable"] > 0
+    columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
 

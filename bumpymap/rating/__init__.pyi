@@ -30,8 +30,20 @@ from .ride.fitting import (
     fit_correction as fit_correction,
 )
 from .ride.geometry import (
+    Motions as Motions,
     Rides as Rides,
+    move_over as move_over,
     roll_over as roll_over,
+)
+from .ride.motion import (
+    QUANTITIES as QUANTITIES,
+    MotionFit as MotionFit,
+    MotionModel as MotionModel,
+    motion_terms as motion_terms,
+    plain_terms as plain_terms,
+)
+from .ride.motion_operator import (
+    MotionOperator as MotionOperator,
 )
 from .ride.noise import (
     denoise as denoise,
@@ -41,6 +53,12 @@ from .ride.operator import (
 )
 from .ride.rate import (
     RideModel as RideModel,
+)
+from .ride.speed import (
+    at_speed as at_speed,
+    map_speed as map_speed,
+    plain_factors as plain_factors,
+    require_speeds as require_speeds,
 )
 from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
@@ -58,6 +76,9 @@ from .ride.thin_rate import (
     dense_share as dense_share,
     is_rateable as is_rateable,
     rate_thin as rate_thin,
+)
+from .ride.weighting import (
+    felt_response as felt_response,
 )
 from .step_effect import (
     STEP_COLUMNS as STEP_COLUMNS,

@@ -24,7 +24,7 @@ _DRIVE_S = 10.0
 """Measured seconds of a drive, if the calibration does not give them."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
-_OPTIONAL = ("steps", "thin")
+_OPTIONAL = ("motion", "steps", "thin")
 """Fields that older files do not have."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
 """Keys of a vehicle profile that do not affect the simulated drives."""
@@ -104,6 +104,8 @@ class Calibration:
     limits. ``library`` holds the results of the drives over the terrain library, to fit a ride model again."""
     steps: dict[str, Any] | None = None
     """What steps do to the vehicle, see ``bumpymap.rating.step_effect``; None: made without."""
+    motion: dict[str, Any] | None = None
+    """What other speeds do, and how it rolls and lifts, see ``bumpymap.rating.ride.motion``; None: made without."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)

@@ -14,7 +14,7 @@ vehicle pitches up and back once a tile; 2 / pi is the mean over the headings).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL
+from bumpymap.rating.ride.speed import plain_speed_factor
 from bumpymap.rating.vehicle.floor import less_floor, with_floor
 
 __all__ = ["STEP_COLUMNS", "StepEffect", "apply_steps", "crossing_fails", "edge_usable"]
@@ -34,6 +35,7 @@ STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence"
 """The columns that `apply_steps` changes."""
 _LEAST_LOG_SD = 0.1
 _GEOMETRIC_LOG_SD = 0.5
+_TINY = 1e-9
 _SAFE_SHARE = 0.5
 """Without such a record: steps up to this share of the wheel radius are safe."""
 
@@ -162,7 +164,10 @@ def edge_usable(border: NDArray[np.floating], calibration: Calibration) -> NDArr
 
 @remembered
 def _effect(calibration: Calibration) -> StepEffect:
-    return StepEffect.of(calibration)
+    """Return the effect of steps at the speed of the map."""
+    effect = StepEffect.of(calibration)
+    log_c_r = np.log(np.maximum(effect.c_r, _TINY))
+    return replace(effect, c_r=effect.c_r * np.exp(plain_speed_factor(calibration, log_c_r)))
 
 
 def _recorded(record: Mapping[str, Any]) -> StepEffect:

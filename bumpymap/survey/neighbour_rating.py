@@ -33,6 +33,7 @@ from bumpymap.rating import (
     find_passable,
     find_steps,
     is_rateable,
+    plain_factors,
     rate_thin,
     settle_objects,
 )
@@ -58,21 +59,29 @@ class NeighbourRating:
     calibration: Calibration
     rating: Rating
     compat: Compat
+    speeds: tuple[float, ...] = ()
+    """Speeds besides that of the map, m/s."""
 
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
         """Choose the steps that the settings ask for."""
-        return cls(Grid(config.tile_size, config.pixels), models.calibration, config.rating, config.compat)
+        speeds = config.speeds or ()
+        return cls(Grid(config.tile_size, config.pixels), models.calibration, config.rating, config.compat, speeds)
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        return (*_RATED, "slope", "coverage", "heights", "objects", "obstacle", "thin")
+        return (*_RATED, "slope", "coverage", "heights", "objects", "obstacle", "thin", *self._motion)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        return neighbour_columns(self.grid.pixels)
+        return neighbour_columns(self.grid.pixels, len(self.speeds))
+
+    @property
+    def _motion(self) -> tuple[str, ...]:
+        """The column of other speeds, if they were asked for."""
+        return ("motion",) if self.speeds else ()
 
     @property
     def rates_thin(self) -> bool:
@@ -93,7 +102,7 @@ class NeighbourRating:
         nothing = np.full(tiles, np.nan, np.float32)
         objects = np.where(own["objects"] == UNDECIDED, np.uint8(FREE), own["objects"])
         return (
-            {name: own[name] for name in (*_RATED, "obstacle")}
+            {name: own[name] for name in (*_RATED, "obstacle", *self._motion)}
             | dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
             | {"objects": objects}
@@ -124,7 +133,16 @@ class NeighbourRating:
             | _by_side(steps)
             | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
             | {"objects": states, "obstacle": np.where(np.isnan(own["obstacle"]), np.float32(np.nan), obstacle)}
+            | {name: self._felt(window.inner(name), own["c_r"]) for name in self._motion}
         )
+
+    def _felt(self, factors: NDArray[np.float32], c_r: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what is felt at other speeds, (16, 16, 3 k), from the factors on C_r; NaN in unknown tiles."""
+        known = np.isfinite(factors)
+        if not known.all():
+            factors = np.where(known, factors, plain_factors(self.calibration, self.speeds, c_r))
+        felt: NDArray[np.float32] = factors * c_r[..., None]
+        return felt
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

@@ -71,7 +71,8 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
     grid = Grid(config.tile_size, config.pixels)
     rating = TileRating.of(config, models, inputs.georeference)
-    work = BlockWork(grid, rated_columns(grid.pixels), rating, config.ground)
+    speeds = config.speeds or ()
+    work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler, config.workers, config.threads, config.tls_config) as pool,
@@ -82,7 +83,7 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
-        table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles)
+        table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines)
         with clock.stage("write"):

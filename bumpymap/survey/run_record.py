@@ -28,6 +28,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
+from bumpymap.rating import map_speed
 from bumpymap.readers import SurveyInfo, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
@@ -146,8 +147,9 @@ def run_manifest(
             "width_m": calibration.body.width_m,
             "height_m": calibration.body.height_m,
             "clearance_m": calibration.body.clearance_m,
-            "speed_mps": float(calibration.vehicle["speed_mps"]),
-        },
+            "speed_mps": map_speed(calibration),
+        }
+        | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
         "seconds": seconds,
     }
 

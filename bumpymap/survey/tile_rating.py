@@ -1,5 +1,6 @@
 """Points of tiles in, rated tiles out: the steps that a run applies to every block."""
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,15 +22,19 @@ from bumpymap.rating import (
     Calibration,
     RideModel,
     TextureModel,
+    at_speed,
     classify,
     find_calibration,
     rate,
     rate_as_paper,
+    require_speeds,
     thin_columns,
 )
 from bumpytiles import Grid, TilePoints
 
 __all__ = ["RatingModels", "TileRating", "require_cloth"]
+
+_log = logging.getLogger(__name__)
 
 
 def require_cloth(config: MapConfig) -> None:
@@ -59,6 +64,12 @@ class RatingModels:
         """
         calibration = find_calibration(config.vehicle, config.calibration)
         calibration.require_grid(config.tile_size, config.pixels)
+        calibration = at_speed(calibration, config.speed)
+        own = float(calibration.vehicle["speed_mps"])
+        if config.speed is not None and config.speed > own:
+            _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, config.speed)
+        if config.speeds is not None:
+            require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()
         fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
         if not fits and config.model is None and _by_ride(config):
@@ -89,7 +100,7 @@ class TileRating:
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
         csf = config.csf if config.ground == "csf" else None
-        ride = RideModel(models.calibration) if _by_ride(config) else None
+        ride = RideModel(models.calibration, config.speeds or ()) if _by_ride(config) else None
         return cls(config.features, csf, config.compat, models, ride, georeference)
 
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CostMap, Georeference, PatchStack, Rating, TextureMap
-from bumpymap.rating import Calibration, Prediction, RideModel, TextureModel, Vehicle, classify, rate, roll_over
+from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,12 +26,9 @@ _PLACELESS = Georeference(None)
 class NoisyRide(RideModel):
     """The ride model without noise correction; it rates the measured ground, over which the drives run too."""
 
-    def predict(self, patches: PatchStack) -> Prediction:
-        """Predict C_r and p_fail of n tiles; NaN if a tile cannot be classified."""
-        rides = roll_over(patches.relief_map, self.operator)
-        pixel_points = patches.count / patches.grid.pixels**2
-        none = np.zeros(len(patches.count))
-        return self.correction.predict(rides, patches.slope.astype(np.float64), none, pixel_points)
+    def ground(self, patches: PatchStack) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Return the relief as measured, and no noise."""
+        return patches.relief_map, np.zeros(len(patches.count))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,13 @@ from .journal import (
     Journal as Journal,
     Key as Key,
 )
+from .motion import (
+    MotionEffort as MotionEffort,
+    motion_journal as motion_journal,
+)
+from .motion_fit import (
+    add_motion as add_motion,
+)
 from .patch import (
     Effort as Effort,
     PatchDrives as PatchDrives,

@@ -147,7 +147,8 @@ def command_of(record: Mapping[str, Any]) -> str | None:
     words = [f"bumpymap map {surveys} --out LAYERS"]
     for name, value in _changed(settings).items():
         option = f"--{name.replace('_', '-')}"
-        text = base_name(str(value)) if name in _FILES else str(value)
+        text = ",".join(f"{one:g}" for one in value) if isinstance(value, list) else str(value)
+        text = base_name(text) if name in _FILES else text
         words.append(option if value is True else f"{option} {_quoted(text)}")
     return " ".join(words)
 
@@ -183,7 +184,7 @@ def _changed(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: settings[name]
         for name, usual in defaults.items()
-        if name in settings and settings[name] != usual and settings[name] not in {None, False}
+        if name in settings and settings[name] != usual and not (settings[name] is None or settings[name] is False)
     }
 
 

@@ -10,9 +10,11 @@ from bumpymap.core import STAGED, BadInputError, OutputError, read_record, remov
 from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT
 from bumpymap.layers.products import (
     CATALOG_NAME,
-    PRODUCT_NAMES,
+    EVERY_NAME,
     SHEET_FOLDER,
     SHEET_TABLE_NAME,
+    SPEEDS_NAME,
+    SPEEDS_VIRTUAL_NAME,
     VIEW_NAMES,
     VIRTUAL_NAMES,
     sheets_in,
@@ -25,13 +27,14 @@ __all__ = [
     "remove_manifest",
     "remove_map_files",
     "remove_sheets",
+    "remove_speeds",
     "sheet_folders",
     "sheets_of",
     "virtual_name",
 ]
 
 _SIDECAR = ".aux.xml"
-_OWN = (*PRODUCT_NAMES, *VIEW_NAMES)
+_OWN = (*EVERY_NAME, *VIEW_NAMES)
 _FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -131,6 +134,18 @@ def remove_map_files(folder: Path) -> None:
         _remove_files(folder.resolve(), _OWN)
 
 
+def remove_speeds(folder: Path) -> None:
+    """Remove the layer of other speeds that an earlier run wrote, in a folder where the last one wrote none.
+
+    Raises
+    ------
+    OutputError
+        It cannot be removed.
+    """
+    with _removing(folder):
+        _remove_files(folder.resolve(), (SPEEDS_NAME, SPEEDS_VIRTUAL_NAME))
+
+
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
     """Remove the sheets of an earlier run, but for the names in ``keep``; files that no run wrote stay.
 
@@ -151,7 +166,7 @@ def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
                     sheet.rmdir()
         if not keep:
             own = (CATALOG_NAME,) if (folder / SHEET_TABLE_NAME).is_file() else ()  # else that of a batch
-            _remove_files(folder.resolve(), (*own, *VIRTUAL_NAMES, SHEET_TABLE_NAME))
+            _remove_files(folder.resolve(), (*own, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME))
             with suppress(OSError):  # not empty, or not there
                 (folder / SHEET_FOLDER).rmdir()
 

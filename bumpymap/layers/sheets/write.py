@@ -29,9 +29,15 @@ from bumpymap.layers.manifest import (
     write_manifest,
 )
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import CATALOG_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES, VIRTUAL_NAMES
-from bumpymap.layers.sheets.finished import is_finished
-from bumpymap.layers.sheets.folders import make_sheet_folder, remove_manifest, remove_map_files, remove_sheets
+from bumpymap.layers.products import CATALOG_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES
+from bumpymap.layers.sheets.finished import is_finished, virtual_names
+from bumpymap.layers.sheets.folders import (
+    make_sheet_folder,
+    remove_manifest,
+    remove_map_files,
+    remove_sheets,
+    remove_speeds,
+)
 from bumpymap.layers.sheets.layout import SheetLayout, SheetPlace
 from bumpymap.layers.sheets.virtual import write_virtual
 from bumpymap.layers.stac import write_catalog
@@ -120,15 +126,17 @@ def write_sheets(
     summary = summarise(table)
     remove_map_files(folder)
     remove_sheets(folder, keep=places)
+    virtual = virtual_names(manifest)
+    remove_speeds(folder)
     with write_together(folder, MANIFEST_NAME) as staged, utf8_path(folder) as root:
-        for name in VIRTUAL_NAMES:
+        for name in virtual:
             write_virtual(staged / name, root, whole, windows)
         sheets = [
             _describe(root, path, place, whole, windows[path])
             for path, place in zip(windows, places.values(), strict=True)
         ]
         _write_table(staged / SHEET_TABLE_NAME, sheets)
-        files = [describe_file(staged / name) | {"path": name} for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME)]
+        files = [describe_file(staged / name) | {"path": name} for name in (*virtual, SHEET_TABLE_NAME)]
         record = complete_manifest(manifest, table, summary, files)
         record |= {
             "format": SHEETS_FORMAT,
@@ -142,7 +150,7 @@ def write_sheets(
         write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
     views = [name for name in VIEW_NAMES if (folder / name).is_file()]
-    return [folder / name for name in (*VIRTUAL_NAMES, SHEET_TABLE_NAME, MANIFEST_NAME, CATALOG_NAME, *views)], summary
+    return [folder / name for name in (*virtual, SHEET_TABLE_NAME, MANIFEST_NAME, CATALOG_NAME, *views)], summary
 
 
 def _write_sheet(

@@ -26,13 +26,24 @@ from bumpymap.rating.ride._lanes import (
 from bumpymap.rating.ride.operator import PitchSamples, Poses, WheelShape
 from bumpytiles import helper, kernel
 
-__all__ = ["PatchesToRide", "RideScratch", "VehicleGeometry", "normal_shares", "ride_patches", "ride_scratch"]
+__all__ = [
+    "GROUP",
+    "PatchesToRide",
+    "RideScratch",
+    "VehicleGeometry",
+    "lay_nodes",
+    "normal_shares",
+    "ride_patches",
+    "ride_scratch",
+    "roll_wheel",
+    "sample_means",
+]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
 
-_GROUP = 2 * LANES
+GROUP = 2 * LANES
 """Patches that ride side by side: their heights lie together, so a processor computes all of them at once."""
 
 
@@ -78,12 +89,12 @@ def ride_scratch(pixels: int, nodes: int, margin: int) -> RideScratch:
     """Make scratch for patches of so many pixels and nodes along a side."""
     wide = nodes + 2 * margin
     return RideScratch(
-        np.zeros((pixels, pixels, _GROUP), np.float32),
-        np.empty((wide, wide, _GROUP), np.float32),
-        np.empty((nodes * nodes, _GROUP), np.float32),
-        np.empty((nodes * nodes, _GROUP), np.float32),
-        np.empty(_GROUP, np.int64),
-        np.empty((6, _GROUP)),
+        np.zeros((pixels, pixels, GROUP), np.float32),
+        np.empty((wide, wide, GROUP), np.float32),
+        np.empty((nodes * nodes, GROUP), np.float32),
+        np.empty((nodes * nodes, GROUP), np.float32),
+        np.empty(GROUP, np.int64),
+        np.empty((6, GROUP)),
     )
 
 
@@ -133,7 +144,7 @@ def _larger(least: Any, above: Any, clearance: Any) -> Any:
 
 
 @helper
-def _lay_nodes(fine: int, nodes: int, scratch: RideScratch) -> None:
+def lay_nodes(fine: int, nodes: int, scratch: RideScratch) -> None:
     """Bilinear heights at the nodes of a group of patches, with a mirrored margin around them."""
     relief, wide = scratch.relief, scratch.wide
     pixels, sides = relief.shape[0], wide.shape[0]
@@ -160,12 +171,12 @@ def _lay_nodes(fine: int, nodes: int, scratch: RideScratch) -> None:
             col = (c - margin) % period
             col = min(col, period - col) + margin
             if row != r or col != c:
-                for lane in range(_GROUP):
+                for lane in range(GROUP):
                     wide[r, c, lane] = wide[row, col, lane]
 
 
 @helper
-def _roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
+def roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
     """Height of the lowest point of a wheel that touches the ground, at every node of a group of patches."""
     wide, margin = scratch.wide, (scratch.wide.shape[0] - nodes) // 2
     for r in range(nodes):
@@ -182,11 +193,11 @@ def _roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
 
 
 @helper
-def _pitch_changes(samples: PitchSamples, envelope: Singles, rides: Floats) -> None:
-    """Fill mean and root mean square of the samples' pitch change, for a group of patches."""
-    number = len(samples.starts) - 1
+def sample_means(samples: PitchSamples, first: int, last: int, envelope: Singles, rides: Floats) -> None:
+    """Fill mean absolute value and root mean square of the samples from first to last, for a group of patches."""
+    number = last - first
     sizes = more_sizes = squares = more_squares = same(0.0)
-    for s in range(number):
+    for s in range(first, last):
         low = high = same(np.float32(0.0))
         for k in range(samples.starts[s], samples.starts[s + 1]):
             weight, at = samples.weight[k], envelope[np.uintp(samples.node[k])]
@@ -197,7 +208,7 @@ def _pitch_changes(samples: PitchSamples, envelope: Singles, rides: Floats) -> N
     store(more_sizes, rides[0], LANES)
     store(squares, rides[1], 0)
     store(more_squares, rides[1], LANES)
-    for lane in range(_GROUP):
+    for lane in range(GROUP):
         rides[0, lane] = rides[0, lane] / number
         rides[1, lane] = math.sqrt(rides[1, lane] / number)
 
@@ -259,7 +270,7 @@ def ride_patches(
     t = 0
     while t < tiles:
         held = 0
-        while t < tiles and held < _GROUP:
+        while t < tiles and held < GROUP:
             if patches.known[t]:
                 for r in range(pixels):
                     for c in range(pixels):
@@ -269,9 +280,9 @@ def ride_patches(
             t += 1
         if held == 0:
             continue
-        _lay_nodes(patches.fine, nodes, scratch)
-        _roll_wheel(nodes, wheel, scratch)
-        _pitch_changes(samples, scratch.envelope, scratch.rides)
+        lay_nodes(patches.fine, nodes, scratch)
+        roll_wheel(nodes, wheel, scratch)
+        sample_means(samples, 0, len(samples.starts) - 1, scratch.envelope, scratch.rides)
         _pose_numbers(poses, geometry, scratch, 0)
         _pose_numbers(poses, geometry, scratch, LANES)
         for lane in range(held):

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._ride_kernels import PatchesToRide, VehicleGeometry, ride_patches, ride_scratch
-from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.ride._motion_kernels import move_over_patches
+from bumpymap.rating.ride._ride_kernels import PatchesToRide, RideScratch, VehicleGeometry, ride_patches, ride_scratch
+from bumpymap.rating.ride.motion_operator import MotionOperator
+from bumpymap.rating.ride.operator import RideOperator, WheelShape
 
-__all__ = ["Rides", "roll_over"]
+__all__ = ["Motions", "Rides", "move_over", "roll_over"]
 
 _APART = 2
 """Pixels between heights that are compared: 0.4 m in a tile of 3 m."""
@@ -46,21 +48,48 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
     operator : RideOperator
         Of the vehicle.
     """
+    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    rides = np.full((len(relief_map), 6), np.nan)
+    geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
+    ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, scratch)
+    return Rides(*rides.T.copy(), *_heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan))))
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """How a vehicle moves on each of n patches at each of k speeds; NaN where a patch has NaN."""
+
+    roll_change: NDArray[np.float64]
+    """(n,) mean absolute change of the chassis' roll per metre, rad/m, at any speed."""
+    pitch_change: NDArray[np.float64]
+    """(n, k) the same of its pitch, rad/m."""
+    heave: NDArray[np.float64]
+    """(n, k) root mean square of the weighted vertical acceleration, m/s2."""
+
+
+def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
+    """Roll a vehicle over patches at several speeds.
+
+    Parameters
+    ----------
+    relief_map : array (n, pixels, pixels) float32
+        Plane-removed relief without holes, m; patches with NaN are left out.
+    operator : MotionOperator
+        Of the vehicle.
+    """
+    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
+    move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions, scratch)
+    return Motions(motions[:, 0, 0], motions[:, 1::2, 0], motions[:, 2::2, 1])
+
+
+def _patches_and_scratch(
+    relief_map: NDArray[np.float32], wheel: WheelShape, fine: int, nodes: int
+) -> tuple[PatchesToRide, RideScratch]:
     patches = np.ascontiguousarray(relief_map, np.float32)
     known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
-    wheel = operator.wheel
     margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
-    rides = np.full((len(patches), 6), np.nan)
-    ride_patches(
-        PatchesToRide(known, patches, operator.fine),
-        wheel,
-        operator.samples,
-        operator.poses,
-        VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance),
-        rides,
-        ride_scratch(patches.shape[1], operator.nodes, margin),
-    )
-    return Rides(*rides.T.copy(), *_heights(np.where(known[:, None, None], patches, np.float32(np.nan))))
+    return PatchesToRide(known, patches, fine), ride_scratch(patches.shape[1], nodes, margin)
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

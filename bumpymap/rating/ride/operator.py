@@ -17,7 +17,20 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PitchSamples", "Poses", "RideOperator", "WheelShape"]
+from bumpymap.rating.ride.lattice import Lattice, PitchSamples, Places, WheelShares, spread_places, wheel_rows
+
+__all__ = [
+    "PitchSamples",
+    "Poses",
+    "RideOperator",
+    "WheelShape",
+    "chassis_response",
+    "cosines",
+    "interpolation",
+    "lattice_of",
+    "pitch_change",
+    "wheel_shape",
+]
 
 Floats = NDArray[np.float64]
 _WHEEL_NODES = 2.0
@@ -37,17 +50,6 @@ class WheelShape(NamedTuple):
     """(n,) nodes to the east."""
     rise: Annotated[NDArray[np.float32], 1]
     """(n,) how much higher than its lowest point the wheel is there, negative, m."""
-
-
-class PitchSamples(NamedTuple):
-    """Rows of a sparse matrix over the nodes (compressed rows)."""
-
-    starts: Annotated[NDArray[np.int32], 1]
-    """(samples + 1,) where each row begins."""
-    node: Annotated[NDArray[np.int32], 1]
-    """(entries,) index into the flat (nodes, nodes) envelope."""
-    weight: Annotated[NDArray[np.float32], 1]
-    """(entries,) rad/m of pitch change per metre of height."""
 
 
 class Poses(NamedTuple):
@@ -88,19 +90,20 @@ class RideOperator:
         """Make the operator of a vehicle profile (the nested dictionary of its TOML file)."""
         radius = float(vehicle["wheel"]["radius_m"])
         wheelbase, track = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
-        fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
-        nodes, step = pixels * fine + 1, tile_size / (pixels * fine)
-        lattice = _Lattice(nodes, step)
-        places = _spread(_RIDE_SAMPLES, tile_size)
+        fine, lattice = lattice_of(radius, tile_size, pixels)
+        nodes, step = lattice.nodes, lattice.step
+        places = spread_places(_RIDE_SAMPLES, tile_size)
         taps = chassis_response(vehicle, step / 2)
-        samples = _pitch_change(lattice, places, taps, step / 2, wheelbase, track)
+        samples = pitch_change(lattice, places, taps, step / 2, wheelbase, track)
         belly = vehicle["belly"]
         return cls(
             fine=fine,
             nodes=nodes,
-            wheel=_wheel(radius, step),
+            wheel=wheel_shape(radius, step),
             samples=samples,
-            poses=_poses(lattice, _spread(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2),
+            poses=_poses(
+                lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
+            ),
             wheelbase=wheelbase,
             track=track,
             belly_half=float(belly["length_m"]) / 2,
@@ -109,33 +112,14 @@ class RideOperator:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Lattice:
-    """The nodes of a patch that is mirrored at its edges forever."""
-
-    nodes: int
-    step: float
-
-    def read(self, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """Bilinear reads at places [m] of any shape: nodes and weights, one more axis of four corners."""
-        across, up = x / self.step, y / self.step
-        i, j = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
-        part_x, part_y = across - i, up - j
-        node, weight = [], []
-        for row, share_y in ((j, 1 - part_y), (j + 1, part_y)):
-            for col, share_x in ((i, 1 - part_x), (i + 1, part_x)):
-                node.append(self._mirrored(row) * self.nodes + self._mirrored(col))
-                weight.append(share_y * share_x)
-        return np.stack(node, axis=-1), np.stack(weight, axis=-1)
-
-    def _mirrored(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Mirror at the edge nodes, which lie on the patch's edges."""
-        period = 2 * (self.nodes - 1)
-        wrapped = index % period
-        return np.minimum(wrapped, period - wrapped)
+def lattice_of(radius: float, tile_size: float, pixels: int) -> tuple[int, Lattice]:
+    """Return the nodes along the side of a pixel, and the lattice of a patch, for wheels of a radius [m]."""
+    fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
+    return fine, Lattice(pixels * fine + 1, tile_size / (pixels * fine))
 
 
-def _wheel(radius: float, step: float) -> WheelShape:
+def wheel_shape(radius: float, step: float) -> WheelShape:
+    """Return the lower half of a wheel on nodes that are ``step`` m apart."""
     reach = int(radius / step + 1e-9)
     offset = np.arange(-reach, reach + 1)
     row, col = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
@@ -143,28 +127,6 @@ def _wheel(radius: float, step: float) -> WheelShape:
     under = away <= radius**2 * (1 + 1e-9)
     rise = np.sqrt(np.maximum(radius**2 - away[under], 0.0)) - radius
     return WheelShape(row[under].astype(np.int32), col[under].astype(np.int32), rise.astype(np.float32))
-
-
-def _spread(count: int, side: float) -> tuple[Floats, Floats, Floats]:
-    """Places [m] and headings [rad], evenly spread (Halton), with all their turns by 90 degrees and mirror images."""
-    u, v, w = (_halton(count, base) for base in (2, 3, 5))
-    x, y, heading = (u - 0.5) * side, (v - 0.5) * side, w * np.pi / 2
-    turned = []
-    for px, py, angle in ((x, y, heading), (-x, y, np.pi - heading)):
-        for cos, sin, turn in ((1, 0, 0.0), (0, 1, np.pi / 2), (-1, 0, np.pi), (0, -1, 3 * np.pi / 2)):
-            turned.append((cos * px - sin * py, sin * px + cos * py, angle + turn))
-    east, north, way = (np.concatenate(parts) for parts in zip(*turned, strict=True))
-    return east + side / 2, north + side / 2, way
-
-
-def _halton(count: int, base: int) -> Floats:
-    """Give the first ``count`` numbers of van der Corput's sequence in a base."""
-    left, share, total = np.arange(1, count + 1), 1.0, np.zeros(count)
-    while left.any():
-        share /= base
-        total += share * (left % base)
-        left //= base
-    return total
 
 
 def chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
@@ -207,44 +169,17 @@ def _exponential(matrix: Floats) -> Floats:
     return total
 
 
-def _pitch_change(
-    lattice: _Lattice, places: tuple[Floats, Floats, Floats], taps: Floats, way: float, wheelbase: float, track: float
+def pitch_change(
+    lattice: Lattice, places: Places, taps: Floats, way: float, wheelbase: float, track: float
 ) -> PitchSamples:
     """Rows that give the change of the chassis' pitch per metre at each sample."""
-    x, y, heading = places
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
     back = way * (np.arange(len(shares)) - 0.5)
-    nodes, weights = [], []
-    for forward, left, sign in ((1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, -1)):
-        along, beside = forward * wheelbase / 2 - back, left * track / 2
-        east = x[:, None] + np.cos(heading)[:, None] * along - np.sin(heading)[:, None] * beside
-        north = y[:, None] + np.sin(heading)[:, None] * along + np.cos(heading)[:, None] * beside
-        node, weight = lattice.read(east, north)
-        nodes.append(node.reshape(len(x), -1))
-        weights.append((weight * (sign * shares / (2 * wheelbase))[:, None]).reshape(len(x), -1))
-    return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
+    return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
 
 
-def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
-    """Put (samples, entries) together: one entry for each node of a sample, in the order of the nodes."""
-    samples = node.shape[0]
-    size = int(node.max()) + 1
-    flat = (np.arange(samples)[:, None] * size + node).ravel()
-    order = np.argsort(flat, kind="stable")
-    sorted_flat = flat[order]
-    first = np.flatnonzero(np.diff(sorted_flat, prepend=-1))
-    total = np.add.reduceat(weight.ravel()[order], first)
-    keys = sorted_flat[first]
-    felt = np.abs(total) > 1e-9 * np.abs(total).max()
-    keys, total = keys[felt], total[felt]
-    starts = np.searchsorted(keys // size, np.arange(samples + 1))
-    return PitchSamples(starts.astype(np.int32), (keys % size).astype(np.int32), total.astype(np.float32))
-
-
-def _poses(
-    lattice: _Lattice, places: tuple[Floats, Floats, Floats], wheelbase: float, track: float, belly_half: float
-) -> Poses:
+def _poses(lattice: Lattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:
     x, y, heading = places
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     along = np.array([1, 1, -1, -1]) * wheelbase / 2

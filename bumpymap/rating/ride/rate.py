@@ -1,5 +1,7 @@
 """Rate tiles by rolling the vehicle over them (``--rating ride``)."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.ride.speed import SpeedRating, map_speed, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle.floor import with_floor
 
 __all__ = ["RideModel", "interval", "judge"]
@@ -24,16 +27,18 @@ class RideModel:
     ----------
     calibration : Calibration
         Of the vehicle; it holds the profile and what its drives taught.
+    speeds : tuple of float
+        Speeds [m/s] to rate the ride at besides; see `CostMap.motion`.
 
     Raises
     ------
     UsageError
-        The calibration was made without a ride model.
+        The calibration was made without a ride model, or cannot tell the ride at these speeds.
     BadInputError
         Its ride model is damaged.
     """
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = ()) -> None:
         if calibration.ride is None:
             raise UsageError(
                 f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
@@ -42,13 +47,34 @@ class RideModel:
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
+        self.speeds: SpeedRating | None = None
+        if speeds or map_speed(calibration) != float(calibration.vehicle["speed_mps"]):
+            require_speeds(calibration, speeds, "speeds")
+            self.speeds = SpeedRating.of(calibration, speeds)
+
+    def ground(self, patches: PatchStack) -> tuple[NDArray[np.float32], Floats]:
+        """Return the relief that the vehicle rolls over, (n, pixels, pixels), m, and `CleanPatches.noise_felt`."""
+        clean = denoise(patches, self.operator)
+        return clean.relief_map, clean.noise_felt
 
     def predict(self, patches: PatchStack) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
-        clean = denoise(patches, self.operator)
-        rides = roll_over(clean.relief_map, self.operator)
+        return self._predict(patches)[0]
+
+    def _predict(self, patches: PatchStack) -> tuple[Prediction, NDArray[np.float32] | None]:
+        """Return also the factors of `CostMap.motion`; None without other speeds."""
+        relief, noise_felt = self.ground(patches)
+        rides = roll_over(relief, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
-        return self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
+        found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
+        if self.speeds is None:
+            return found, None
+        log_ratio, factors = self.speeds.factors(relief, rides.pitch_change)
+        level = plain_speed_factor(self.calibration, found.log_c_r)
+        log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
+        more = speed_log_sd(self.calibration)
+        below, above = np.hypot(found.below, more), np.hypot(found.above, more)
+        return replace(found, log_c_r=found.log_c_r + log_ratio, below=below, above=above), factors
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
         """Rate tiles.
@@ -69,7 +95,7 @@ class RideModel:
         """
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-        found = self.predict(patches)
+        found, factors = self._predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance, p_fail = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.floor)
@@ -85,6 +111,7 @@ class RideModel:
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             rule=calibration.cost_rule,
+            motion=factors if factors is not None and factors.shape[1] else None,
         )
 
 

@@ -9,6 +9,7 @@ from bumpymap.core import DENSE_COVERAGE, NO_CLASS, THIN_POINTS, THIN_SEEN, Reas
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Prediction
 from bumpymap.rating.ride.rate import interval, judge
+from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 from bumpymap.rating.ride.thin_neighbours import pull_to_neighbours
 from bumpymap.rating.ride.thin_noise import PooledNoise, pool_noise
@@ -78,7 +79,8 @@ def rate_thin(
     if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
-        mixed = _mixed(_predicted(model, flat, reason == Reason.OK), first, weight, calibration.floor)
+        thin_tiles = _at_map_speed(_predicted(model, flat, reason == Reason.OK), calibration)
+        mixed = _mixed(thin_tiles, first, weight, calibration.floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
         tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
@@ -156,6 +158,19 @@ def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> 
         np.array([0.25, 0.5, 0.25]) @ at_noise.p_fail.reshape(3, number),
     )
     return Prediction(*found)
+
+
+def _at_map_speed(found: Prediction, calibration: Calibration) -> Prediction:
+    """Return a prediction at the speed of the map; the same at the profile's speed."""
+    more = speed_log_sd(calibration)
+    if not more:
+        return found
+    return replace(
+        found,
+        log_c_r=found.log_c_r + plain_speed_factor(calibration, found.log_c_r),
+        below=np.hypot(found.below, more),
+        above=np.hypot(found.above, more),
+    )
 
 
 def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from bumpymap.core import CLASHES, MapConfig, UsageError, parse_record, path_fault, refuse_clashes, refuse_faults
 from bumpymap.survey.batch.names import plain_name
@@ -93,6 +93,9 @@ def _value(name: str, text: str) -> Any:
     kinds = get_args(_KINDS[name]) or (_KINDS[name],)
     if bool in kinds:
         return _WORDS.get(text.lower(), text)
+    if any(get_origin(kind) is tuple for kind in kinds):  # of numbers
+        with suppress(ValueError):
+            return [float(word) for word in text.replace(",", " ").split()]
     for kind in (int, float):
         if kind in kinds:
             with suppress(ValueError):

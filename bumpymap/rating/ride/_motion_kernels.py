@@ -1,0 +1,53 @@
+"""Compiled loop: the motion of a vehicle on patches; see ``bumpymap.rating.ride.motion_operator`` for the model."""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.rating.ride._ride_kernels import GROUP, PatchesToRide, RideScratch, lay_nodes, roll_wheel, sample_means
+from bumpymap.rating.ride.lattice import PitchSamples
+from bumpymap.rating.ride.operator import WheelShape
+from bumpytiles import kernel
+
+__all__ = ["move_over_patches"]
+
+Floats = NDArray[np.float64]
+
+
+@kernel
+def move_over_patches(
+    patches: PatchesToRide,
+    wheel: WheelShape,
+    samples: PitchSamples,
+    bounds: Annotated[NDArray[np.int64], 1],
+    motions: Annotated[Floats, 3],
+    scratch: RideScratch,
+) -> None:
+    """Roll a vehicle over patches.
+
+    ``motions`` (tiles, groups, 2) is filled: mean absolute value and root mean square of the samples of each group, the
+    rows from one of ``bounds`` to the next.
+    """
+    tiles, pixels = len(patches.known), patches.relief.shape[1]
+    nodes = pixels * patches.fine + 1
+    t = 0
+    while t < tiles:
+        held = 0
+        while t < tiles and held < GROUP:
+            if patches.known[t]:
+                for r in range(pixels):
+                    for c in range(pixels):
+                        scratch.relief[r, c, held] = patches.relief[t, r, c]
+                scratch.members[held] = t
+                held += 1
+            t += 1
+        if held == 0:
+            continue
+        lay_nodes(patches.fine, nodes, scratch)
+        roll_wheel(nodes, wheel, scratch)
+        for group in range(len(bounds) - 1):
+            sample_means(samples, bounds[group], bounds[group + 1], scratch.envelope, scratch.rides)
+            for lane in range(held):
+                for k in range(2):
+                    motions[scratch.members[lane], group, k] = scratch.rides[k, lane]

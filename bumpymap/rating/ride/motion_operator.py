@@ -1,0 +1,122 @@
+"""What pitches, rolls and lifts a chassis at several speeds: more rows over the same rolled wheels.
+
+Strategy. As in ``bumpymap.rating.ride.operator``, a sample is a row of a sparse matrix over the nodes of the envelope:
+
+- pitch at a speed: the same rows as for C_r, with the response of the suspension at that speed;
+- roll: half-tracks have no suspension between wheels and chassis, so its roll follows the mean heights of the wheels
+  on both sides at any speed;
+- heave at a speed: the mean height of the wheels, filtered along the way. What is felt depends on the frequency, and
+  frequency is speed times waves per metre, so weighting and second derivative in time are one filter over distance. Its
+  phase does not matter to a root mean square: the filter is symmetric, and short.
+
+The filter reaches as far as the vehicle drives in 2 s, to either side. Its samples are at most half a node apart and
+close enough for 10 Hz; where the vehicle passes more than 25 half nodes a second, higher frequencies than those of a
+half node are lost.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.rating.ride.lattice import Lattice, PitchSamples, WheelShares, spread_places, wheel_rows
+from bumpymap.rating.ride.operator import WheelShape, chassis_response, lattice_of, pitch_change, wheel_shape
+from bumpymap.rating.ride.weighting import WEIGHTED_BAND_HZ, felt_response
+
+__all__ = ["MotionOperator", "heave_filter"]
+
+Floats = NDArray[np.float64]
+_SAMPLES = 128
+"""Samples before the eight symmetries."""
+_PER_WAVE = 2.5
+"""Samples in the shortest wave that is felt, at least."""
+_FILTER_S = 2.0
+"""Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
+_LONG = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOperator:
+    """All that the motion of one vehicle over patches of one size takes."""
+
+    speeds: tuple[float, ...]
+    """m/s."""
+    fine: int
+    """Nodes along the side of a pixel."""
+    nodes: int
+    """Along the side of a patch."""
+    wheel: WheelShape
+    samples: PitchSamples
+    """Rows of all groups: roll; then pitch and heave at each speed."""
+    bounds: Annotated[NDArray[np.int64], 1]
+    """(groups + 1,) where the rows of each group begin."""
+
+    @classmethod
+    def of(
+        cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int, speeds: Sequence[float]
+    ) -> "MotionOperator":  # fmt: skip
+        """Make the operator of a vehicle profile (the nested dictionary of its TOML file) for speeds [m/s]."""
+        radius = float(vehicle["wheel"]["radius_m"])
+        base, track = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
+        fine, lattice = lattice_of(radius, tile_size, pixels)
+        places, way = spread_places(_SAMPLES, tile_size), lattice.step / 2
+        sides = WheelShares((1, -1, 1, -1), np.array([1.0, -1.0]) / way / (2 * track), way * np.array([-0.5, 0.5]))
+        groups = [wheel_rows(lattice, places, sides, base, track)]
+        for speed in speeds:
+            taps = chassis_response({**vehicle, "speed_mps": speed}, way)
+            groups.append(pitch_change(lattice, places, taps, way, base, track))
+            groups.append(wheel_rows(lattice, places, _heave(speed, lattice), base, track))
+        counts = [len(rows.starts) - 1 for rows in groups]
+        return cls(
+            speeds=tuple(speeds),
+            fine=fine,
+            nodes=lattice.nodes,
+            wheel=wheel_shape(radius, lattice.step),
+            samples=_joined(groups),
+            bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+        )
+
+
+def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
+    """Return the filter from heights along a way to weighted acceleration at a speed [m/s].
+
+    Parameters
+    ----------
+    speed : float
+        m/s.
+    way : float
+        Distance between heights, m.
+
+    Returns
+    -------
+    array (k,)
+        m/s2 per metre of height; their sum is 0.
+    array (k,)
+        Where along the way, m; symmetric about 0.
+    """
+    wave_number = np.fft.rfftfreq(_LONG, way)
+    taps = np.fft.irfft(np.abs(felt_response(speed * wave_number)))
+    reach = math.ceil(_FILTER_S * speed / way)
+    kept = np.concatenate((taps[reach:0:-1], taps[: reach + 1]))
+    window = np.hanning(len(kept) + 2)[1:-1]
+    kept = kept - window * (kept.sum() / window.sum())
+    return np.asarray(kept), np.asarray(way * np.arange(-reach, reach + 1), np.float64)
+
+
+def _heave(speed: float, lattice: Lattice) -> WheelShares:
+    taps, back = heave_filter(speed, min(lattice.step / 2, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
+    return WheelShares((1, 1, 1, 1), taps / 4, back)
+
+
+def _joined(groups: Sequence[PitchSamples]) -> PitchSamples:
+    """Put the rows of groups one after the other."""
+    entries = np.cumsum([0, *(len(rows.node) for rows in groups)])
+    starts = [rows.starts[:-1] + first for rows, first in zip(groups, entries, strict=False)]
+    return PitchSamples(
+        np.concatenate((*starts, entries[-1:])).astype(np.int32),
+        np.concatenate([rows.node for rows in groups]),
+        np.concatenate([rows.weight for rows in groups]),
+    )

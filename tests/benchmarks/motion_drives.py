@@ -1,0 +1,120 @@
+"""Drive over patches of a survey at several speeds and hold pitch, roll and weighted acceleration against the map.
+
+    python tests/benchmarks/motion_drives.py SURVEY --crs EPSG:CODE --data FOLDER
+
+Patches are chosen as by ``bumpymap evaluate``: as many for each level of roughness. Every start is driven at every
+speed. Drives are recorded in FOLDER, and are not repeated by the next call.
+"""
+
+import argparse
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from bumpymap.core import FeatureSettings, Georeference, Reason, SilentProgress, TextureMap
+from bumpymap.lab.evaluate.drives import driven_ground
+from bumpymap.lab.evaluate.keyed_random import uniform_by_key
+from bumpymap.lab.evaluate.strata import choose_patches, strata
+from bumpymap.lab.evaluate.survey import load_survey, open_readers, take_tiles
+from bumpymap.lab.simulate.drive import Start
+from bumpymap.lab.simulate.journal import JobJournal
+from bumpymap.lab.simulate.motion import MotionRecord
+from bumpymap.lab.simulate.motion_drive import drive_motion
+from bumpymap.lab.simulate.pool import drive_jobs
+from bumpymap.lab.simulate.terrain import PatchGround
+from bumpymap.patches import join_stacks
+from bumpymap.rating import QUANTITIES, RideModel, Vehicle, find_calibration
+from bumpymap.readers import ReadOptions
+from bumpytiles import Grid
+
+
+class Job:
+    """Drives over one patch."""
+
+    def __init__(self, key, heights, starts):
+        self.key, self.heights, self.starts = key, heights, starts
+
+
+def drive_patch(profile, tile_size, speeds, starts, seed, job):
+    """Drive over a patch from random starts, each at every speed."""
+    ground = PatchGround.from_heights(job.heights, tile_size)
+    made = []
+    for number in range(starts):
+        rng = np.random.default_rng([seed, number, *(abs(part) for part in job.key)])
+        easting, northing, turn = rng.random(3).tolist()
+        start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
+        made.append([drive_motion(profile, ground, start, speed) for speed in speeds])
+    return MotionRecord.of(made)
+
+
+def survey_patches(args, grid, features):
+    """Measure the survey and return its patches that can be judged."""
+    readers = open_readers([args.survey], ReadOptions(crs=args.crs), local=args.crs is None)
+    with load_survey(readers, "auto", grid, features, args.data, SilentProgress()) as survey:
+        stacks = [survey.measured(points) for points in survey.points()]
+    return join_stacks([take_tiles(stack, stack.reason == Reason.OK) for stack in stacks])
+
+
+def driven_means(record):
+    """Return mean and its relative standard error, (quantities, speeds): NaN where a quarter of the drives failed."""
+    found = np.array([getattr(record, name) for name in QUANTITIES], dtype=float)
+    done = np.isfinite(found).sum(axis=1)
+    found = np.where((done >= 0.75 * found.shape[1])[:, None], found, np.nan)
+    mean = np.nanmean(found, axis=1)
+    return mean, np.nanstd(found, axis=1, ddof=1) / np.sqrt(done) / mean
+
+
+def main():
+    """Drive, compare, print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("survey", type=Path)
+    parser.add_argument("--crs")
+    parser.add_argument("--data", type=Path, required=True, help="folder for the record of the drives")
+    parser.add_argument("--vehicle", default="warthog")
+    parser.add_argument("--patches", type=int, default=60)
+    parser.add_argument("--starts", type=int, default=8)
+    parser.add_argument("--speeds", default="0.5,1,2")
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    args.data.mkdir(parents=True, exist_ok=True)
+    speeds = tuple(float(word) for word in args.speeds.split(","))
+    calibration = find_calibration(args.vehicle)
+    profile = Vehicle.from_dict(calibration.vehicle, args.vehicle)
+    grid = Grid(calibration.tile_size, calibration.pixels)
+    patches = survey_patches(args, grid, FeatureSettings())
+    model = RideModel(calibration, speeds)
+    rated = model.rate(patches, TextureMap.unknown(len(patches.reason)), Georeference(None))
+    stratum = strata(rated.c_r.astype(float), rated.p_fail.astype(float))
+    crossed = np.flatnonzero(rated.p_fail < 0.2)
+    priority = uniform_by_key(args.seed, patches.col[crossed], patches.row[crossed])
+    rows = crossed[choose_patches(stratum[crossed], priority, args.patches)]
+    felt = (rated.motion * rated.c_r[:, None])[rows].reshape(len(rows), len(speeds), len(QUANTITIES)).astype(float)
+    ground = driven_ground(take_tiles(patches, rows))
+    names = [(int(patches.col[row]), int(patches.row[row])) for row in rows]
+    jobs = [Job(name, heights, args.starts * len(speeds)) for name, heights in zip(names, ground, strict=True)]
+    settings = {"vehicle": profile.to_dict(), "speeds": speeds, "starts": args.starts, "seed": args.seed}
+    driven = drive_jobs(
+        partial(drive_patch, profile, grid.tile_size, speeds, args.starts, args.seed),
+        jobs,
+        lambda done, every: (args.data / "progress").write_text(f"{done}/{every}\n"),
+        workers=args.workers,
+        journal=JobJournal(args.data / f"motion-{args.vehicle}.jsonl", settings, MotionRecord.read),
+    )
+    means, errors = (np.stack(part) for part in zip(*(driven_means(driven[name]) for name in names), strict=True))
+    print(f"{len(names)} patches, {args.starts} starts each; median standard error of the driven means beside")
+    print(f"{'':8s} {'m/s':>5s} {'n':>4s} {'Spearman':>9s} {'median error':>13s} {'bias':>7s} {'driven error':>13s}")
+    for q, name in enumerate(QUANTITIES):
+        for v, speed in enumerate(speeds):
+            known = np.isfinite(means[:, q, v])
+            ratio = np.log(felt[known, v, q] / means[known, q, v])
+            rank = spearmanr(felt[known, v, q], means[known, q, v]).statistic
+            shares = [np.expm1(np.median(np.abs(ratio))), np.expm1(np.median(ratio)), np.median(errors[known, q, v])]
+            print(f"{name:8s} {speed:5g} {known.sum():4d} {rank:9.3f} " + " ".join(f"{x:12.1%}" for x in shares))
+
+
+if __name__ == "__main__":
+    main()

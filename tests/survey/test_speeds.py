@@ -1,0 +1,176 @@
+"""Maps at other speeds, as a user makes them: the layer, its columns, what stays, what is refused."""
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from pyproj import CRS
+
+import bumpymap
+from bumpymap.cli import main
+from bumpymap.core import UsageError
+from bumpymap.survey.batch.table import read_table
+
+NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """Rubble in the east; in the north-west, points so few that tiles have no heightmap."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0.01, 29.99, (2, 60_000))
+    kept = (x > 12) | (y < 18) | (rng.random(60_000) < 0.05)
+    x, y = x[kept], y[kept]
+    z = 100 + 0.02 * x + np.where(x > 15, 0.15 * np.sin(5 * x) * np.sin(4 * y), 0.0) + 0.004 * rng.normal(size=len(x))
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
+    header.add_crs(CRS.from_epsg(32614))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = x + 500_001, y + 4_000_002, z
+    path = tmp_path_factory.mktemp("survey") / "site.laz"
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def maps(survey, tmp_path_factory):
+    """The map, the map with three speeds, and that at 2 m/s with them."""
+    out = tmp_path_factory.mktemp("maps")
+    wanted = {"plain": (), "speeds": ("--speeds", "0.5,1,2"), "fast": ("--speed", 2, "--speeds", "0.5,1,2")}
+    for name, options in wanted.items():
+        made = run("map", survey, "--out", out / name, *options)
+        assert made.exit_code == 0, made.output
+    return out
+
+
+def bands(path):
+    with rasterio.open(path) as file:
+        return dict(zip(file.descriptions, file.read(), strict=True))
+
+
+@pytest.mark.slow
+def test_the_other_layers_keep_their_bytes(maps):
+    same = [path.name for path in (maps / "plain").glob("*.tif")]
+    assert len(same) == 8
+    assert all((maps / "plain" / name).read_bytes() == (maps / "speeds" / name).read_bytes() for name in same)
+    assert not (maps / "plain" / "speeds.tif").exists()
+
+
+@pytest.mark.slow
+def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
+    for name, own in (("speeds", "c_r_1"), ("fast", "c_r_2")):
+        felt, map_bands = bands(maps / name / "speeds.tif"), bands(maps / name / "roughness.tif")
+        assert tuple(felt) == NAMES
+        np.testing.assert_array_equal(felt[own], map_bands["c_r"])
+
+
+@pytest.mark.slow
+def test_every_rated_tile_has_all_values(maps):
+    felt, c_r = bands(maps / "speeds" / "speeds.tif"), bands(maps / "speeds" / "roughness.tif")["c_r"]
+    thin = bands(maps / "speeds" / "roughness.tif")["coverage"] < 0.25
+    assert (np.isfinite(c_r) & thin).any()  # rated from few points
+    for values in felt.values():
+        np.testing.assert_array_equal(np.isfinite(values), np.isfinite(c_r))
+    known = np.isfinite(c_r)
+    assert (felt["a_w_2"] > felt["a_w_1"])[known].all()
+    assert (felt["a_w_1"] > felt["a_w_0.5"])[known].all()
+
+
+@pytest.mark.slow
+def test_rubble_rolls_and_lifts_more_than_smooth_ground(maps):
+    felt = bands(maps / "speeds" / "speeds.tif")
+    for name in ("c_roll_1", "a_w_1"):
+        assert np.nanmedian(felt[name][:, 6:]) > 3 * np.nanmedian(felt[name][:, :4])
+
+
+@pytest.mark.slow
+def test_one_map_tells_the_same_as_two(maps):
+    """C_r at 2 m/s is the same, whether the map is made at 1 m/s or at 2; tiles of few points and steps nearly."""
+    slow, fast = bands(maps / "speeds" / "speeds.tif")["c_r_2"], bands(maps / "fast" / "roughness.tif")["c_r"]
+    error = np.abs(np.log(slow / fast))
+    assert np.nanmedian(error) < 1e-5
+    assert np.nanmax(error) < 0.25
+
+
+@pytest.mark.slow
+def test_layers_say_their_speed_and_fail_as_before(maps):
+    with rasterio.open(maps / "fast" / "class.tif") as file:
+        tags = file.tags()
+    assert (tags["speed_m_per_s"], tags["p_fail_speed_m_per_s"]) == ("2.0", "1.0")
+    vehicle = json.loads((maps / "fast" / "run.json").read_text())["vehicle"]
+    assert (vehicle["speed_mps"], vehicle["drives_mps"]) == (2.0, 1.0)
+    slow, fast = (bands(maps / name / "roughness.tif")["p_fail"] for name in ("plain", "fast"))
+    np.testing.assert_allclose(fast, slow, rtol=0.1)  # tiles of few points are pulled to their neighbours
+    dense = bands(maps / "plain" / "roughness.tif")["coverage"] > 0.75
+    np.testing.assert_allclose(fast[dense], slow[dense], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_they_open_in_python(maps):
+    pytest.importorskip("rioxarray")
+    speeds = bumpymap.open(maps / "speeds").speeds()
+    assert tuple(speeds) == NAMES
+    assert speeds["a_w_0.5"].attrs["units"] == "m/s2"
+    tiles = bumpymap.open(maps / "speeds").tiles()
+    known = bands(maps / "speeds" / "speeds.tif")["c_roll_2"]
+    assert np.sort(tiles["c_roll_2"].dropna()) == pytest.approx(np.sort(known[np.isfinite(known)]))
+    with pytest.raises(UsageError, match="was not asked for them"):
+        bumpymap.open(maps / "plain").speeds()
+
+
+@pytest.mark.slow
+def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp_path):
+    assert run("map", survey, "--out", tmp_path / "out", "--speeds", "2").exit_code == 0
+    assert (tmp_path / "out" / "speeds.tif").exists()
+    again = run("map", survey, "--out", tmp_path / "out", "--speeds", "2")
+    assert "Already done" in again.output
+    other = run("map", survey, "--out", tmp_path / "out")
+    assert other.exit_code != 0
+    assert "speeds" in other.output
+    assert run("map", survey, "--out", tmp_path / "out", "--overwrite").exit_code == 0
+    assert not list(Path(tmp_path / "out").glob("speeds*"))
+
+
+@pytest.mark.slow
+def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tmp_path):
+    made = run("map", survey, "--out", tmp_path / "out", "--speeds", "0.5,1,2", "--sheets", "0.048")
+    assert made.exit_code == 0, made.output
+    assert "speeds.vrt" in made.output
+    whole, sheets = bands(maps / "speeds" / "speeds.tif"), bands(tmp_path / "out" / "speeds.vrt")
+    np.testing.assert_array_equal(whole["a_w_2"], sheets["a_w_2"])
+    assert (
+        "Already done"
+        in run("map", survey, "--out", tmp_path / "out", "--speeds", "0.5,1,2", "--sheets", "0.048").output
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
+        (("--speed", "0"), "speed is 0.0; it must be a number from 0.01 to 100"),
+        (("--speeds", "1,1"), "1 to 16 different speeds"),
+        (("--speeds", "1,,2"), "is no list of numbers"),
+        (("--speeds", "0.5,nan"), "it must be a number from 0.01 to 100"),
+        (("--speeds", "1", "--rating", "table"), "--rating table knows no speed"),
+        (("--speed", "1", "--compat", "paper"), "--compat paper knows no speed"),
+    ],
+)
+def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):
+    made = run("map", survey, "--out", tmp_path / "out", *options)
+    assert made.exit_code == 2
+    assert said in made.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_table_of_a_batch_takes_speeds(tmp_path):
+    ((_, _, settings),) = read_table("survey,speed,speeds\na.laz,0.5,0.5 1 2\n", "list.csv", tmp_path)
+    assert settings == {"speed": 0.5, "speeds": (0.5, 1.0, 2.0)}
