@@ -33,7 +33,7 @@ from bumpymap.rating import (
     find_passable,
     find_steps,
     is_rateable,
-    plain_factors,
+    motion_felt,
     rate_thin,
     settle_objects,
 )
@@ -138,11 +138,7 @@ class NeighbourRating:
 
     def _felt(self, factors: NDArray[np.float32], c_r: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return what is felt at other speeds, (16, 16, 3 k), from the factors on C_r; NaN in unknown tiles."""
-        known = np.isfinite(factors)
-        if not known.all():
-            factors = np.where(known, factors, plain_factors(self.calibration, self.speeds, c_r))
-        felt: NDArray[np.float32] = factors * c_r[..., None]
-        return felt
+        return motion_felt(self.calibration, self.speeds, factors, c_r)
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

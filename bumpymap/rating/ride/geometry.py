@@ -52,7 +52,8 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
     rides = np.full((len(relief_map), 6), np.nan)
     geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
     ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, scratch)
-    return Rides(*rides.T.copy(), *_heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan))))
+    heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
+    return Rides(*(*rides.T.copy(), *heights))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError
+from bumpymap.core import SPEED_BANDS, UsageError
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.geometry import move_over
 from bumpymap.rating.ride.motion import MotionModel
 from bumpymap.rating.ride.motion_operator import MotionOperator
+from bumpymap.rating.vehicle.floor import less_floor, with_floor
 
 __all__ = [
     "SpeedRating",
     "at_speed",
     "map_speed",
+    "motion_felt",
     "plain_factors",
     "plain_speed_factor",
     "require_speeds",
@@ -127,12 +129,39 @@ class SpeedRating:
         return own, np.exp(logs[:, :-1] - own[:, None, None]).reshape(len(logs), -1).astype(np.float32)
 
 
-def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return the factors of tiles without a heightmap, (..., 3 k), from the C_r of the map [rad/m] at k speeds."""
+def motion_felt(
+    calibration: Calibration, speeds: Sequence[float], factors: NDArray[np.float32], c_r: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return what is felt at k speeds, (..., 3 k): c_r, c_roll [rad/m] and a_w [m/s2] for each; NaN in unknown tiles.
+
+    The factors are those of the driven C_r, so the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        At the speed of the map.
+    speeds : sequence of float
+        m/s.
+    factors : array (..., 3 k) float32
+        Of `SpeedRating.factors`; NaN where the heightmap does not tell.
+    c_r : array (...) float32
+        Of the map, with the vehicle's floor, rad/m.
+    """
+    driven = less_floor(c_r, calibration.floor)
+    known = np.isfinite(factors)
+    if not known.all():
+        factors = np.where(known, factors, plain_factors(calibration, speeds, driven))
+    felt = factors * driven.astype(np.float32)[..., None]
+    own = slice(0, None, len(SPEED_BANDS))
+    felt[..., own] = with_floor(felt[..., own], calibration.floor)
+    return felt
+
+
+def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats) -> NDArray[np.float32]:
+    """Return the factors of tiles without a heightmap, (..., 3 k), from the driven C_r [rad/m] at k speeds."""
     model, speed = _model(calibration), map_speed(calibration)
-    wide = c_r.astype(np.float64)
     # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
-    at_own = wide * np.exp(-model.plain_log_factors(wide, (speed,))[..., 0, 0])
+    at_own = c_r * np.exp(-model.plain_log_factors(c_r, (speed,))[..., 0, 0])
     logs = model.plain_log_factors(at_own, (*speeds, speed))
     found = np.exp(logs[..., :-1, :] - logs[..., -1:, :1])
     return found.reshape(*c_r.shape, -1).astype(np.float32)
