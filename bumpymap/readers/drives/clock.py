@@ -132,8 +132,9 @@ def in_order(time: Floats, what: str) -> tuple[NDArray[np.intp], str | None]:
     back = np.flatnonzero(steps < 0.0)
     if len(back):
         place = int(back[0])
+        count = "once" if len(back) == 1 else f"{len(back):,} times"
         raise BadInputError(
-            f"the times of {what} run backwards {len(back):,} times, first from {time[place]:.3f} s to "
+            f"the times of {what} run backwards {count}, first from {time[place]:.3f} s to "
             f"{time[place + 1]:.3f} s at sample {place + 2:,}. If these are several drives, give each as its own file; "
             "if the clock was set while recording, use a time that runs on, such as the time since the start"
         )

@@ -50,7 +50,7 @@ def test_a_message_of_missing_rates_lists_the_columns(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda c: c["time"].__setitem__(slice(200, None), c["time"][200:] - 1.5), "run backwards 1 times"),
+        (lambda c: c["time"].__setitem__(slice(200, None), c["time"][200:] - 1.5), "run backwards once"),
         (lambda c: c.update(time=np.floor(c["time"])), "too coarse"),
         (lambda c: c["time"].fill(np.nan), "holds no times"),
         (lambda c: c.update(time=["then"] * 400), "are text such as 'then'"),
