@@ -24,7 +24,7 @@ _END_80 = float(ndtri(0.9))
 """An end of an 80 % interval, in standard deviations."""
 _SHARED = 0.5
 """Share of the variance of a tile's interval that its neighbours on the way have in common."""
-_LINE_SD = 0.24
+_LINE_SD = 0.22
 """ln c_r of one calibration drive over a tile scatters by this about the tile's: c_r is the mean over all lines and
 headings. Median over the terrains of the Warthog's calibration; it falls with the root of the length."""
 _LEAST_KNOWN = 0.5
