@@ -94,14 +94,14 @@ def _certain(steps: DriveSteps) -> Floats:
     new = np.concatenate([np.ones((len(tile), 1), np.bool_), tile[:, 1:] != tile[:, :-1]], axis=1)
     group = np.cumsum(new.ravel()) - 1
     each = np.bincount(group, chance.ravel())[group].reshape(tile.shape)
-    out = np.empty_like(each)
+    out: Floats = np.empty(each.shape)
     np.put_along_axis(out, order, each, axis=1)
     return out
 
 
 def _over_tiles(steps: DriveSteps, values: Floats, count: int) -> Floats:
     """Sum values (s, 25) by tile."""
-    return np.bincount(np.maximum(steps.tile, 0).ravel(), values.ravel(), minlength=count)
+    return np.asarray(np.bincount(np.maximum(steps.tile, 0).ravel(), values.ravel(), minlength=count), np.float64)
 
 
 def _reading_variance(one: TileDrive, near: Floats) -> Floats:
