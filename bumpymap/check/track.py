@@ -1,7 +1,7 @@
 """The way of a drive: positions, heading by the gyroscope, wheels and stops put together by least squares.
 
-Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is what
-makes the positions most probable.
+Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is
+what makes the positions most probable.
 """
 
 from dataclasses import dataclass, replace
@@ -96,7 +96,7 @@ def _between(time: Floats, start_s: Floats, end_s: Floats) -> Floats:
     """Return the share of the interval around each knot that lies between times, (n, k)."""
     half = 0.5 * (time[1] - time[0])
     low = np.maximum(start_s[:, None], time - half)
-    return np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half)
+    return np.asarray(np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half))
 
 
 def fit_track(
@@ -165,7 +165,11 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     gained = np.full(count - 1, np.nan + 0j)
     if start.force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
-        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+        gained = np.where(
+            gap[1:] | gap[:-1],
+            np.nan,
+            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
+        )
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 
