@@ -81,7 +81,9 @@ def measure_drive(
     _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is not None:  # again, with gravity and driving told apart
-        start = replace(start, force=level_force(imu, mounting.rotation, mounting.upward), rough=False)
+        start = replace(
+            start, offset_s=track.offset_s, force=level_force(imu, mounting.rotation, mounting.upward), rough=False
+        )
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
