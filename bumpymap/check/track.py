@@ -1,7 +1,7 @@
 """The way of a drive: positions, heading by the gyroscope, wheels and stops put together by least squares.
 
-Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is what
-makes the positions most probable.
+Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is
+what makes the positions most probable.
 """
 
 from dataclasses import dataclass, replace
@@ -28,9 +28,14 @@ _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
 _FIRST_CHANGES = (0.06, 0.2)
 """Candidates of a rough fit."""
+_FIRST_OFFSETS_S = (-0.9, -0.45, 0.0, 0.45, 0.9)
+"""A rough fit begins at these offsets beside the first estimate: vehicles that steer by skidding slip sideways in
+turns, so that the course tells the offset to a second only."""
 _FORCE_CHANGE = 0.01
 """How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
+_SD_KNOTS = 200
+"""The error of the place changes slowly along the way: it is computed at so many knots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +82,11 @@ class DrivenTrack:
 
     def place_sd(self, at_s: Floats) -> Floats:
         """Return standard deviations of the place along one axis at some times, m, (n,)."""
-        knot = np.clip(np.searchsorted(self.time, at_s), 0, len(self.time) - 1)
-        one = np.zeros((len(at_s), len(self.time)))
-        one[np.arange(len(at_s)), knot] = 1.0
-        return np.asarray(np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2)))
+        knot = np.unique(np.linspace(0, len(self.time) - 1, _SD_KNOTS).round().astype(np.int64))
+        one = np.zeros((len(knot), len(self.time)))
+        one[np.arange(len(knot)), knot] = 1.0
+        each = np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2))
+        return np.interp(at_s, self.time[knot], each)
 
     def _sd(self, weights: Floats, part: int) -> Floats:
         k = len(self.time)
@@ -93,7 +99,7 @@ def _between(time: Floats, start_s: Floats, end_s: Floats) -> Floats:
     """Return the share of the interval around each knot that lies between times, (n, k)."""
     half = 0.5 * (time[1] - time[0])
     low = np.maximum(start_s[:, None], time - half)
-    return np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half)
+    return np.asarray(np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half))
 
 
 def fit_track(
@@ -118,15 +124,14 @@ def fit_track(
     """
     knots = _knots(imu, heading, standing, wheels, start)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
-    first = _first(knots, places, start)
     if places is None:
         problem = TrackProblem(knots, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
-        return _track(problem, *_solve(problem, first)[:2])
-    return _track(*_best(knots, places, scatter, first, start))
+        return _track(problem, *_solve(problem, _first(knots, None, start))[:2])
+    return _track(*_best(knots, places, scatter, start))
 
 
 def _best(
-    knots: Knots, places: MetrePlaces, scatter: Scatter, first: TrackState, start: TrackStart
+    knots: Knots, places: MetrePlaces, scatter: Scatter, start: TrackStart
 ) -> tuple[TrackProblem, TrackState, SuperLU]:
     """Try how fast speed and errors change, and return the most probable."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
@@ -135,10 +140,13 @@ def _best(
     tries = [(own, speed, _FORCE_CHANGE) for own in ([knots] if felt else [blind]) for speed in speeds]
     tries += [(blind, speed, _FORCE_CHANGE) for speed in speeds if felt and not start.rough]
     found: list[tuple[float, TrackProblem, TrackState, SuperLU]] = []
-    for own, speed_change, force_change in tries:
-        problem = TrackProblem(own, places, scatter, speed_change, force_change, start.offset_s)
-        state, factor, badness = _solve(problem, first)
-        found.append((badness, problem, state, factor))
+    for shift in _FIRST_OFFSETS_S if start.rough else (0.0,):
+        begun = replace(start, offset_s=start.offset_s + shift)
+        first = _first(knots, places, begun)
+        for own, speed_change, force_change in tries:
+            problem = TrackProblem(own, places, scatter, speed_change, force_change, begun.offset_s)
+            state, factor, badness = _solve(problem, first)
+            found.append((badness, problem, state, factor))
     return min(found, key=lambda one: one[0])[1:]
 
 
@@ -162,7 +170,11 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     gained = np.full(count - 1, np.nan + 0j)
     if start.force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
-        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+        gained = np.where(
+            gap[1:] | gap[:-1],
+            np.nan,
+            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
+        )
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 

@@ -203,7 +203,10 @@ def main() -> None:
                 continue
             rows.append(row)
             if given.each:
-                say(f"  {kept.name}: {len(row.true)} stretches, ratio {np.round(row.cut.measured / row.true, 2)}")
+                ratio, told = np.round(row.cut.measured / row.true, 2), row.sensed.truth
+                off = 1000 * (row.found.clock_offset_s - told.clock_offset_s)
+                mount = np.subtract(row.found.mount_deg, told.mount_deg).round(2)
+                say(f"  {kept.name}: clock {off:.0f} ms, mounting {mount} degrees, ratio {ratio}")
         report(name, rows, refused, time.process_time() - begin)
 
 
