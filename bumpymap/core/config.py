@@ -228,7 +228,10 @@ class MapConfig:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
         for speed in self.speeds or ():
             _within("speeds", speed, 0.01, 100.0)
-        if self.speeds is not None and not 0 < len(set(self.speeds)) == len(self.speeds) <= _MOST_SPEEDS:
+        if (
+            self.speeds is not None
+            and not 0 < len({f"{speed:g}" for speed in self.speeds}) == len(self.speeds) <= _MOST_SPEEDS
+        ):
             raise UsageError(
                 f"speeds is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
                 "in m/s"

@@ -3,7 +3,8 @@
     python tests/benchmarks/motion_drives.py SURVEY --crs EPSG:CODE --data FOLDER
 
 Patches are chosen as by ``bumpymap evaluate``: as many for each level of roughness. Every start is driven at every
-speed. Drives are recorded in FOLDER, and are not repeated by the next call.
+speed. Drives are recorded in FOLDER, and are not repeated by the next call. They run over the measured ground with its
+noise, which the map takes off; ``--raw`` rates that ground.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from bumpymap.core import FeatureSettings, Georeference, Reason, SilentProgress,
 from bumpymap.lab.evaluate.drives import driven_ground
 from bumpymap.lab.evaluate.keyed_random import uniform_by_key
 from bumpymap.lab.evaluate.strata import choose_patches, strata
+from bumpymap.lab.evaluate.subject import NoisyRide
 from bumpymap.lab.evaluate.survey import load_survey, open_readers, take_tiles
 from bumpymap.lab.simulate.drive import Start
 from bumpymap.lab.simulate.journal import JobJournal
@@ -63,7 +65,7 @@ def driven_means(record):
     found = np.array([getattr(record, name) for name in QUANTITIES], dtype=float)
     done = np.isfinite(found).sum(axis=1)
     found = np.where((done >= 0.75 * found.shape[1])[:, None], found, np.nan)
-    mean = np.nanmean(found, axis=1)
+    mean = np.where(np.isfinite(found).any(axis=1), np.nansum(found, axis=1) / np.maximum(done, 1), np.nan)
     return mean, np.nanstd(found, axis=1, ddof=1) / np.sqrt(done) / mean
 
 
@@ -78,6 +80,7 @@ def main():
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--speeds", default="0.5,1,2")
     parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--raw", action="store_true", help="rate the ground with its noise")
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     args.data.mkdir(parents=True, exist_ok=True)
@@ -92,8 +95,11 @@ def main():
     crossed = np.flatnonzero(rated.p_fail < 0.2)
     priority = uniform_by_key(args.seed, patches.col[crossed], patches.row[crossed])
     rows = crossed[choose_patches(stratum[crossed], priority, args.patches)]
-    felt = (rated.motion * rated.c_r[:, None])[rows].reshape(len(rows), len(speeds), len(QUANTITIES)).astype(float)
-    ground = driven_ground(take_tiles(patches, rows))
+    chosen = take_tiles(patches, rows)
+    model = NoisyRide(calibration, speeds) if args.raw else model
+    rated = model.rate(chosen, TextureMap.unknown(len(rows)), Georeference(None))
+    felt = (rated.motion * rated.c_r[:, None]).reshape(len(rows), len(speeds), len(QUANTITIES)).astype(float)
+    ground = driven_ground(chosen)
     names = [(int(patches.col[row]), int(patches.row[row])) for row in rows]
     jobs = [Job(name, heights, args.starts * len(speeds)) for name, heights in zip(names, ground, strict=True)]
     settings = {"vehicle": profile.to_dict(), "speeds": speeds, "starts": args.starts, "seed": args.seed}

@@ -1,14 +1,14 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.lab import KINDS
-from bumpymap.lab.simulate import calibrate as calibrate_module, ride_fit, steps, thin_surveys
+from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, ride_fit, steps, thin_surveys
 from bumpymap.lab.simulate.checks import CheckResult
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob
@@ -39,6 +39,7 @@ def fake_drives(monkeypatch):
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
     monkeypatch.setattr(steps, "add_steps", lambda made, *_, **__: replace(made, steps={"seed": made.settings["seed"]}))
+    monkeypatch.setattr(motion_fit, "add_motion", lambda made, *_, effort, **__: replace(made, motion=asdict(effort)))
     monkeypatch.setattr(ride_fit, "fit_ride", lambda _profile, _terrains, driven: {"terrains": len(driven)})
     monkeypatch.setattr(
         thin_surveys, "fit_thin_surveys", lambda _profile, terrains, _ride, _limit: {"n": len(terrains)}
@@ -62,6 +63,7 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
     assert calibration.ride == {"terrains": 17}
     assert calibration.steps == {"seed": 9}
     assert calibration.thin == {"n": 17}
+    assert calibration.motion["terrains"] == 2
     assert "72 drives over textures, 12 failed" in result.output
     assert "34 drives over 17 terrains of the library, 1 failed" in result.output
     assert "class 3 very rough" in result.output

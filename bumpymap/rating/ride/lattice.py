@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "PitchSamples", "Places", "WheelShares", "spread_places", "wheel_rows"]
+__all__ = ["NodeLattice", "PitchSamples", "Places", "WheelShares", "spread_places", "wheel_rows"]
 
 Floats = NDArray[np.float64]
 Places = tuple[Floats, Floats, Floats]
@@ -36,7 +36,7 @@ class WheelShares(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class NodeLattice:
     """The nodes of a patch that is mirrored at its edges forever."""
 
     nodes: int
@@ -84,7 +84,7 @@ def _halton(count: int, base: int) -> Floats:
 
 
 def wheel_rows(
-    lattice: Lattice, places: Places, wheels: WheelShares, wheelbase: float, track: float
+    lattice: NodeLattice, places: Places, wheels: WheelShares, wheelbase: float, track: float
 ) -> PitchSamples:  # fmt: skip
     """Rows that give a sum over the heights of the wheels, behind and ahead of each sample."""
     x, y, heading = places

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride.lattice import Lattice, PitchSamples, WheelShares, spread_places, wheel_rows
+from bumpymap.rating.ride.lattice import NodeLattice, PitchSamples, WheelShares, spread_places, wheel_rows
 from bumpymap.rating.ride.operator import WheelShape, chassis_response, lattice_of, pitch_change, wheel_shape
 from bumpymap.rating.ride.weighting import WEIGHTED_BAND_HZ, felt_response
 
@@ -106,7 +106,7 @@ def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
     return np.asarray(kept), np.asarray(way * np.arange(-reach, reach + 1), np.float64)
 
 
-def _heave(speed: float, lattice: Lattice) -> WheelShares:
+def _heave(speed: float, lattice: NodeLattice) -> WheelShares:
     taps, back = heave_filter(speed, min(lattice.step / 2, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
     return WheelShares((1, 1, 1, 1), taps / 4, back)
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride.lattice import Lattice, PitchSamples, Places, WheelShares, spread_places, wheel_rows
+from bumpymap.rating.ride.lattice import NodeLattice, PitchSamples, Places, WheelShares, spread_places, wheel_rows
 
 __all__ = [
     "PitchSamples",
@@ -112,10 +112,10 @@ class RideOperator:
         )
 
 
-def lattice_of(radius: float, tile_size: float, pixels: int) -> tuple[int, Lattice]:
+def lattice_of(radius: float, tile_size: float, pixels: int) -> tuple[int, NodeLattice]:
     """Return the nodes along the side of a pixel, and the lattice of a patch, for wheels of a radius [m]."""
     fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
-    return fine, Lattice(pixels * fine + 1, tile_size / (pixels * fine))
+    return fine, NodeLattice(pixels * fine + 1, tile_size / (pixels * fine))
 
 
 def wheel_shape(radius: float, step: float) -> WheelShape:
@@ -170,7 +170,7 @@ def _exponential(matrix: Floats) -> Floats:
 
 
 def pitch_change(
-    lattice: Lattice, places: Places, taps: Floats, way: float, wheelbase: float, track: float
+    lattice: NodeLattice, places: Places, taps: Floats, way: float, wheelbase: float, track: float
 ) -> PitchSamples:
     """Rows that give the change of the chassis' pitch per metre at each sample."""
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
@@ -179,7 +179,7 @@ def pitch_change(
     return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
 
 
-def _poses(lattice: Lattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:
+def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:
     x, y, heading = places
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     along = np.array([1, 1, -1, -1]) * wheelbase / 2

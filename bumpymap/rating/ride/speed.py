@@ -95,12 +95,12 @@ class SpeedRating:
     speeds: tuple[float, ...]
     """m/s."""
     operator: MotionOperator
-    """For these speeds and, last, the speed of the map."""
+    """For these speeds and, if it is none of them, the speed of the map."""
 
     @classmethod
     def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
         """Make the rating of a calibration with ``motion``."""
-        every = (*speeds, map_speed(calibration))
+        every = tuple(dict.fromkeys((*speeds, map_speed(calibration))))
         operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
 
@@ -125,8 +125,9 @@ class SpeedRating:
         motions = move_over(relief_map, self.operator)
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
         logs[~(pitch_change > _LEVEL)] = np.nan
-        own = logs[:, -1, 0]
-        return own, np.exp(logs[:, :-1] - own[:, None, None]).reshape(len(logs), -1).astype(np.float32)
+        own = logs[:, self.operator.speeds.index(map_speed(self.calibration)), 0]
+        told = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
+        return own, told.reshape(len(logs), -1).astype(np.float32)
 
 
 def motion_felt(
