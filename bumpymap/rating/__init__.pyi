@@ -56,7 +56,6 @@ from .ride.rate import (
 )
 from .ride.speed import (
     at_speed as at_speed,
-    map_speed as map_speed,
     motion_felt as motion_felt,
     plain_factors as plain_factors,
     require_speeds as require_speeds,

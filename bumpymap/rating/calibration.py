@@ -16,7 +16,7 @@ from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, Vehicle
 from bumpymap.rating.vehicle.body import body_of, body_table
 from bumpymap.rating.vehicle.floor import floor_of, with_floor
 
-__all__ = ["DEFAULT_FAIL_WEIGHT", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
+__all__ = ["DEFAULT_FAIL_WEIGHT", "MAP_SPEED", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
 
 T = TypeVar("T")
 
@@ -24,6 +24,8 @@ _DRIVE_S = 10.0
 """Measured seconds of a drive, if the calibration does not give them."""
 _FORMAT = "bumpymap-calibration"
 _VERSION = 2
+MAP_SPEED = "map_speed_mps"
+"""Key of ``motion``: the speed that a map was asked for."""
 _OPTIONAL = ("motion", "steps", "thin")
 """Fields that older files do not have."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
@@ -151,8 +153,23 @@ class Calibration:
 
     @property
     def floor(self) -> float:
-        """C_r on even, level ground, rad/m, which enters every C_r of a map in power; 0 if the profile has none."""
+        """C_r on even, level ground at the profile's speed, rad/m; 0 if the profile has none."""
         return floor_of(self.vehicle)
+
+    @property
+    def map_speed(self) -> float:
+        """The speed [m/s] that the C_r of a map is for: the profile's, unless `at_speed` has set another."""
+        own = float(self.vehicle["speed_mps"])
+        return float((self.motion or {}).get(MAP_SPEED, own))
+
+    @property
+    def map_floor(self) -> float:
+        """`floor_at` the speed of the map: what enters every C_r of a map in power, rad/m."""
+        return self.floor_at(self.map_speed)
+
+    def floor_at(self, speed: float) -> float:
+        """Return the floor at a speed [m/s], rad/m: lugs and drive train turn the vehicle at a rate in time."""
+        return self.floor * float(self.vehicle["speed_mps"]) / speed
 
     @property
     def floor_before(self) -> float:
@@ -163,7 +180,7 @@ class Calibration:
     @property
     def map_limits(self) -> tuple[float, ...]:
         """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
-        return tuple(with_floor(np.array(self.class_limits), self.floor).tolist())
+        return tuple(with_floor(np.array(self.class_limits), self.map_floor).tolist())
 
     def without_floor(self) -> "Calibration":
         """Return this calibration with a floor of 0, for comparisons with simulated drives, which have none."""

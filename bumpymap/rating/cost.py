@@ -84,7 +84,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
         RatedTiles(class_id, rated),
         np.empty((3, len(TEXTURES))),
     )
-    c_r, c_r_low, c_r_high = with_floor(rated[:3], calibration.floor).astype(np.float32)
+    c_r, c_r_low, c_r_high = with_floor(rated[:3], calibration.map_floor).astype(np.float32)
     p_fail, confidence = rated[3:]
     return CostMap(
         georeference=georeference,
@@ -122,7 +122,7 @@ def rate_as_paper(
     judged = (patches.reason == Reason.OK) & (patches.coverage >= _LEAST_COVERAGE)
     class_id = np.where(judged, class_id, 3)
     measured = patches.reason != Reason.NO_GROUND
-    edges = with_floor(np.array([0.0, *calibration.class_limits, np.inf]), calibration.floor)
+    edges = with_floor(np.array([0.0, *calibration.class_limits, np.inf]), calibration.map_floor)
     p_fail = np.where(patches.slope > calibration.vehicle["slope_limit_deg"], 1.0, np.nan)
     high = np.where(class_id == len(edges) - 2, np.nan, edges[class_id + 1])
     return CostMap(
@@ -130,7 +130,7 @@ def rate_as_paper(
         patches=replace(patches, reason=np.where(measured, Reason.OK, patches.reason).astype(np.uint8)),
         textures=textures,
         class_id=_spread_class(measured, class_id[measured]),
-        c_r=_spread(measured, with_floor(np.array(calibration.class_c_r), calibration.floor)[class_id[measured]]),
+        c_r=_spread(measured, with_floor(np.array(calibration.class_c_r), calibration.map_floor)[class_id[measured]]),
         c_r_low=_spread(measured, edges[class_id[measured]]),
         c_r_high=_spread(measured, high[measured]),
         p_fail=_spread(measured, p_fail[measured]),

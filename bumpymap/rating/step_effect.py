@@ -115,7 +115,7 @@ def apply_steps(
     driven, fails, sd = (effect.read(curve, step) for curve in (effect.c_r, effect.p_fail, effect.c_r_log_sd))
     # Without a step there is nothing that a floor could be added to.
     c_r, low, high = (
-        np.where(driven > 0.0, with_floor(driven * np.exp(tail * sd), calibration.floor), 0.0)
+        np.where(driven > 0.0, with_floor(driven * np.exp(tail * sd), calibration.map_floor), 0.0)
         for tail in (0.0, -NORMAL_TAIL, NORMAL_TAIL)
     )
     raised = known & (c_r > own["c_r"])
@@ -129,7 +129,7 @@ def apply_steps(
     class_id = np.maximum(own["class_id"], np.searchsorted(np.array(calibration.class_limits), driven, side="right"))
     class_id = np.where(lost, len(calibration.class_limits), class_id)
     changed = known & (raised | (lost & ~(own["p_fail"] >= FAIL_SHARE)))
-    without = less_floor(felt["c_r"], calibration.floor)
+    without = less_floor(felt["c_r"], calibration.map_floor)
     sure = np.where(lost, fails, _sureness(class_id, without, sd, calibration.class_limits))
     felt["confidence"] = np.where(changed, sure * np.sqrt(columns["coverage"]), own["confidence"])
     felt["class_id"] = class_id

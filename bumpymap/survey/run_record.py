@@ -28,7 +28,6 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.rating import map_speed
 from bumpymap.readers import SurveyInfo, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
@@ -140,14 +139,14 @@ def run_manifest(
             "vehicle": calibration.vehicle["name"],
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
-            **({"floor_radpm": calibration.floor} if calibration.floor else {}),
+            **({"floor_radpm": calibration.map_floor} if calibration.map_floor else {}),
         },
         "vehicle": {
             "name": calibration.vehicle["name"],
             "width_m": calibration.body.width_m,
             "height_m": calibration.body.height_m,
             "clearance_m": calibration.body.clearance_m,
-            "speed_mps": map_speed(calibration),
+            "speed_mps": calibration.map_speed,
         }
         | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
         "seconds": seconds,

@@ -12,7 +12,7 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.ride.speed import SpeedRating, map_speed, plain_speed_factor, require_speeds, speed_log_sd
+from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle.floor import with_floor
 
 __all__ = ["RideModel", "interval", "judge"]
@@ -48,7 +48,7 @@ class RideModel:
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.speeds: SpeedRating | None = None
-        if speeds or map_speed(calibration) != float(calibration.vehicle["speed_mps"]):
+        if speeds or calibration.map_speed != float(calibration.vehicle["speed_mps"]):
             require_speeds(calibration, speeds, "speeds")
             self.speeds = SpeedRating.of(calibration, speeds)
 
@@ -98,7 +98,7 @@ class RideModel:
         found, factors = self._predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance, p_fail = judge(found, patches.slope, calibration)
-        c_r, low, high = interval(found, calibration.floor)
+        c_r, low, high = interval(found, calibration.map_floor)
         return CostMap(
             georeference=georeference,
             patches=patches,

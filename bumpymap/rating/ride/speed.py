@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SPEED_BANDS, UsageError
-from bumpymap.rating.calibration import Calibration, remembered
+from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.geometry import move_over
 from bumpymap.rating.ride.motion import MotionModel
 from bumpymap.rating.ride.motion_operator import MotionOperator
@@ -20,7 +20,6 @@ from bumpymap.rating.vehicle.floor import less_floor, with_floor
 __all__ = [
     "SpeedRating",
     "at_speed",
-    "map_speed",
     "motion_felt",
     "plain_factors",
     "plain_speed_factor",
@@ -29,7 +28,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-_KEY = "map_speed_mps"
 _LEVEL = 5e-4
 """Geometric C_r of ground that is as good as level, rad/m."""
 
@@ -47,13 +45,7 @@ def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     require_speeds(calibration, (speed,), "speed")
     if speed == float(calibration.vehicle["speed_mps"]):
         return calibration
-    return replace(calibration, motion={**(calibration.motion or {}), _KEY: float(speed)})
-
-
-def map_speed(calibration: Calibration) -> float:
-    """Return the speed [m/s] that the C_r of a calibration is for: the profile's, or that of `at_speed`."""
-    own = float(calibration.vehicle["speed_mps"])
-    return float((calibration.motion or {}).get(_KEY, own))
+    return replace(calibration, motion={**(calibration.motion or {}), MAP_SPEED: float(speed)})
 
 
 def require_speeds(calibration: Calibration, speeds: Sequence[float], setting: str) -> None:
@@ -76,14 +68,14 @@ def require_speeds(calibration: Calibration, speeds: Sequence[float], setting: s
 
 def plain_speed_factor(calibration: Calibration, log_c_r: Floats) -> Floats:
     """Return ln of C_r at the speed of the map over that at the profile's speed, from ln of the latter, any shape."""
-    if map_speed(calibration) == float(calibration.vehicle["speed_mps"]):
+    if calibration.map_speed == float(calibration.vehicle["speed_mps"]):
         return np.zeros_like(log_c_r)
-    return _model(calibration).plain_log_factors(np.exp(log_c_r), (map_speed(calibration),))[..., 0, 0]
+    return _model(calibration).plain_log_factors(np.exp(log_c_r), (calibration.map_speed,))[..., 0, 0]
 
 
 def speed_log_sd(calibration: Calibration) -> float:
     """Return the standard deviation of ln C_r that the speed of the map adds."""
-    speed = map_speed(calibration)
+    speed = calibration.map_speed
     return 0.0 if speed == float(calibration.vehicle["speed_mps"]) else _model(calibration).log_sd(speed)
 
 
@@ -100,7 +92,7 @@ class SpeedRating:
     @classmethod
     def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
         """Make the rating of a calibration with ``motion``."""
-        every = tuple(dict.fromkeys((*speeds, map_speed(calibration))))
+        every = tuple(dict.fromkeys((*speeds, calibration.map_speed)))
         operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
 
@@ -125,7 +117,7 @@ class SpeedRating:
         motions = move_over(relief_map, self.operator)
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
         logs[~(pitch_change > _LEVEL)] = np.nan
-        own = logs[:, self.operator.speeds.index(map_speed(self.calibration)), 0]
+        own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
         told = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
         return own, told.reshape(len(logs), -1).astype(np.float32)
 
@@ -135,7 +127,7 @@ def motion_felt(
 ) -> NDArray[np.float32]:
     """Return what is felt at k speeds, (..., 3 k): c_r, c_roll [rad/m] and a_w [m/s2] for each; NaN in unknown tiles.
 
-    The factors are those of the driven C_r, so the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
+    The factors are those of the driven C_r: the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
 
     Parameters
     ----------
@@ -148,19 +140,20 @@ def motion_felt(
     c_r : array (...) float32
         Of the map, with the vehicle's floor, rad/m.
     """
-    driven = less_floor(c_r, calibration.floor)
+    driven = less_floor(c_r, calibration.map_floor)
     known = np.isfinite(factors)
     if not known.all():
         factors = np.where(known, factors, plain_factors(calibration, speeds, driven))
     felt = factors * driven.astype(np.float32)[..., None]
-    own = slice(0, None, len(SPEED_BANDS))
-    felt[..., own] = with_floor(felt[..., own], calibration.floor)
+    for number, speed in enumerate(speeds):
+        own = number * len(SPEED_BANDS)
+        felt[..., own] = with_floor(felt[..., own], calibration.floor_at(speed))
     return felt
 
 
 def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats) -> NDArray[np.float32]:
     """Return the factors of tiles without a heightmap, (..., 3 k), from the driven C_r [rad/m] at k speeds."""
-    model, speed = _model(calibration), map_speed(calibration)
+    model, speed = _model(calibration), calibration.map_speed
     # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
     at_own = c_r * np.exp(-model.plain_log_factors(c_r, (speed,))[..., 0, 0])
     logs = model.plain_log_factors(at_own, (*speeds, speed))

@@ -80,7 +80,7 @@ def rate_thin(
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
         thin_tiles = _at_map_speed(_predicted(model, flat, reason == Reason.OK), calibration)
-        mixed = _mixed(thin_tiles, first, weight, calibration.floor)
+        mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
         tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
@@ -195,7 +195,7 @@ def _as_rating(found: Prediction, steep: Floats, reason: NDArray[np.uint8], cali
     """Turn predictions into what is stored, by the rules of the ride rating."""
     line = Prediction(*(values.ravel() for values in (found.log_c_r, found.below, found.above, found.p_fail)))
     class_id, chance, p_fail = (values.reshape(steep.shape) for values in judge(line, steep.ravel(), calibration))
-    c_r, low, high = interval(found, calibration.floor)
+    c_r, low, high = interval(found, calibration.map_floor)
     return BlockRating(
         class_id=class_id.astype(np.uint8),
         c_r=c_r.astype(np.float32),

@@ -13,7 +13,7 @@ from bumpymap.rating import (
     MotionModel,
     RideOperator,
     at_speed,
-    map_speed,
+    motion_felt,
     plain_factors,
     require_speeds,
     roll_over,
@@ -42,13 +42,13 @@ def pitch_of(heights):
 def test_its_own_speed_changes_nothing():
     assert at_speed(WARTHOG, None) is WARTHOG
     assert at_speed(WARTHOG, 1.0) is WARTHOG
-    assert map_speed(WARTHOG) == 1.0
+    assert WARTHOG.map_speed == 1.0
 
 
 def test_another_speed_has_another_id_and_the_same_drives():
     fast = at_speed(WARTHOG, 2.0)
     assert fast.id != WARTHOG.id
-    assert map_speed(fast) == 2.0
+    assert fast.map_speed == 2.0
     assert fast.vehicle == WARTHOG.vehicle
     assert fast.cost_rule == WARTHOG.cost_rule
     again = Calibration.from_json(fast.to_json(), "file")
@@ -69,8 +69,8 @@ def test_a_calibration_without_other_speeds_says_how_to_make_one():
 def test_at_the_speed_of_the_map_the_factor_is_one_to_the_bit():
     heights = relief()
     for calibration in (WARTHOG, at_speed(WARTHOG, 2.0)):
-        _, factors = rating_at(map_speed(calibration)).factors(heights, pitch_of(heights))
-        own = SPEEDS.index(map_speed(calibration))
+        _, factors = rating_at(calibration.map_speed).factors(heights, pitch_of(heights))
+        own = SPEEDS.index(calibration.map_speed)
         np.testing.assert_array_equal(factors[:, 3 * own], np.float32(1.0))
 
 
@@ -126,3 +126,18 @@ def test_the_record_is_read_as_it_was_written():
 def test_a_damaged_record_is_told(change):
     with pytest.raises(BadInputError, match="record of speeds"):
         MotionModel.from_record({**WARTHOG.motion, **change}, 1.0)
+
+
+def test_a_floor_is_a_rate_in_time():
+    """Taken off before a ride is scaled to another speed, added after it; roll and acceleration have none."""
+    husky = Calibration.shipped("husky")
+    own = husky.map_speed
+    fast = at_speed(husky, 2 * own)
+    assert fast.map_floor == pytest.approx(husky.floor / 2)
+    factors = np.array([[2.0, 3.0, 4.0]], np.float32)
+    driven = 0.05
+    c_r = np.array([np.hypot(driven, husky.floor)], np.float32)
+    (found,) = motion_felt(husky, (2 * own,), factors, c_r)
+    np.testing.assert_allclose(found, [np.hypot(2 * driven, husky.floor / 2), 3 * driven, 4 * driven], rtol=1e-5)
+    (level,) = motion_felt(husky, (2 * own,), factors, np.array([husky.floor], np.float32))
+    np.testing.assert_allclose(level, [husky.floor / 2, 0.0, 0.0], atol=1e-5)
