@@ -12,7 +12,7 @@ from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
 from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
-from bumpymap.check.settings import MeasureSettings
+from bumpymap.check.settings import ReadingSettings
 from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
 from bumpymap.check.standing import find_standing, rate_bias
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
@@ -48,7 +48,7 @@ class _Rates:
 def measure_drive(
     log: DriveLog,
     places: MetrePlaces | None,
-    settings: MeasureSettings,
+    settings: ReadingSettings,
     slope_at: SlopeAt | None = None,
 ) -> DriveMeasure:
     """Measure the pitch rate about the vehicle's own axis, the speed and the way of a drive.
@@ -58,7 +58,7 @@ def measure_drive(
     log : DriveLog
     places : MetrePlaces or None
         Positions of the log in metres.
-    settings : MeasureSettings
+    settings : ReadingSettings
     slope_at : function, optional
         Slopes of the ground, for the mounting of the sensor.
 
@@ -167,7 +167,7 @@ def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
 
 
 def _mounting(
-    imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None, settings: MeasureSettings
+    imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None, settings: ReadingSettings
 ) -> Mounting | None:
     if not imu.has_force:
         return None
@@ -184,7 +184,7 @@ def _mounting(
 
 
 def _reasons(
-    imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None, settings: MeasureSettings
+    imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None, settings: ReadingSettings
 ) -> NDArray[np.uint8]:
     """Return for each sample why it does not count, as a number in ``LEFT_OUT``."""
     speed = np.interp(imu.time, track.time, track.speed)
