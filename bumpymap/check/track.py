@@ -134,7 +134,7 @@ def fit_track(
 def _best(
     knots: Knots, places: MetrePlaces, scatter: Scatter, start: TrackStart
 ) -> tuple[TrackProblem, TrackState, SuperLU, float]:
-    """Try how fast speed and errors change; return the most probable, and how far their offsets of the clocks differ."""
+    """Try how fast speed and errors change; return the most probable, and how far their clock offsets differ."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
     felt = bool(np.isfinite(knots.gained).any())
     speeds = _FIRST_CHANGES if start.rough else _SPEED_CHANGES

@@ -2,16 +2,17 @@
 
 from dataclasses import replace
 
+import made_drives
 import numpy as np
 import pytest
 
-from bumpymap.check import MeasureSettings, cut_stretches, measure_drive, metre_places
+from bumpymap.check import ReadingSettings, cut_stretches, measure_drive, metre_places
 from bumpymap.core import BadInputError, ImuTrack, WheelTrack
 
 
 def measured(log, settings=None):
     places = None if log.places is None else metre_places(log.places, log.places.x, log.places.y, log.name)
-    found = measure_drive(log, places, settings or MeasureSettings())
+    found = measure_drive(log, places, settings or ReadingSettings())
     return found, cut_stretches(found, 10.0)
 
 
@@ -26,7 +27,7 @@ def true_c_r(log, cut, pitch_rate, way):
 
 
 @pytest.fixture(scope="module")
-def good(made_drives):
+def good():
     made = made_drives.MadeDrive(
         offset=0.31, mount_deg=(3.0, -4.0, 5.0), noise=0.01, bias=0.01, place_white=0.015, place_wander=0.01
     )
@@ -64,7 +65,7 @@ def test_the_way_is_as_long_as_it_was(good):
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.01)
 
 
-def test_noise_of_positions_does_not_lengthen_the_way(made_drives):
+def test_noise_of_positions_does_not_lengthen_the_way():
     log, _, way = made_drives.log_of(made_drives.MadeDrive(noise=0.01, place_white=0.25, place_wander=1.5, seed=5))
     found, cut = measured(log)
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.06)
@@ -72,7 +73,7 @@ def test_noise_of_positions_does_not_lengthen_the_way(made_drives):
     assert (cut.measured_sd > 0.02 * cut.measured).all()
 
 
-def test_a_sensor_upside_down_reads_the_same(made_drives, good):
+def test_a_sensor_upside_down_reads_the_same(good):
     made = replace(good[0], mount_deg=(180.0, 0.0, 0.0))
     log, pitch_rate, way = made_drives.log_of(made)
     found, cut = measured(log)
@@ -81,8 +82,8 @@ def test_a_sensor_upside_down_reads_the_same(made_drives, good):
     assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
 
 
-def test_without_positions_the_way_is_that_of_the_wheels(made_drives, good):
-    made, log, pitch_rate, way, _, _ = good
+def test_without_positions_the_way_is_that_of_the_wheels(good):
+    _, log, pitch_rate, way, _, _ = good
     speed = np.gradient(way, log.imu.time)
     wheels = WheelTrack(log.imu.time[::5], speed[::5], np.full(len(speed[::5]), np.nan))
     found, cut = measured(replace(log, places=None, wheels=wheels))
@@ -140,7 +141,7 @@ def test_radians_read_as_degrees_are_refused(good):
     assert "radians per second" in refused(replace(log, imu=wrong))
 
 
-def test_a_parked_vehicle_is_refused(made_drives):
+def test_a_parked_vehicle_is_refused():
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=60.0))
     assert "never drives" in refused(log)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from bumpymap.check import CheckConfig, MeasureSettings, agreement_of, local_metres
+from bumpymap.check import CheckConfig, ReadingSettings, agreement_of, local_metres
 from bumpymap.check.agreement import spearman
 from bumpymap.check.attitude import levelling, turned
 from bumpymap.check.signals import low_pass, pieces, rolling_mean
@@ -124,7 +124,7 @@ def test_local_metres_are_those_of_the_ellipsoid():
 @pytest.mark.parametrize("wrong", [{"band_hz": 0.0}, {"band_hz": float("nan")}, {"window_m": 4.0}])
 def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(UsageError):
-        MeasureSettings(**wrong)
+        ReadingSettings(**wrong)
     with pytest.raises(UsageError):
         CheckConfig(("drive.csv",), **wrong)
 
