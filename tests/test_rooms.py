@@ -48,7 +48,10 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
-    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "check", "lab"}, {"click", "rich"}),
+    "cli": (
+        {"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "check", "lab"},
+        {"click", "rich"},
+    ),
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""

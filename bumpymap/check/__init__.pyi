@@ -21,7 +21,7 @@ from .places import (
 )
 from .settings import (
     CheckConfig as CheckConfig,
-    MeasureSettings as MeasureSettings,
+    ReadingSettings as ReadingSettings,
 )
 from .stretches import (
     cut_stretches as cut_stretches,

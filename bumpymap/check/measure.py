@@ -12,7 +12,7 @@ from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
 from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
-from bumpymap.check.settings import MeasureSettings
+from bumpymap.check.settings import ReadingSettings
 from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
 from bumpymap.check.standing import find_standing, rate_bias
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
@@ -26,6 +26,8 @@ SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 """Easting, northing [m] and course [rad] -> rise of the ground ahead and to the left over a metre, NaN if unknown."""
 
 _UNSURE_OFFSET_S = 0.2
+_SURE_OFFSET_S = 0.05
+"""An offset that starts and stops tell so closely needs no turns."""
 _UNSURE_DRIFT = 5e-5
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
@@ -48,7 +50,7 @@ class _Rates:
 def measure_drive(
     log: DriveLog,
     places: MetrePlaces | None,
-    settings: MeasureSettings,
+    settings: ReadingSettings,
     slope_at: SlopeAt | None = None,
 ) -> DriveMeasure:
     """Measure the pitch rate about the vehicle's own axis, the speed and the way of a drive.
@@ -58,7 +60,7 @@ def measure_drive(
     log : DriveLog
     places : MetrePlaces or None
         Positions of the log in metres.
-    settings : MeasureSettings
+    settings : ReadingSettings
     slope_at : function, optional
         Slopes of the ground, for the mounting of the sensor.
 
@@ -81,9 +83,9 @@ def measure_drive(
     _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is not None:  # again, with gravity and driving told apart
-        start = replace(
-            start, offset_s=track.offset_s, force=level_force(imu, mounting.rotation, mounting.upward), rough=False
-        )
+        force = level_force(imu, mounting.rotation, mounting.upward)
+        begun = track.offset_s if places is not None else start.offset_s
+        start = replace(start, offset_s=begun, force=force, rough=False)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
@@ -94,7 +96,8 @@ def measure_drive(
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
-    told = places is not None and rates.clock.sure and track.offset_sd_s < _UNSURE_OFFSET_S
+    sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
+    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S
     return DriveMeasure(
         name=log.name,
         time=imu.time,
@@ -169,7 +172,7 @@ def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
 
 
 def _mounting(
-    imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None, settings: MeasureSettings
+    imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None, settings: ReadingSettings
 ) -> Mounting | None:
     if not imu.has_force:
         return None
@@ -186,7 +189,7 @@ def _mounting(
 
 
 def _reasons(
-    imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None, settings: MeasureSettings
+    imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None, settings: ReadingSettings
 ) -> NDArray[np.uint8]:
     """Return for each sample why it does not count, as a number in ``LEFT_OUT``."""
     speed = np.interp(imu.time, track.time, track.speed)

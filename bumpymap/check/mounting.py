@@ -2,7 +2,8 @@
 
 Gravity is taken along the whole way, not at one stop, because a vehicle stands on a slope as readily as on level
 ground: the mean slope of the way is known from a map, and small without one. Yaw: the acceleration along the
-vehicle is that of its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how it is turned.
+vehicle is that of its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how
+it is turned.
 """
 
 from dataclasses import dataclass

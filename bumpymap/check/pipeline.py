@@ -17,7 +17,7 @@ from bumpymap.check.measure import measure_drive
 from bumpymap.check.notes import drive_warnings, left_out, map_warnings, refuse_without_stretches
 from bumpymap.check.place_on_map import places_alone, places_on_map
 from bumpymap.check.places import MetrePlaces
-from bumpymap.check.settings import CheckConfig, MeasureSettings
+from bumpymap.check.settings import CheckConfig, ReadingSettings
 from bumpymap.check.slopes import SlopeMap, window_around
 from bumpymap.check.stretches import cut_stretches
 from bumpymap.check.tiles import TileDrive, driven_tiles
@@ -109,7 +109,7 @@ def _field(site: RouteMap, placed: list[MetrePlaces | None]) -> TileField:
 def _measured(
     log: DriveLog,
     places: MetrePlaces | None,
-    settings: MeasureSettings,
+    settings: ReadingSettings,
     site: RouteMap | None,
     field: TileField | None,
 ) -> _Done:

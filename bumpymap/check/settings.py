@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bumpymap.core import UsageError
 
-__all__ = ["LEAST_WINDOW_M", "CheckConfig", "MeasureSettings"]
+__all__ = ["LEAST_WINDOW_M", "CheckConfig", "ReadingSettings"]
 
 LEAST_WINDOW_M = 5.0
 """Shortest stretch that gets a C_r of its own, m."""
@@ -15,7 +15,7 @@ _LEAST_BAND_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class MeasureSettings:
+class ReadingSettings:
     """What decides how the C_r of a drive is measured."""
 
     band_hz: float = 10.0
@@ -62,6 +62,6 @@ class CheckConfig:
         _ = self.measuring  # refuses what is out of range
 
     @property
-    def measuring(self) -> MeasureSettings:
+    def measuring(self) -> ReadingSettings:
         """The settings of the measurement alone."""
-        return MeasureSettings(band_hz=self.band_hz, window_m=self.window_m)
+        return ReadingSettings(band_hz=self.band_hz, window_m=self.window_m)

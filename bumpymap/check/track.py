@@ -86,7 +86,7 @@ class DrivenTrack:
         one = np.zeros((len(knot), len(self.time)))
         one[np.arange(len(knot)), knot] = 1.0
         each = np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2))
-        return np.interp(at_s, self.time[knot], each)
+        return np.asarray(np.interp(at_s, self.time[knot], each))
 
     def _sd(self, weights: Floats, part: int) -> Floats:
         k = len(self.time)
@@ -125,15 +125,16 @@ def fit_track(
     knots = _knots(imu, heading, standing, wheels, start)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
     if places is None:
-        problem = TrackProblem(knots, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
+        blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
+        problem = TrackProblem(blind, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
         return _track(problem, *_solve(problem, _first(knots, None, start))[:2])
     return _track(*_best(knots, places, scatter, start))
 
 
 def _best(
     knots: Knots, places: MetrePlaces, scatter: Scatter, start: TrackStart
-) -> tuple[TrackProblem, TrackState, SuperLU]:
-    """Try how fast speed and errors change, and return the most probable."""
+) -> tuple[TrackProblem, TrackState, SuperLU, float]:
+    """Try how fast speed and errors change; return the most probable, and how far their clock offsets differ."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
     felt = bool(np.isfinite(knots.gained).any())
     speeds = _FIRST_CHANGES if start.rough else _SPEED_CHANGES
@@ -147,7 +148,9 @@ def _best(
             problem = TrackProblem(own, places, scatter, speed_change, force_change, begun.offset_s)
             state, factor, badness = _solve(problem, first)
             found.append((badness, problem, state, factor))
-    return min(found, key=lambda one: one[0])[1:]
+    best = min(found, key=lambda one: one[0])
+    offsets = [float(state.whole[OFFSET]) for _, problem, state, _ in found if problem.knots is best[1].knots]
+    return *best[1:], float(np.median(np.abs(np.array(offsets) - best[2].whole[OFFSET])))
 
 
 def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:
@@ -233,7 +236,7 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     return state, factor, badness + 2.0 * problem.log_spread
 
 
-def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenTrack:
+def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, unsure_s: float = 0.0) -> DrivenTrack:
     knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
@@ -247,7 +250,7 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenT
         speed=speed,
         course=course,
         offset_s=float(state.whole[OFFSET]),
-        offset_sd_s=float(spread[0]),
+        offset_sd_s=float(np.hypot(spread[0], unsure_s)),
         chosen=(problem.speed_change, problem.force_change if np.isfinite(knots.gained).any() else 0.0),
         drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),

@@ -23,7 +23,7 @@ from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives,
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from bumpymap.check import DriveMeasure, MeasureSettings, WayStretch, agreement_of
+from bumpymap.check import DriveMeasure, ReadingSettings, WayStretch, agreement_of
 from bumpymap.check.pipeline import _Done, _field, _measured, _stretches
 from bumpymap.check.place_on_map import places_on_map
 from bumpymap.core import BadInputError, MapAgreement
@@ -101,7 +101,7 @@ def measured(kept: KeptDrive, set_name: str, seed: int) -> Row:
     sensed = sense_drive(motion, sensors, seed, f"{kept.name}_{set_name}", f"EPSG:{epsg}")
     site = site_of(kept.layers)
     places = places_on_map(sensed.log, site)
-    done = _measured(sensed.log, places, MeasureSettings(), site, _field(site, [places]))
+    done = _measured(sensed.log, places, ReadingSettings(), site, _field(site, [places]))
     return Row(sensed, done, true_c_r(motion, done.drive, done.cut, sensed.start_s))
 
 
